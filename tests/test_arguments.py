@@ -16,7 +16,7 @@ MODEL = pgm.DynamicBayesianNetwork(
 # What a call makes, or hands out, is not made by users.
 RESULTS = {
     *("Associations", "Audit", "Balanced", "Bethe", "Cluster", "Comparison"),
-    *("Cubature", "Fit", "FitStatus", "GridBelief", "GridStatus"),
+    *("Cubature", "Fit", "FitStatus", "GridBelief", "GridFigures"),
     *(
         "LTRIP",
         "Lineariser",
@@ -26,8 +26,8 @@ RESULTS = {
         "OnlineBelief",
         "Oracle",
     ),
-    *("OnlineGridBelief", "OnlineParticleBelief", "BeliefFamily", "Threshold"),
-    *("ParticleBelief", "ParticleStatus", "Poses", "Posterior"),
+    *("BeliefFamily", "Threshold"),
+    *("ParticleBelief", "ParticleFigures", "Poses", "Posterior"),
     *("Rejections", "StatisticalRegression", "Status", "Taylor", "Timeline"),
     *("WeightedMinFill", "Cells", "Dropped", "Edges", "PoseGraph", "Row"),
 }

@@ -64,7 +64,7 @@ def beliefs(robot: Any, first: Any, drives: Drives) -> Iterator[Any]:
     Parameters
     ----------
     robot : OnlineParticles or OnlineGrid
-    first : OnlineParticleBelief or OnlineGridBelief
+    first : OnlineBelief
         The robot's ``initial()``, which takes a while on a grid.
     drives : Drives
     """

@@ -17,20 +17,19 @@ from pgm.inference.damping import LevenbergMarquardt
 from pgm.inference.discrete.maximum import MostProbable, most_probable
 from pgm.inference.dynamic import filter, smooth
 from pgm.inference.engine import infer
+from pgm.inference.figures import Threshold
 from pgm.inference.grid.belief import GridBelief
 from pgm.inference.grid.family import Grid
-from pgm.inference.grid.online import OnlineGridBelief
-from pgm.inference.grid.status import GridStatus
+from pgm.inference.grid.figures import GridFigures
 from pgm.inference.lost import Lost
-from pgm.inference.online.beliefs import OnlineBelief
 from pgm.inference.online.filter import OnlineFilter
+from pgm.inference.online_belief import OnlineBelief
 from pgm.inference.particles.belief import ParticleBelief
 from pgm.inference.particles.cell_proposal import CellProposal
 from pgm.inference.particles.family import Particles
+from pgm.inference.particles.figures import ParticleFigures
 from pgm.inference.particles.number import KLDSampling, LikelihoodSampling
-from pgm.inference.particles.online import OnlineParticleBelief
 from pgm.inference.particles.settings import Injection
-from pgm.inference.particles.status import ParticleStatus
 from pgm.inference.posterior import Posterior
 from pgm.inference.query import query
 from pgm.inference.rejections import Rejections
@@ -44,7 +43,7 @@ from pgm.inference.schedule import (
     Sequential,
     Smoothing,
 )
-from pgm.inference.status import Status, Threshold
+from pgm.inference.status import Status
 
 __all__ = [
     "Associations",
@@ -57,7 +56,7 @@ __all__ = [
     "Flooding",
     "Grid",
     "GridBelief",
-    "GridStatus",
+    "GridFigures",
     "Injection",
     "Innovations",
     "KLDSampling",
@@ -69,10 +68,8 @@ __all__ = [
     "MostProbable",
     "OnlineBelief",
     "OnlineFilter",
-    "OnlineGridBelief",
-    "OnlineParticleBelief",
     "ParticleBelief",
-    "ParticleStatus",
+    "ParticleFigures",
     "Particles",
     "Posterior",
     "Rejections",

@@ -15,12 +15,12 @@ from pgm.compile import DynamicGraph
 from pgm.display import titled
 from pgm.errors import ModelError, PgmError
 from pgm.evidence import BoundEvidence, Evidence
+from pgm.inference.figures import Threshold
 from pgm.inference.options import Call, refused
 from pgm.inference.outcome import B, Outcome
 from pgm.inference.own.online import OwnSteps
 from pgm.inference.own.run import run
 from pgm.inference.own.slices import Slice
-from pgm.inference.status import Threshold
 from pgm.kernels.arrays import Array, Integers
 from pgm.networks import DynamicBayesianNetwork
 

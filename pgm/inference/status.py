@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from pgm.arguments import public
-from pgm.display import InCode, Shown, Summary, few, number
-from pgm.errors import BeliefWarning, PrecisionWarning, levels_to_user
+from pgm.display import Shown, Summary, few, number
+from pgm.errors import PrecisionWarning, levels_to_user
 from pgm.immutable import Immutable
+from pgm.inference.figures import Figures
 from pgm.kernels.arrays import Array, Mask
 
 # Digits of a mean, counted from its standard deviation, below which the user is warned.
@@ -37,12 +36,6 @@ LAST_PLACE = (
 )
 
 
-def spread(values: Array) -> str:
-    """Figures as text: the least to the largest, or one where they are equal."""
-    low, high = float(values.min(initial=np.inf)), float(values.max(initial=-np.inf))
-    return number(low, 4) if low == high else f"{number(low, 4)} to {number(high, 4)}"
-
-
 def digits(error: Array, lead: tuple[int, ...]) -> Array:
     """The correct decimal digits −log₁₀ e of means with errors e, in standard deviations.
 
@@ -52,41 +45,6 @@ def digits(error: Array, lead: tuple[int, ...]) -> Array:
     least = np.finfo(np.float64).eps
     error = np.where(np.isfinite(error), error, 1.0)
     return np.asarray(0.0 - np.log10(np.maximum(error, least)).reshape(lead))
-
-
-@public
-@dataclass(frozen=True)
-class Threshold(InCode):
-    """The limit of a belief family's own figure, beyond which the user is warned.
-
-    Attributes
-    ----------
-    limit : float
-    below : bool
-        Whether figures below the limit are bad; else those above it.
-    remedy : str
-        What to do, for the warning.
-
-    Examples
-    --------
-    >>> print(pgm.Threshold(10.0, below=True, remedy="take more members"))
-    less than 10
-    """
-
-    limit: float
-    below: bool = False
-    remedy: str = "look at the beliefs"
-
-    def passed(self, values: Array) -> Mask:
-        """Where figures are beyond the limit."""
-        return values < self.limit if self.below else values > self.limit
-
-    def worst(self, values: Array) -> float:
-        """The figure furthest beyond the limit."""
-        return float(values.min() if self.below else values.max())
-
-    def __str__(self) -> str:
-        return f"{'less' if self.below else 'more'} than {self.limit:g}"
 
 
 class Status(Shown, Immutable):
@@ -127,8 +85,9 @@ class Status(Shown, Immutable):
         compiled: ..."`` or ``"compiled, but for: ..."``, where it was due and something of the call
         left it to NumPy, with the reasons; ``"by NumPy: ..."``, where it was not due. Else empty.
 
-    numbers : mapping of str to ndarray
-        A belief family's own figures, by name, (*runs, steps) each; also as attributes.
+    numbers : mapping of str to object
+        A belief family's own figures, by name; also as attributes of the status. Those of a grid
+        are told at `GridFigures`, of particles at `ParticleFigures`; others have none.
 
     Examples
     --------
@@ -145,9 +104,8 @@ class Status(Shown, Immutable):
     edge_residuals: Array | None
     digits: Array | None
     compilation: str
-    numbers: Mapping[str, Array]
     _cause: str
-    _warns: Mapping[str, Threshold]
+    _figures: Figures | None
 
     def __init__(
         self,
@@ -159,11 +117,10 @@ class Status(Shown, Immutable):
         edge_residuals: Array | None = None,
         compilation: str = "",
         *,
-        numbers: Mapping[str, Array] = MappingProxyType({}),
         _cause: str = FAR_APART,
-        _warns: Mapping[str, Threshold] = MappingProxyType({}),
+        _figures: Figures | None = None,
     ) -> None:
-        for record in (residuals, converged, digits, edge_residuals, *numbers.values()):
+        for record in (residuals, converged, digits, edge_residuals):
             if record is not None:
                 record.flags.writeable = False
         self._set(
@@ -174,30 +131,35 @@ class Status(Shown, Immutable):
             edge_residuals=edge_residuals,
             digits=digits,
             compilation=compilation,
-            numbers=MappingProxyType(dict(numbers)),
             _cause=_cause,
-            _warns=MappingProxyType(dict(_warns)),
+            _figures=_figures,
         )
 
     def __getattr__(self, name: str) -> Any:
         # A family's own figures.
-        found = self.__dict__.get("numbers", {})
-        if name not in found:
+        figures = self.__dict__.get("_figures")
+        if figures is None or name.startswith("_"):
             raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
-        return found[name]
+        try:
+            return getattr(figures, name)
+        except AttributeError:
+            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}") from None
 
-    def with_numbers(self, numbers: Mapping[str, Array], warns: Mapping[str, Threshold]) -> Status:
-        """The same status with a family's own figures, by name, and what warns of some of them."""
-        return self._with(numbers=numbers, _warns=warns)
+    @property
+    def numbers(self) -> Mapping[str, Any]:
+        """A belief family's own figures, by name."""
+        return MappingProxyType({}) if self._figures is None else self._figures.numbers
 
-    def warn_of_numbers(self, whose: str) -> None:
-        """Give a `BeliefWarning` for each figure beyond its threshold; `whose` begins its text."""
-        for name, threshold in self._warns.items():
-            if name in self.numbers and threshold.passed(self.numbers[name]).any():
-                worst = threshold.worst(self.numbers[name])
-                message = f"{whose}: {name} is {worst:.3g} at its worst (status.{name}), "
-                message += f"{threshold}: {threshold.remedy}"
-                warnings.warn(message, BeliefWarning, stacklevel=levels_to_user())
+    @classmethod
+    def of_figures(
+        cls, figures: Figures, lead: tuple[int, ...], converged: Mask | None = None
+    ) -> Status:
+        """The status of a family with figures of its own, of which nothing was iterated.
+
+        `converged` is True of all runs, (*lead), if it is not given.
+        """
+        every = np.ones(lead, dtype=bool) if converged is None else converged
+        return cls(1, np.zeros((0, *lead)), every, _figures=figures)
 
     @classmethod
     def of(cls, residuals: list[Array], converged: Mask, lead: tuple[int, ...]) -> Status:
@@ -263,7 +225,7 @@ class Status(Shown, Immutable):
     def _with(self, **changes: Any) -> Status:
         """The same status with the attributes in `changes` replaced, by name."""
         names = ("iterations", "residuals", "converged", "by_edge", "edge_residuals", "digits")
-        more = ("compilation", "numbers", "_cause", "_warns")
+        more = ("compilation", "_cause", "_figures")
         same = {name: getattr(self, name) for name in (*names, *more)}
         return Status(**same | changes)
 
@@ -273,10 +235,14 @@ class Status(Shown, Immutable):
         if self.digits is not None and (least := self.digits.min(initial=np.inf)) < ENOUGH_DIGITS:
             lost = f", {max(least, 0.0):.1f} digits left"
         left = self.compilation.startswith(("not compiled", "compiled, but"))
-        own = "".join(f"; {name} {spread(each)}" for name, each in self.numbers.items())
-        return f"Status({self._went()}{lost}{f'; {self.compilation}' if left else ''}{own})"
+        if self._figures is not None and (phrases := self._figures.phrases):
+            return f"Status({'; '.join(phrases)})"
+        return f"Status({self._went()}{lost}{f'; {self.compilation}' if left else ''})"
 
     def _summary(self) -> Summary:
+        if self._figures is not None and len(self._figures.phrases) > self._figures.on_a_line:
+            first, *rest = self._figures.phrases
+            return Summary(f"Status({first})", rest)
         if len(self.residuals) < 2 or not self.residuals[0].size:
             return Summary(self._title)
         worst = self.residuals.reshape(len(self.residuals), -1).max(axis=1)

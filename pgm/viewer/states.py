@@ -10,7 +10,6 @@ from pgm.factors import Gaussian
 from pgm.inference.belief_kind import FILTERED, SMOOTHED
 from pgm.inference.markov.joints import potential
 from pgm.inference.markov.outcome import StateOutcome
-from pgm.inference.status import Status
 from pgm.kernels.arrays import Array
 from pgm.variables import Discrete, Variable
 from pgm.viewer.chain import head, readings, sighted
@@ -152,7 +151,7 @@ def marginal_page(
         draws = _drawn(own, span, limits)
         if draws is not None:
             arrays["draws"] = draws
-        kept = isinstance(posterior.status, Status)
+        kept = posterior.status._figures is None
         rows.append(
             {
                 "run": list(run),

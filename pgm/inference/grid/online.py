@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.boundary import as_mapping
-from pgm.display import InCode, NoArray, Shown, Summary, titled
+from pgm.display import InCode, Summary, titled
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence
 from pgm.factors.scope import namesake
@@ -24,13 +24,15 @@ from pgm.inference.associations import by_density
 from pgm.inference.belief_kind import FILTERED, PREDICTED, Kind
 from pgm.inference.grid.belief import GridBelief, scope_axes
 from pgm.inference.grid.cut_off import Tails
+from pgm.inference.grid.figures import GridFigures
 from pgm.inference.grid.lattice import Lattice, resolve
 from pgm.inference.grid.run import require_room
 from pgm.inference.grid.settings import GridSettings
 from pgm.inference.grid.slices import GridModel, GridSlices, Tested, Worst
-from pgm.inference.grid.status import GridStatus
 from pgm.inference.online import step_evidence
+from pgm.inference.online_belief import OnlineBelief
 from pgm.inference.posterior import require_variable
+from pgm.inference.status import Status
 from pgm.inference.summaries import at_a_step
 from pgm.kernels.arrays import Array
 from pgm.networks import DynamicBayesianNetwork
@@ -38,7 +40,7 @@ from pgm.variables import Variable
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class OnlineGridBelief(Shown, NoArray):
+class OnlineGridBelief(OnlineBelief):
     """The belief of an online filter at one step, on a grid.
 
     It holds no past steps: `behind`, where the beliefs of a filter with a lag have theirs, is None.
@@ -49,7 +51,7 @@ class OnlineGridBelief(Shown, NoArray):
         The time step that the belief is of.
     log_evidence : ndarray
         (*runs): ln p of all measurements so far.
-    status : GridStatus
+    status : Status
         The status of all steps so far.
     kind : Kind
         Filtered after an update, predicted before.
@@ -64,14 +66,22 @@ class OnlineGridBelief(Shown, NoArray):
 
     step: int
     log_evidence: Array
-    status: GridStatus
+    status: Status
     kind: Kind
     _lattice: Lattice
     _model: DynamicBayesianNetwork
     _values: npt.NDArray[Any]
     _tails: tuple[Tails, ...]  # run by run
+    beliefs: ClassVar[str] = "beliefs on a grid"
     # Online beliefs with a lag hold past steps here; beliefs on a grid hold none.
     behind: ClassVar[None] = None
+
+    @property
+    def figures(self) -> GridFigures:
+        """The figures by which to judge the belief, of all steps so far."""
+        found = self.status._figures
+        assert isinstance(found, GridFigures)
+        return found
 
     def __post_init__(self) -> None:
         self._values.flags.writeable = self.log_evidence.flags.writeable = False
@@ -103,9 +113,7 @@ class OnlineGridBelief(Shown, NoArray):
     @property
     def _title(self) -> str:
         runs = f", runs {self.lead}" if self.lead else ""
-        return (
-            f"OnlineGridBelief({self.kind}, step {self.step}, {self._lattice.size:,} cells{runs})"
-        )
+        return f"OnlineBelief({self.kind}, step {self.step}, {self._lattice.size:,} cells{runs})"
 
     def _summary(self) -> Summary:
         return at_a_step(self._title, self, self._lattice.states, self.lead)
@@ -359,9 +367,10 @@ class GridSteps(PointFilter[OnlineGridBelief]):
             past = before.status.outside_by_step
             past = np.broadcast_to(past, (*lead, past.shape[-1]))
             outside = past.copy() if kind == FILTERED else np.concatenate([past, outside], axis=-1)
-            worst = worst.of(before.status._worst)
-        status = GridStatus(outside, added, unresolved, worst, sorted(split))
-        status.warn(None if before is None else before.status)
+            worst = worst.of(before.figures._worst)
+        figures = GridFigures(outside, added, unresolved, worst, sorted(split))
+        figures.warn(None if before is None else before.figures)
+        status = Status.of_figures(figures, lead)
         values = values.reshape(*lead, *lattice.shape)
         log_density = np.asarray(log_density)
         tails = tuple(slices.tails for slices, *_ in found)

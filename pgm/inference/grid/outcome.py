@@ -19,11 +19,12 @@ from pgm.inference.associations import Found
 from pgm.inference.belief_kind import FILTERED, Kind
 from pgm.inference.grid.associations import associations
 from pgm.inference.grid.belief import GridBelief, require_step, scope_axes
+from pgm.inference.grid.figures import GridFigures
 from pgm.inference.grid.lattice import Lattice
 from pgm.inference.grid.settings import GridSettings
-from pgm.inference.grid.status import GridStatus
 from pgm.inference.outcome import Outcome
 from pgm.inference.posterior import require_variable
+from pgm.inference.status import Status
 from pgm.inference.summaries import over_time
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
@@ -44,7 +45,7 @@ class GridOutcome(Outcome[GridBelief]):
     log_evidence : ndarray
         (*runs): ln p(measurements), of the point masses; the probability that has left the bounds
         is missing.
-    status : GridStatus
+    status : Status
         The figures by which to judge the posterior: losses at the bounds, cells too wide.
     filtered : GridOutcome
         The posterior with the beliefs of the forward sweep; of a filter, the posterior itself.
@@ -54,7 +55,7 @@ class GridOutcome(Outcome[GridBelief]):
     grid: GridSettings
     kind: Kind
     log_evidence: Array
-    status: GridStatus
+    status: Status
     _lattice: Lattice
     _bound: BoundEvidence
     _values: npt.NDArray[Any]
@@ -77,6 +78,13 @@ class GridOutcome(Outcome[GridBelief]):
     def __getitem__(self, variable: Variable) -> GridBelief:
         """The marginal of a state, at all steps or at one."""
         return self.joint(require_variable(variable))
+
+    @property
+    def figures(self) -> GridFigures:
+        """The figures by which to judge the posterior: losses at the bounds, cells too wide."""
+        found = self.status._figures
+        assert isinstance(found, GridFigures)
+        return found
 
     @property
     def _hidden(self) -> Scope:

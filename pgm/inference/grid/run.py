@@ -17,14 +17,15 @@ from pgm.compile import DynamicGraph
 from pgm.errors import ModelError
 from pgm.evidence import BoundEvidence
 from pgm.inference.belief_kind import SMOOTHED, Kind
+from pgm.inference.grid.figures import GridFigures, Refinement
 from pgm.inference.grid.lattice import Lattice, resolve
 from pgm.inference.grid.outcome import GridOutcome
 from pgm.inference.grid.settings import GridSettings
 from pgm.inference.grid.slices import GridModel, GridSlices, Worst
-from pgm.inference.grid.status import GridStatus, Refinement
 from pgm.inference.markov.chain import StateChain
 from pgm.inference.markov.schedule_kinds import kind_of, require_chain
 from pgm.inference.schedule import Schedule
+from pgm.inference.status import Status
 from pgm.kernels.arrays import Array
 from pgm.progress import counted
 from pgm.resources import NUMBER, gibibytes, require_memory
@@ -44,7 +45,7 @@ def run(
     require_chain(graph, "beliefs on a grid")
     kind = kind_of(schedule, "beliefs on a grid")
     found = _refined(graph, bound, kind, grid)
-    found.status.warn()
+    found.figures.warn()
     return found
 
 
@@ -82,7 +83,9 @@ def _refined(
         if settled or doubling == grid.doublings:
             break
         used = used.finer()
-    return replace(found, status=found.status.refined(record, settled))
+    figures = found.figures.refined(record, settled)
+    lead = found.log_evidence.shape
+    return replace(found, status=Status.of_figures(figures, lead, np.asarray(figures.converged)))
 
 
 def _figure(grid: GridSettings, found: GridOutcome) -> Array:
@@ -139,7 +142,7 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: GridSetting
         worst = worst.of(slices.worst)
         split |= slices.split
     lead = bound.lead
-    status = GridStatus(
+    figures = GridFigures(
         outside.reshape(*lead, -1),
         {
             axis.label: (added[:, k] * axis.width**2).reshape(lead)
@@ -152,6 +155,7 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: GridSetting
     filtered = filtered.reshape(*lead, *shape[1:])
     values = (filtered,) if smoothed is None else (smoothed.reshape(filtered.shape), filtered)
     log_evidence = log_evidence.reshape(lead)
+    status = Status.of_figures(figures, lead, np.asarray(figures.converged))
     return GridOutcome(graph, grid, kind, log_evidence, status, lattice, bound, *values)
 
 

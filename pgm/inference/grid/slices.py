@@ -57,7 +57,7 @@ class Narrowness(NamedTuple):
 class Worst(NamedTuple):
     """Four figures of how well the cells serve the model, each the worst so far of steps and runs.
 
-    They become attributes of the user's `GridStatus`.
+    They become attributes of the user's `GridFigures`.
 
     sharpest: The sensor that is sharpest for the cells.
     narrowest: The marginal of a belief that is narrowest for the cells.

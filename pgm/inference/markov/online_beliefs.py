@@ -13,7 +13,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from pgm.display import NoArray, Shown, Summary
+from pgm.display import Summary
 from pgm.errors import EvidenceError
 from pgm.factors import Table
 from pgm.factors.axes import discrete
@@ -22,6 +22,7 @@ from pgm.immutable import Immutable
 from pgm.inference.belief_kind import Kind
 from pgm.inference.markov.chain import TINY, BackwardChain, smallest
 from pgm.inference.markov.plan import SlicePlan, TableSlices
+from pgm.inference.online_belief import OnlineBelief
 from pgm.inference.posterior import require_variable
 from pgm.inference.status import Status
 from pgm.inference.summaries import at_a_step
@@ -87,7 +88,7 @@ class Passed(NamedTuple):
     ahead: TableSlices
 
 
-class OnlineStates(Shown, NoArray, Immutable):
+class OnlineStates(OnlineBelief, Immutable):
     """The belief of an online filter of a discrete network at one step.
 
     log_evidence: (*lead): ln p of all measurements so far.
@@ -112,6 +113,7 @@ class OnlineStates(Shown, NoArray, Immutable):
     _trail: tuple[Passed, ...]
     _lag: int | None
 
+    beliefs: ClassVar[str] = "tables"
     _arrays: ClassVar[str] = "probabilities by variable, belief[x].probabilities"
 
     def __init__(
@@ -177,7 +179,7 @@ class OnlineStates(Shown, NoArray, Immutable):
     @property
     def _title(self) -> str:
         runs = f", runs {self.lead}" if self.lead else ""
-        return f"OnlineStates({self.kind}, step {self.step}{runs})"
+        return f"OnlineBelief({self.kind}, step {self.step}{runs})"
 
     def _summary(self) -> Summary:
         hidden = self._plan.slice if self.step else self._plan.states

@@ -19,7 +19,7 @@ from pgm.inference.chain.association import associated_at
 from pgm.inference.chain.gate import Asked
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.online import step_evidence
-from pgm.inference.online.beliefs import OnlineBelief, moments_of
+from pgm.inference.online.beliefs import MomentBelief, moments_of
 from pgm.linearisers import Lineariser
 from pgm.variables import Variable
 
@@ -37,7 +37,7 @@ def leaves_open(readings: Mapping[Variable, Any]) -> bool:
 def associated(
     graph: DynamicGraph,
     lineariser: Lineariser,
-    belief: OnlineBelief,
+    belief: MomentBelief,
     readings: Mapping[Variable, Any],
     gate: Asked | None,
 ) -> tuple[dict[Variable, Any], Found]:

@@ -28,7 +28,7 @@ from typing import Any, ClassVar, NoReturn, Protocol
 import numpy as np
 
 from pgm.compile import SliceLayout
-from pgm.display import NoArray, Shown, Summary, titled
+from pgm.display import Summary, titled
 from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.factors import Gaussian
 from pgm.factors.scope import namesake
@@ -44,6 +44,7 @@ from pgm.inference.lost import PageTest
 from pgm.inference.online.judged import Decided
 from pgm.inference.online.watch import Watch
 from pgm.inference.online.window import Sliding, Trail, is_like
+from pgm.inference.online_belief import OnlineBelief
 from pgm.inference.posterior import require_variable
 from pgm.inference.rejections import Rejections, RejectionsBySensor
 from pgm.inference.schedule import Filtering, FixedLag
@@ -80,7 +81,7 @@ class _Later:
     def __set_name__(self, owner: type, name: str) -> None:
         self.name = name
 
-    def __get__(self, belief: OnlineBelief | None, owner: type) -> Any:
+    def __get__(self, belief: MomentBelief | None, owner: type) -> Any:
         """Make all attributes from the core, and return this one.
 
         A belief without a core has the attribute itself or, being incomplete, raises an
@@ -92,7 +93,7 @@ class _Later:
         steps, step, both, log_evidence, kind, status = core
         set_writeable(both, False)
         parts = step, steps.layout, (), both[0], both[1:], np.array(log_evidence), status, kind
-        OnlineBelief.__init__(belief, *parts)
+        MomentBelief.__init__(belief, *parts)
         put_core(belief, core)
         return belief.__dict__[self.name]
 
@@ -111,35 +112,15 @@ class _Kept:
     _core: Core | None
 
 
-class OnlineBelief(_Kept, Shown, NoArray, Immutable):
-    """The belief of an online filter at one step.
+class MomentBelief(_Kept, OnlineBelief, Immutable):
+    """The belief of an online filter at one step, as a mean and a covariance over the slice.
 
-    Attributes
-    ----------
-    step : int
-    log_evidence : ndarray
-        (...): ln p of all measurements so far.
-    status : Status
-        How the linearisations of the last update went. Its `digits` tell the decimal digits of the
-        means where rounding matters, as where steps are made in twice the digits.
-    kind : Kind
-        Which measurements it knows: filtered after an update, predicted before.
-    associations : mapping of Variable to Associations
-        By sensor, of the update's sightings with an `unknown` parent.
-
-    Examples
-    --------
-    >>> from pgm.examples import walk, x, z
-    >>> robot = pgm.OnlineFilter(walk)
-    >>> belief = robot.predict(robot.initial())
-    >>> belief = robot.update(belief, {z: [4.0]})
-    >>> belief[x]
-    Gaussian(x)
-         mean ± deviation
-      x       2.00 ± 1.00
-    >>> belief.step, str(belief.kind)
-    (1, 'filtered')
+    careful: The belief in twice the digits, where float64 has too few; else None.
+    behind: The steps kept behind it for a lag; None without.
+    watch: The state of the test whether it is lost; None without.
     """
+
+    beliefs: ClassVar[str] = "Gaussian beliefs"
 
     step: int = _later()
     layout: SliceLayout = _later()
@@ -220,7 +201,7 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
         # That of one run is exactly symmetric.
         return Gaussian._make((variable,), mean, symmetric(cov) if self.lead else cov)
 
-    def told(self, associations: Found, gate: Asked | None) -> OnlineBelief:
+    def told(self, associations: Found, gate: Asked | None) -> MomentBelief:
         """The same belief with the `associations` of its update's measurements, by sensor.
 
         Its watch, if it has one, counts them, too: of a sensor without a gate all associated
@@ -232,7 +213,7 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
         found._set(associations=MappingProxyType(dict(associations)), watch=watch)
         return found
 
-    def judged(self, gated: tuple[Decided, ...], watch: Watch | None) -> OnlineBelief:
+    def judged(self, gated: tuple[Decided, ...], watch: Watch | None) -> MomentBelief:
         """The same belief with the decisions `gated` of gates at its last update, and a `watch`."""
         found = object.__new__(type(self))  # as `copy`, in a fifth of the time
         found.__dict__.update(self.__dict__, _gated=gated, watch=watch)
@@ -283,7 +264,7 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
         return self.watch.test(self.step)
 
     @cached_property
-    def lagged(self) -> OnlineBelief:
+    def lagged(self) -> MomentBelief:
         """The belief at the step a lag before this one, given all measurements so far.
 
         As long as fewer steps than the lag have been made, it is that of step 0. It exists if the
@@ -310,7 +291,7 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
         kind = Kind(self.step - step + self.kind.lag)
         mean, cov = mean.copy(), cov.copy()
         parts = self.layout, self.lead, mean, cov, self.log_evidence, self.status, kind
-        return OnlineBelief(step, *parts)
+        return MomentBelief(step, *parts)
 
     @property
     def _title(self) -> str:
@@ -327,7 +308,7 @@ class OnlineBelief(_Kept, Shown, NoArray, Immutable):
         return Summary(found.title, [*told, *found.parts]) if told else found
 
 
-put_core: Callable[[OnlineBelief, Core | None], None] = _Kept.__dict__["_core"].__set__
+put_core: Callable[[MomentBelief, Core | None], None] = _Kept.__dict__["_core"].__set__
 
 
 def belief_of(
@@ -339,7 +320,7 @@ def belief_of(
     kind: Kind,
     behind: Trail | Sliding | None,
     careful: Belief | None = None,
-) -> OnlineBelief:
+) -> MomentBelief:
     """A belief from moments `found`: mean (n, *batch) and covariance (n, n, *batch).
 
     `plan`, that of the step, tells the layout of the slice and the user's axes of runs. The
@@ -350,7 +331,7 @@ def belief_of(
     if lead:
         mean, cov = (part.reshape(*lead, *part.shape[1:]) for part in found.by_run)
     told = log_evidence, status, kind, careful, behind
-    return OnlineBelief(step, plan.layout, lead, mean, cov, *told)
+    return MomentBelief(step, plan.layout, lead, mean, cov, *told)
 
 
 def careful_belief(
@@ -361,7 +342,7 @@ def careful_belief(
     status: Status,
     kind: Kind,
     behind: Trail | None,
-) -> OnlineBelief:
+) -> MomentBelief:
     """A belief from moments in twice the digits, whose status tells how many digits means have.
 
     `found` has the moments, and `plan`, that of the step, tells the layout of the slice and the
@@ -378,7 +359,7 @@ def careful_belief(
     return belief_of(plan, step, *parts)
 
 
-def moments_of(belief: OnlineBelief, plan: ChainPlan) -> Moments:
+def moments_of(belief: MomentBelief, plan: ChainPlan) -> Moments:
     """The moments of a belief with the axis of runs last, repeated for the runs of a plan.
 
     The mean is (n, runs) and the covariance (n, n, runs), without the last axis for a single run.
@@ -388,7 +369,7 @@ def moments_of(belief: OnlineBelief, plan: ChainPlan) -> Moments:
     return Moments.of(plan, _wide(belief.mean, plan, 1), _wide(belief.cov, plan, 2))
 
 
-def in_digits(belief: OnlineBelief, plan: ChainPlan) -> Belief:
+def in_digits(belief: MomentBelief, plan: ChainPlan) -> Belief:
     """The moments of a belief in twice the digits, repeated for the runs of a plan.
 
     They are those that it has as `careful`, or are widened from float64.
@@ -399,7 +380,7 @@ def in_digits(belief: OnlineBelief, plan: ChainPlan) -> Belief:
     return found
 
 
-def is_plain(belief: OnlineBelief) -> bool:
+def is_plain(belief: MomentBelief) -> bool:
     """Whether the next step from a belief may be made in float64.
 
     It may where the belief has no moments in twice the digits, or where float64 can carry these.
@@ -421,7 +402,7 @@ def is_moderate(found: Moments, before: Moments) -> bool:
 
 
 def told(
-    status: Status, plan: ChainPlan, before: Moments, after: Moments, belief: OnlineBelief
+    status: Status, plan: ChainPlan, before: Moments, after: Moments, belief: MomentBelief
 ) -> Status:
     """The status of a step in float64, with the decimal digits that rounding leaves of means.
 
@@ -480,7 +461,7 @@ def require_own(
     `behind` are the steps behind the filter's prior. The steps behind the belief have to be of the
     same kind, a trail or a window, and of the same lag. The error is a `ModelError`.
     """
-    if not isinstance(belief, OnlineBelief) or belief.layout.model is not model:
+    if not isinstance(belief, MomentBelief) or belief.layout.model is not model:
         raise ModelError(
             f"{titled(belief)} is no belief of this filter's model; begin with initial()"
         )

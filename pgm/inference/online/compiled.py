@@ -20,14 +20,14 @@ from pgm.evidence import Sightings
 from pgm.inference.belief_kind import FILTERED, PREDICTED
 from pgm.inference.chain.compiled.judged import judge
 from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.online.beliefs import OnlineBelief, is_plain, put_core
+from pgm.inference.online.beliefs import MomentBelief, is_plain, put_core
 from pgm.inference.online.layout import Layout
 from pgm.inference.online.step_evidence import ARRAY, FLOAT, MOST, Values, numbers
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array
 
-Make = Callable[[OnlineBelief, Any], ChainPlan]
-General = Callable[[OnlineBelief, Any], OnlineBelief]
+Make = Callable[[MomentBelief, Any], ChainPlan]
+General = Callable[[MomentBelief, Any], MomentBelief]
 
 _NO_ROWS = np.empty((0, 0))
 # Beliefs of both ways are the same to so many standard deviations.
@@ -80,13 +80,13 @@ class CompiledSteps:
         # Why steps were made the general way, and how many of them.
         self.left: Counter[str] = Counter()
 
-    def predict(self, belief: OnlineBelief, inputs: Values | None = None) -> OnlineBelief:
+    def predict(self, belief: MomentBelief, inputs: Values | None = None) -> MomentBelief:
         """Predict one step in machine code if that can be, else in the general way.
 
         The usual case of a single input, in a prediction of the same kind as the last one, takes a
         short way; all others go the long way, by `_any`.
         """
-        core, kind = belief._core if type(belief) is OnlineBelief else None, self._last[1]
+        core, kind = belief._core if type(belief) is MomentBelief else None, self._last[1]
         if core and core[0] is self and kind and type(inputs) is dict and len(inputs) == 1:
             ((variable, row),) = inputs.items()
             if (
@@ -99,18 +99,18 @@ class CompiledSteps:
                 found = _empty(self._shape)
                 moved = self._predict(kind.step, known, found, row)
                 if moved == 0.0:
-                    after: OnlineBelief = _new(OnlineBelief)
+                    after: MomentBelief = _new(MomentBelief)
                     put_core(after, (self, step + 1, found, log_evidence, PREDICTED, kind.status))
                     return after
         return self._any(belief, {} if inputs is None else inputs, moves=True)
 
-    def update(self, belief: OnlineBelief, readings: Values) -> OnlineBelief:
+    def update(self, belief: MomentBelief, readings: Values) -> MomentBelief:
         """Update in machine code if that can be, else in the general way.
 
         The usual case, sightings of one sensor with one parent given in an update of the same kind
         as the last one, takes a short way; all others go the long way, by `_any`.
         """
-        core, kind = belief._core if type(belief) is OnlineBelief else None, self._last[0]
+        core, kind = belief._core if type(belief) is MomentBelief else None, self._last[0]
         if core and core[0] is self and kind and type(readings) is dict and len(readings) == 1:
             _, step, known, log_evidence, _, _ = core
             ((variable, seen),) = readings.items()
@@ -130,13 +130,13 @@ class CompiledSteps:
                         found = _empty(self._shape)
                         density = self._update(kind.step, known, found, first, second)
                         if density == density:
-                            after: OnlineBelief = _new(OnlineBelief)
+                            after: MomentBelief = _new(MomentBelief)
                             total = log_evidence + density
                             put_core(after, (self, step, found, total, FILTERED, kind.status))
                             return after
         return self._any(belief, readings, moves=False)
 
-    def adopted(self, belief: OnlineBelief) -> OnlineBelief:
+    def adopted(self, belief: MomentBelief) -> MomentBelief:
         """The same belief, with a core, from which compiled steps can go on.
 
         It gets none if it has axes of runs, or float64 has too few digits for it.
@@ -147,14 +147,14 @@ class CompiledSteps:
             put_core(belief, (self, belief.step, both, *told))
         return belief
 
-    def _any(self, belief: OnlineBelief, values: Values, *, moves: bool) -> OnlineBelief:
+    def _any(self, belief: MomentBelief, values: Values, *, moves: bool) -> MomentBelief:
         """A step with values of any kind: a prediction if it `moves`, else an update.
 
         The layout of the step's kind is looked up, or made. The first few steps of a kind, its
         *trials*, are made in the general way, too; where the two beliefs differ, the one of the
         general way is returned.
         """
-        core = belief._core if type(belief) is OnlineBelief else None
+        core = belief._core if type(belief) is MomentBelief else None
         make, general, kernel = self._ways[moves]
         given, why = None, _OTHER
         if core and core[0] is self:
@@ -179,7 +179,7 @@ class CompiledSteps:
                 found = _empty(self._shape)
                 density, why = kernel(kind.step, known, found, *rows), _FAR
                 if density == density:
-                    after: OnlineBelief = _new(OnlineBelief)
+                    after: MomentBelief = _new(MomentBelief)
                     told = log_evidence + density, PREDICTED if moves else FILTERED, kind.status
                     put_core(after, (self, step + moves, found, *told))
                     if not kind.trials:
@@ -194,7 +194,7 @@ class CompiledSteps:
         return self.adopted(general(belief, values))
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-    def _laid(self, make: Make, belief: OnlineBelief, values: Values, rows: list[Array]) -> Layout:
+    def _laid(self, make: Make, belief: MomentBelief, values: Values, rows: list[Array]) -> Layout:
         """The layout of a kind of step, without a table where machine code cannot make the step.
 
         `make` makes the plan of the step; `rows` are the arrays of the `values`. A *trace* is a
@@ -218,7 +218,7 @@ class CompiledSteps:
         return made
 
 
-def _tried(kind: Layout, found: Array, due: OnlineBelief) -> bool:
+def _tried(kind: Layout, found: Array, due: MomentBelief) -> bool:
     """Whether machine code and NumPy give the same belief, to 10⁻⁶ standard deviations.
 
     `found` (n + 1, n) is the result of machine code, the mean in its first row and the covariance

@@ -32,7 +32,7 @@ from pgm.inference.gates import Gate
 from pgm.inference.online import step_evidence
 from pgm.inference.online.associating import associated, leaves_open
 from pgm.inference.online.beliefs import (
-    OnlineBelief,
+    MomentBelief,
     belief_of,
     careful_belief,
     in_digits,
@@ -180,23 +180,23 @@ class MomentSteps(InCode, Immutable):
         left = [f"{count} × {why}" for why, count in self._steps.left.items()]
         return f"compiled, but for: {'; '.join(left)}" if left else COMPILED
 
-    def initial(self) -> OnlineBelief:
+    def initial(self) -> MomentBelief:
         """The prior belief, at step 0, with the model's leading axes of runs."""
         return self._initial() if self._steps is None else self._first
 
     @cached_property
-    def _first(self) -> OnlineBelief:
+    def _first(self) -> MomentBelief:
         """The prior belief, with its numbers packed as compiled steps take them."""
         assert self._steps is not None
         return self._steps.adopted(self._initial())
 
     @_quiet
-    def _initial(self) -> OnlineBelief:
+    def _initial(self) -> MomentBelief:
         """The prior belief; if the filter watches, it has a new test whether a belief is lost."""
         found = self._prior()
         return found if not self.watch else found.judged((), Watch.start(found.lead))
 
-    def _prior(self) -> OnlineBelief:
+    def _prior(self) -> MomentBelief:
         """The prior at step 0, in twice the digits where float64 has too few."""
         lead = self.model.lead
         if isinstance(self._behind, Sliding):
@@ -211,19 +211,19 @@ class MomentSteps(InCode, Immutable):
 
     @_quiet
     def predict(
-        self, belief: OnlineBelief, inputs: Mapping[Variable, Any] | None = None
-    ) -> OnlineBelief:
+        self, belief: MomentBelief, inputs: Mapping[Variable, Any] | None = None
+    ) -> MomentBelief:
         """The belief one step later.
 
         Parameters
         ----------
-        belief : OnlineBelief
+        belief : MomentBelief
         inputs : mapping of Variable to array_like
             Values (..., d) of the transition's inputs; may be left out if it has none.
 
         Returns
         -------
-        OnlineBelief
+        MomentBelief
 
         Raises
         ------
@@ -237,7 +237,7 @@ class MomentSteps(InCode, Immutable):
         later = self._later(belief, inputs)
         return later if belief.watch is None else later.judged((), belief.watch.on(belief.step))
 
-    def _later(self, belief: OnlineBelief, inputs: Mapping[Variable, Any] | None) -> OnlineBelief:
+    def _later(self, belief: MomentBelief, inputs: Mapping[Variable, Any] | None) -> MomentBelief:
         """The belief predicted one step ahead.
 
         It is predicted in float64, or in twice the digits where float64 would lose too many. A
@@ -270,8 +270,8 @@ class MomentSteps(InCode, Immutable):
         return careful_belief(plan, step, carried, log_evidence, status, PREDICTED, behind)
 
     def _predicted(
-        self, belief: OnlineBelief, inputs: Mapping[Variable, Any]
-    ) -> OnlineBelief | None:
+        self, belief: MomentBelief, inputs: Mapping[Variable, Any]
+    ) -> MomentBelief | None:
         """Predict in float64; None where that would lose too many digits.
 
         The mean m becomes F m + b and the covariance P becomes F P Fᵀ + Q, with the slope F,
@@ -307,24 +307,24 @@ class MomentSteps(InCode, Immutable):
         status = told(status, plan, known, found, belief)
         return belief_of(plan, step, found, log_evidence, status, PREDICTED, behind)
 
-    def _ahead(self, belief: OnlineBelief, inputs: Mapping[Variable, Any]) -> ChainPlan:
+    def _ahead(self, belief: MomentBelief, inputs: Mapping[Variable, Any]) -> ChainPlan:
         """The plan of one prediction, from a belief to the next step, with its `inputs` bound."""
         return self._plan(step_evidence.inputs(self.model, belief, inputs), belief.step)
 
     @_quiet
-    def update(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> OnlineBelief:
+    def update(self, belief: MomentBelief, readings: Mapping[Variable, Any]) -> MomentBelief:
         """The belief given measurements of its step; a further update goes on from the first.
 
         Parameters
         ----------
-        belief : OnlineBelief
+        belief : MomentBelief
         readings : mapping of Variable
             For a sensor any number of measurements, ``pgm.sightings(values, given=...)`` without
             steps, or one measurement (..., d); for inputs that the sensors need, values (..., d).
 
         Returns
         -------
-        OnlineBelief
+        MomentBelief
 
         Raises
         ------
@@ -370,8 +370,8 @@ class MomentSteps(InCode, Immutable):
         return made.judged(*of_update(belief.watch, parts, Moments.of(plan, *known.moments)))
 
     def _updated(
-        self, belief: OnlineBelief, readings: Mapping[Variable, Any]
-    ) -> OnlineBelief | None:
+        self, belief: MomentBelief, readings: Mapping[Variable, Any]
+    ) -> MomentBelief | None:
         """Update in float64 with a step's readings; None where that would lose too many digits.
 
         The log-evidence grows by ln p(readings | earlier measurements), in nats.
@@ -405,7 +405,7 @@ class MomentSteps(InCode, Immutable):
         judges = chain.gate is not None or belief.watch is not None
         return made.judged(*of_update(belief.watch, parts, known)) if judges else made
 
-    def _seen(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> ChainPlan:
+    def _seen(self, belief: MomentBelief, readings: Mapping[Variable, Any]) -> ChainPlan:
         """The plan of one update at the step of a belief, with its `readings` bound."""
         plan = self._plan(step_evidence.readings(self.model, belief, readings), belief.step)
         require_cost(self._filtering, (sensor.family for sensor in plan.sensors))

@@ -7,13 +7,13 @@ import numpy as np
 from pgm.inference.belief_kind import FILTERED, PREDICTED
 from pgm.inference.chain import close_points, last_places
 from pgm.inference.chain.readings import Moments
-from pgm.inference.online.beliefs import OnlineBelief, belief_of, nothing_to_iterate, refuse
+from pgm.inference.online.beliefs import MomentBelief, belief_of, nothing_to_iterate, refuse
 from pgm.inference.online.window import Make, Sliding
 from pgm.inference.status import CLOSE_POINTS, FAR_APART, LAST_PLACE, Status
 from pgm.kernels.arrays import Array
 
 
-def slid(make: Make, step: int, behind: Sliding, log_evidence: Array) -> OnlineBelief:
+def slid(make: Make, step: int, behind: Sliding, log_evidence: Array) -> MomentBelief:
     """The belief at the newest step of a window: filtered, or predicted if nothing was read there.
 
     `behind` is the window; `make` makes the plan of some steps from their evidence. `step` is the

@@ -28,7 +28,7 @@ from pgm.inference.chain.moments import MomentChain
 from pgm.inference.chain.plan import ChainPlan
 from pgm.inference.chain.readings import Reading
 from pgm.inference.family import Family
-from pgm.inference.online.beliefs import OnlineBelief
+from pgm.inference.online.beliefs import MomentBelief
 from pgm.inference.online.window import Sliding
 from pgm.inference.rows import At
 from pgm.inference.schedule import Filtering
@@ -312,12 +312,12 @@ class Layouts:
     """
 
     def __init__(
-        self, make: Callable[[OnlineBelief, Values], ChainPlan], schedule: Filtering
+        self, make: Callable[[MomentBelief, Values], ChainPlan], schedule: Filtering
     ) -> None:
         self._make, self._schedule = make, schedule
         self._known: dict[Key, _Layout] = {}
 
-    def motion(self, belief: OnlineBelief, inputs: Values) -> tuple[MomentChain, list[At]] | None:
+    def motion(self, belief: MomentBelief, inputs: Values) -> tuple[MomentChain, list[At]] | None:
         """What makes a prediction: its `MomentChain`, and its transition CPDs bound to the inputs.
 
         The chain belongs to the kept plan of the inputs' kind. None where the general way is to be
@@ -334,7 +334,7 @@ class Layouts:
         return layout.chain, ats  # type: ignore[return-value]
 
     def sensors(
-        self, belief: OnlineBelief, readings: Values
+        self, belief: MomentBelief, readings: Values
     ) -> tuple[MomentChain, list[Reading]] | None:
         """What makes an update: its `MomentChain`, and sensors' CPDs bound to their readings.
 
@@ -364,7 +364,7 @@ class Layouts:
             chain = MomentChain(layout.plan, self._schedule, keep=False)
         return chain, parts
 
-    def _add(self, key: Key, belief: OnlineBelief, values: Values) -> _Layout:
+    def _add(self, key: Key, belief: MomentBelief, values: Values) -> _Layout:
         """Make a layout from the first values of a kind, and keep it under the kind's `key`."""
         plan, where = self._make(belief, values), places(values)
         locals_ = [_local(link.family, None, 1, where) for link in plan.transition]

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from pgm.display import NoArray, Shown, Summary
+from pgm.display import Summary
 from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence
 from pgm.inference.belief_kind import FILTERED, PREDICTED, Kind
 from pgm.inference.grid.online import PointFilter
+from pgm.inference.online_belief import OnlineBelief
 from pgm.inference.own.marginals import shown
 from pgm.inference.own.outcome import Hidden
 from pgm.inference.own.run import OwnChain
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class OnlineOwnBelief(Shown, NoArray):
+class OnlineOwnBelief(OnlineBelief):
     """The belief of an online filter at one step, of a user's own family.
 
     Attributes
@@ -55,6 +56,11 @@ class OnlineOwnBelief(Shown, NoArray):
     _hidden: Hidden
     # A window of steps behind it, of which there is none.
     behind: ClassVar[None] = None
+
+    @property
+    def beliefs(self) -> str:  # type: ignore[override]
+        """The family's beliefs in the text of a refusal."""
+        return self._family.beliefs
 
     @property
     def lead(self) -> tuple[int, ...]:

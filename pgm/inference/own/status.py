@@ -1,4 +1,4 @@
-"""The status of a user's own family of beliefs: its numbers, by name, with what warns of them."""
+"""The status of a user's own family of beliefs: its figures, by name, with what warns of them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pgm.inference.figures import OwnFigures
 from pgm.inference.status import Status
 
 if TYPE_CHECKING:
@@ -24,6 +25,6 @@ def status_of(family: BeliefFamily[Any], beliefs: Sequence[Any], lead: tuple[int
     for name in each[0] if each else ():
         values = [np.broadcast_to(np.asarray(one[name], dtype=np.float64), (runs,)) for one in each]
         numbers[name] = np.stack(values, axis=-1).reshape(*lead, len(each))
-    status = Status.of([], np.ones(runs, dtype=bool), lead).with_numbers(numbers, family.warns)
-    status.warn_of_numbers(repr(family))
-    return status
+    figures = OwnFigures(numbers, family.warns)
+    figures.warn(repr(family))
+    return Status.of_figures(figures, lead)

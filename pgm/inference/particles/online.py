@@ -19,12 +19,13 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pgm.compile import DynamicGraph, compile
-from pgm.display import NoArray, Shown, Summary
+from pgm.display import Summary
 from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence
 from pgm.factors.scope import namesake
 from pgm.inference.belief_kind import FILTERED, PREDICTED, Kind
 from pgm.inference.grid.online import PointFilter
+from pgm.inference.online_belief import OnlineBelief
 from pgm.inference.particles.belief import ParticleBelief
 from pgm.inference.particles.chain import ParticleChain
 from pgm.inference.particles.cloud import Cloud
@@ -34,8 +35,8 @@ from pgm.inference.particles.number import LikelihoodSampling
 from pgm.inference.particles.record import Record
 from pgm.inference.particles.run import require_fitting, require_room
 from pgm.inference.particles.settings import ParticleSettings
-from pgm.inference.particles.status import ParticleStatus
 from pgm.inference.posterior import require_variable
+from pgm.inference.status import Status
 from pgm.inference.summaries import at_a_step
 from pgm.kernels.arrays import Array
 from pgm.networks import DynamicBayesianNetwork
@@ -43,7 +44,7 @@ from pgm.variables import Variable
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class OnlineParticleBelief(Shown, NoArray):
+class OnlineParticleBelief(OnlineBelief):
     """The belief of an online filter at one step, as particles.
 
     Attributes
@@ -52,7 +53,7 @@ class OnlineParticleBelief(Shown, NoArray):
         The number of the step.
     log_evidence : ndarray
         (*runs): ln p of all measurements so far, estimated.
-    status : ParticleStatus
+    status : Status
         The status of this step, (*runs, 1).
     kind : Kind
         Filtered after an update, predicted before.
@@ -67,7 +68,7 @@ class OnlineParticleBelief(Shown, NoArray):
 
     step: int
     log_evidence: Array
-    status: ParticleStatus
+    status: Status
     kind: Kind
     _filter: ParticleSteps
     _cloud: Cloud
@@ -75,6 +76,7 @@ class OnlineParticleBelief(Shown, NoArray):
     # The particles of the step before, and the inputs that moved them, where they are moved again
     # once the measurements are known.
     _before: tuple[Cloud, BoundEvidence] | None = None
+    beliefs: ClassVar[str] = "particles"
     # A window of steps behind it, which particles have none of.
     behind: ClassVar[None] = None
 
@@ -111,7 +113,7 @@ class OnlineParticleBelief(Shown, NoArray):
     def _title(self) -> str:
         runs = f", runs {self.lead}" if self.lead else ""
         most = int(self._cloud.counts.max())
-        return f"OnlineParticleBelief({self.kind}, step {self.step}, {most:,} particles{runs})"
+        return f"OnlineBelief({self.kind}, step {self.step}, {most:,} particles{runs})"
 
     def _summary(self) -> Summary:
         model = self._filter.model
@@ -282,7 +284,8 @@ class ParticleSteps(PointFilter[OnlineParticleBelief]):
             move them again; None otherwise.
         """
         record.effective[step], record.number[step] = cloud.effective, cloud.counts
-        status = record.status(bound.lead).at(step)
-        status.warn(step)
+        figures = record.figures(bound.lead).at(step)
+        figures.warn(step)
+        status = Status.of_figures(figures, bound.lead)
         log_evidence = np.array(log_evidence).reshape(bound.lead)
         return OnlineParticleBelief(step, log_evidence, status, kind, self, cloud, model, before)

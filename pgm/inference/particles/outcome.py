@@ -31,8 +31,8 @@ from pgm.inference.particles.components import parts
 from pgm.inference.particles.laws import Some
 from pgm.inference.particles.model import ParticleModel, Sensor
 from pgm.inference.particles.settings import ParticleSettings
-from pgm.inference.particles.status import ParticleStatus
 from pgm.inference.posterior import require_variable
+from pgm.inference.status import Status
 from pgm.inference.summaries import over_time
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
@@ -53,7 +53,7 @@ class ParticleOutcome(Outcome[ParticleBelief]):
         step are one draw of all steps together.
     log_evidence : ndarray
         (*runs): the logarithm of an unbiased estimate of p(measurements).
-    status : ParticleStatus
+    status : Status
         How many particles are effective, and where measurements were impossible.
     filtered : ParticleOutcome
         The beliefs of the forward sweep; of a filter, the posterior itself.
@@ -72,7 +72,7 @@ class ParticleOutcome(Outcome[ParticleBelief]):
     particles: ParticleSettings
     kind: Kind
     log_evidence: Array
-    status: ParticleStatus
+    status: Status
     _model: ParticleModel
     _clouds: tuple[Cloud, ...]
     _filtered: tuple[Cloud, ...]

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.inference.particles.cloud import Cloud
-from pgm.inference.particles.status import ParticleStatus
+from pgm.inference.particles.figures import ParticleFigures
 from pgm.kernels.arrays import Array
 
 
@@ -51,7 +51,7 @@ class Record:
         self.log_density[step] = log_density
         self.effective[step], self.number[step] = known.effective, known.counts
 
-    def status(self, lead: tuple[int, ...], unmoved: Array | None = None) -> ParticleStatus:
+    def figures(self, lead: tuple[int, ...], unmoved: Array | None = None) -> ParticleFigures:
         """The status of the sweep, in arrays (*lead, T+1), `lead` being the user's axes of runs.
 
         unmoved: Of a smoother, (T, runs), the share of trajectories that backward simulation left
@@ -62,7 +62,7 @@ class Record:
             """Values (steps, runs) as (*lead, steps), `lead` being the user's axes of runs."""
             return np.ascontiguousarray(values.T).reshape(*lead, -1)
 
-        return ParticleStatus(
+        return ParticleFigures(
             by_run(self.effective),
             by_run(self.number),
             by_run(self.resampled),

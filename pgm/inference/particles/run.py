@@ -19,6 +19,7 @@ from pgm.inference.particles.outcome import ParticleOutcome
 from pgm.inference.particles.record import Record
 from pgm.inference.particles.settings import ParticleSettings
 from pgm.inference.schedule import Schedule
+from pgm.inference.status import Status
 from pgm.networks import DynamicBayesianNetwork
 from pgm.resources import gibibytes, require_memory
 
@@ -50,8 +51,9 @@ def run(
         backward = Backward(model, particles, filtered, record.restarted)
         clouds = backward.smoothed() if kind.name == "smoothed" else backward.lagged(int(kind.lag))
         unmoved = backward.unmoved
-    status = record.status(bound.lead, unmoved)
-    status.warn()
+    figures = record.figures(bound.lead, unmoved)
+    figures.warn()
+    status = Status.of_figures(figures, bound.lead)
     log_evidence = record.log_density.sum(axis=0).reshape(bound.lead)
     told = kind, log_evidence, status
     return ParticleOutcome(graph, particles, *told, model, clouds, filtered)

@@ -2,6 +2,7 @@
 
 import ast
 import inspect
+import pickle
 import re
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from pgm.inference import belief_family, families, options
 from tests.inference.own.ensemble import EnsembleKalman
 
 PACKAGE = Path(pgm.__file__).parent
+DOOR = pgm.Discrete("door", states=("open", "shut"))
 SOURCES = {path: path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py")}
 # The folders of the families.
 HOMES = {"chain", "discrete", "gaussian", "grid", "markov", "online", "own", "particles", "parts"}
@@ -37,6 +39,7 @@ def classes(pattern):
 def test_there_is_one_class_of_results_and_one_online_filter():
     assert classes(r"\w*Posterior") == ["Posterior"]
     assert classes(r"\w*OnlineFilter") == ["OnlineFilter"]
+    assert classes(r"\w*Status") == ["FitStatus", "Status"]  # the former of a search for parameters
 
 
 def test_nobody_asks_what_kind_a_family_is():
@@ -124,3 +127,49 @@ def test_old_names_are_told_the_new_ones(name):
         assert getattr(pgm, name) is pgm.Posterior
     with pytest.warns(DeprecationWarning, match="pgm.OnlineGrid is pgm.OnlineFilter now"):
         assert pgm.OnlineGrid is pgm.OnlineFilter
+
+
+ONLINE = {
+    "grid": (walk, pgm.Grid({"x": (-8.0, 12.0, 200)}), "beliefs on a grid"),
+    "particles": (walk, pgm.Particles(20, seed=0), "particles"),
+    "ensemble": (walk, EnsembleKalman(20), "ensembles"),
+    "tables": (
+        pgm.DynamicBayesianNetwork(
+            [pgm.TableCPD(DOOR, table=[0.5, 0.5])],
+            [pgm.TableCPD(DOOR, DOOR.previous, table=[[0.9, 0.1], [0.2, 0.8]])],
+            [],
+        ),
+        None,
+        "tables",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ONLINE)
+def test_online_a_record_of_one_step_refuses_what_its_family_has_not(name):
+    model, belief, words = ONLINE[name]
+    found = pgm.OnlineFilter(model, belief=belief).initial()
+    assert isinstance(found, pgm.OnlineBelief)
+    assert repr(found).startswith("OnlineBelief(predicted, step 0")
+    for asked in ("lost", "lost_since", "rejected", "associations"):
+        with pytest.raises(pgm.EvidenceError, match=f"{words} have none online"):
+            getattr(found, asked)
+    with pytest.raises(pgm.EvidenceError, match=r"lag|have none online"):
+        found.lagged  # noqa: B018
+    with pytest.raises(AttributeError, match="no attribute 'speed'"):
+        found.speed  # noqa: B018
+    found = pickle.loads(pickle.dumps(found))
+    assert found.step == 0
+
+
+@pytest.mark.parametrize("name", ONLINE)
+def test_online_filters_are_values(name):
+    model, belief, _ = ONLINE[name]
+    robot = pgm.OnlineFilter(model, belief=belief)
+    again = pickle.loads(pickle.dumps(robot))
+    assert type(again) is pgm.OnlineFilter
+    assert repr(again) == repr(robot)
+    assert robot.renewed().predict(robot.initial()).step == 1
+    assert robot.compilation == "by NumPy"
+    with pytest.raises(AttributeError, match="OnlineFilter has no attribute 'speed'"):
+        robot.speed  # noqa: B018

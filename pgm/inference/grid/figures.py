@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.display import Shown, Summary, brief, number
+from pgm.display import brief, number
 from pgm.errors import GridWarning, levels_to_user
-from pgm.immutable import Immutable
+from pgm.inference.figures import Figures
 from pgm.inference.grid.cut_off import Cut
 from pgm.inference.grid.densities import Uneven
 from pgm.inference.grid.measured import Sharpness
@@ -31,8 +31,6 @@ COARSE, TOLD = 0.25, 0.01
 SHARP = 2.0
 # The share above which a density has another shape on the cells.
 ROUGH = 0.1
-# More remarks than this stand on lines of their own.
-FEW = 3
 # The standard deviation in cells below which a belief is told to be narrow.
 NARROW = 0.7
 
@@ -58,7 +56,7 @@ class Refinement(NamedTuple):
         )
 
 
-class GridStatus(Shown, Immutable):
+class GridFigures(Figures):
     """The figures by which to judge a posterior on a grid: losses at bounds, cells too wide.
 
     Attributes
@@ -178,10 +176,10 @@ class GridStatus(Shown, Immutable):
         """Whether narrower cells may change the log-evidence of a run by more than ¼ nat."""
         return bool((self.unresolved > COARSE).any())
 
-    def refined(self, refinements: Sequence[Refinement], converged: bool) -> GridStatus:
+    def refined(self, refinements: Sequence[Refinement], converged: bool) -> GridFigures:
         """The same status with the record of a refinement, and whether its figure has settled."""
         found = self.outside_by_step, self.added, self.unresolved, self._worst, self.split
-        return GridStatus(*found, refinements, converged)
+        return GridFigures(*found, refinements, converged)
 
     @property
     def _worst(self) -> Worst:
@@ -201,12 +199,12 @@ class GridStatus(Shown, Immutable):
         """Whether the sums of a density over centres vary by more than a tenth."""
         return self.uneven.share > ROUGH
 
-    def warn(self, before: GridStatus | None = None) -> None:
+    def warn(self, before: GridFigures | None = None) -> None:
         """Warn of lost probability, cells that are too wide, and a figure that has not settled.
 
         Parameters
         ----------
-        before : GridStatus, optional
+        before : GridFigures, optional
             The status of the step before, whose warnings the user has had: they are not given
             again. None if there was none.
 
@@ -217,7 +215,7 @@ class GridStatus(Shown, Immutable):
             off, a density is narrow for the cells, measurements are too sharp for them, or refining
             has not converged.
         """
-        told = before or GridStatus(np.zeros((1, 1)), {}, np.zeros(1), Worst())
+        told = before or GridFigures(np.zeros((1, 1)), {}, np.zeros(1), Worst())
         if self.rough and not told.rough:
             _warn(
                 f"the density of {self.uneven.variable!r} at step {self.uneven.step} is narrow for "
@@ -267,17 +265,7 @@ class GridStatus(Shown, Immutable):
         )
 
     @property
-    def _title(self) -> str:
-        return f"GridStatus({'; '.join(self._parts)})"
-
-    def _summary(self) -> Summary:
-        first, *rest = self._parts
-        if len(rest) < FEW:
-            return Summary(self._title)
-        return Summary(f"GridStatus({first})", rest)
-
-    @property
-    def _parts(self) -> list[str]:
+    def phrases(self) -> list[str]:
         """What is worth telling when the status is shown, in phrases such as "outside 0.01".
 
         The first is the probability that has left the bounds, the largest of all runs.

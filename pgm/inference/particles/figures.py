@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pgm.display import Shown
 from pgm.errors import ParticleWarning, levels_to_user
-from pgm.immutable import Immutable
+from pgm.inference.figures import Figures
 from pgm.kernels.arrays import Array, Integers, Mask
 
 # The effective number of particles below which the user is warned, and by how much rounding may
@@ -19,7 +18,7 @@ FEW = 10.0
 _ROUNDING = 1e-9
 
 
-class ParticleStatus(Shown, Immutable):
+class ParticleFigures(Figures):
     """The status of a particle filter's or smoother's answer.
 
     Attributes
@@ -84,10 +83,10 @@ class ParticleStatus(Shown, Immutable):
                 array.flags.writeable = False
         self._set(**found)
 
-    def at(self, step: int) -> ParticleStatus:
+    def at(self, step: int) -> ParticleFigures:
         """The status of one step alone, in arrays (*runs, 1), without `unmoved`."""
         names = "effective", "number", "resampled", "injected", "ignored", "restarted"
-        return ParticleStatus(*(getattr(self, name)[..., step : step + 1] for name in names))
+        return ParticleFigures(*(getattr(self, name)[..., step : step + 1] for name in names))
 
     @property
     def few(self) -> bool:
@@ -135,7 +134,8 @@ class ParticleStatus(Shown, Immutable):
             warnings.warn(message, ParticleWarning, stacklevel=levels_to_user())
 
     @property
-    def _title(self) -> str:
+    def phrases(self) -> list[str]:
+        """The effective numbers, how often particles were drawn anew, and what went wrong."""
         steps = self.effective.shape[-1]
         parts = [
             f"effective {self.effective.min():.3g} to {self.effective.max():.3g} of "
@@ -150,4 +150,4 @@ class ParticleStatus(Shown, Immutable):
                 parts.append(f"impossible measurements {name} at {count} steps")
         if self.unmoved is not None and steps > 1:
             parts.append(f"up to {float(self.unmoved.max()):.2g} of the trajectories unmoved")
-        return f"ParticleStatus({'; '.join(parts)})"
+        return parts
