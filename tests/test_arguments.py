@@ -26,7 +26,7 @@ RESULTS = {
         "OnlineBelief",
         "Oracle",
     ),
-    *("BeliefFamily", "Threshold"),
+    *("BeliefFamily", "RobustNoise", "Threshold"),
     *("ParticleBelief", "ParticleFigures", "Poses", "Posterior"),
     *("Rejections", "StatisticalRegression", "Status", "Taylor", "Timeline"),
     *("WeightedMinFill", "Cells", "Dropped", "Edges", "PoseGraph", "Row"),

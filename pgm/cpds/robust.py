@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
 from functools import lru_cache
 from math import inf, log, pi
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -32,7 +32,42 @@ _GROWTH, _HARD = 1.4, 1e7
 
 
 class RobustNoise(InCode, ABC):
-    """A noise whose residuals count the less the larger they are; of positive parameters."""
+    r"""A noise whose residuals count the less the larger they are; base for one of your own.
+
+    .. math:: p(r) = c\, |R|^{-1/2} \exp(-\rho(s)), \quad s = r^\top R^{-1} r
+
+    A noise of your own is a subclass with the loss ρ of a square s, concave in s, and its slope
+    2 ρ′(s), the weight of a residual. The scale c, and draws, are found from the loss by
+    integrals along the radius √s, unless the subclass has its own. A density without a finite
+    integral says so by `is_proper`.
+
+    Attributes
+    ----------
+    graduated : bool
+        Whether the loss is approached by stages, from a convex one on (`first_stage`,
+        `next_stage`, `staged` and `staged_loss`), and measurements of a weight below ½ count as
+        rejected.
+
+    Examples
+    --------
+    The pseudo-Huber loss, √(1 + s/δ²) − 1 times δ²:
+
+    >>> from dataclasses import dataclass
+    >>> @dataclass(frozen=True)
+    ... class PseudoHuber(pgm.RobustNoise):
+    ...     delta: float
+    ...
+    ...     def loss(self, square, count):
+    ...         return self.delta**2 * (np.sqrt(1.0 + square / self.delta**2) - 1.0)
+    ...
+    ...     def slope(self, square, count):
+    ...         return 1.0 / np.sqrt(1.0 + square / self.delta**2)
+    >>> from pgm.examples import x
+    >>> z = pgm.Variable("z")
+    >>> sensor = pgm.LinearGaussianCPD(z, {x: 1.0}, cov=1.0, noise=PseudoHuber(2.0))
+    >>> sensor.noise.weight(np.array([0.0, 12.0]), 1)
+    array([1. , 0.5])
+    """
 
     graduated: ClassVar[bool] = False
 
@@ -51,11 +86,35 @@ class RobustNoise(InCode, ABC):
 
     @abstractmethod
     def loss(self, square: Array, count: npt.ArrayLike) -> Array:
-        """The loss ρ(s) at squares s = νᵀR⁻¹ν of `count` components."""
+        """The loss ρ(s) of squares, zero at zero.
+
+        Parameters
+        ----------
+        square : ndarray
+            (...): s = νᵀR⁻¹ν of residuals ν.
+        count : array_like of int
+            How many components were measured, of the shape of `square` or broadcast to it.
+
+        Returns
+        -------
+        ndarray
+            (...).
+        """
 
     @abstractmethod
     def slope(self, square: Array, count: npt.ArrayLike) -> Array:
-        """The weight 2 ρ′(s)."""
+        """The weight 2 ρ′(s), 1 for a residual that counts as a Gaussian's; arguments as of `loss`.
+
+        Parameters
+        ----------
+        square : ndarray
+        count : array_like of int
+
+        Returns
+        -------
+        ndarray
+            (...).
+        """
 
     def weight(self, square: Array, count: npt.ArrayLike) -> Array:
         """The weights w(s) = 2 ρ′(s) at squares of `count` components; 1 where there are none.
@@ -65,9 +124,18 @@ class RobustNoise(InCode, ABC):
         found = np.maximum(self.slope(square, count), _LEAST)
         return np.where(np.asarray(count) > 0, found, 1.0)
 
-    @abstractmethod
     def is_proper(self, size: int) -> bool:
-        """Whether the density of this many components has a finite integral."""
+        """Whether the density of this many components has a finite integral: yes, unless told.
+
+        Parameters
+        ----------
+        size : int
+
+        Returns
+        -------
+        bool
+        """
+        return True
 
     def log_scale(self, count: npt.ArrayLike) -> Array:
         """The value ln c of the density c e^{−ρ}; for an improper one, the Gaussian's."""
@@ -79,12 +147,12 @@ class RobustNoise(InCode, ABC):
             found[sizes == size] = _log_scale(self, size)
         return found
 
-    @abstractmethod
     def _log_scale(self, size: int) -> float:
         """The value ln c of a proper density c e^{−ρ(s)} of a residual r with `size` components.
 
-        R is I, so that s = rᵀr and c = 1 / ∫ e^{−ρ(rᵀr)} dr.
+        R is I, so that s = rᵀr and c = 1 / ∫ e^{−ρ(rᵀr)} dr, an integral over the radius.
         """
+        return -Radius.of(self, size).log_integral
 
     def surplus(self, square: Array, count: npt.ArrayLike, weight: Array) -> Array:
         """The log-density of the tangent N(0, R/w) with its offset, less ln N(0, R/w)."""
@@ -104,9 +172,101 @@ class RobustNoise(InCode, ABC):
     def _instead(self) -> str:
         return "take pgm.StudentT(dof), or a pgm.MixtureCPD with a wide Gaussian"
 
-    @abstractmethod
     def draw(self, white: Array, rng: np.random.Generator) -> Array:
-        """Draws with covariance parameter I, (..., d), made from standard normal ones."""
+        """Draws with covariance parameter I, (..., d), made from standard normal ones.
+
+        Each is moved along its direction, to the radius that as much of the density lies within.
+
+        Parameters
+        ----------
+        white : ndarray
+            (..., d).
+        rng : numpy.random.Generator
+            For noise that needs further draws; not used here.
+
+        Returns
+        -------
+        ndarray
+            (..., d).
+        """
+        size = white.shape[-1]
+        radius = np.linalg.norm(white, axis=-1, keepdims=True)
+        found: Array = white * (Radius.of(self, size).moved(radius) / np.maximum(radius, 1e-300))
+        return found
+
+    def first_stage(self, largest: Array) -> Array:
+        """The stage to begin with of a graduated loss, where the largest squares are so large."""
+        raise NotImplementedError(f"{self!r} is graduated: it needs first_stage(largest)")
+
+    def next_stage(self, stage: Array) -> Array:
+        """The stage after another; infinite where the loss is the one asked for."""
+        raise NotImplementedError(f"{self!r} is graduated: it needs next_stage(stage)")
+
+    def staged(self, square: Array, stage: Array) -> Array:
+        """The weights of squares at a stage."""
+        raise NotImplementedError(f"{self!r} is graduated: it needs staged(square, stage)")
+
+    def staged_loss(self, square: Array, stage: Array) -> Array:
+        """The loss of squares at a stage; a Gaussian's before the first, which is NaN."""
+        raise NotImplementedError(f"{self!r} is graduated: it needs staged_loss(square, stage)")
+
+
+class Radius(NamedTuple):
+    """The radius of draws from a robust density with covariance parameter I, by quadrature.
+
+    logs: Logarithms of radii r, (N,), evenly spaced.
+    within, beyond: The shares of the density within each, and beyond, (N,).
+    log_integral: ln ∫ e^{−ρ(rᵀr)} dr over all residuals r.
+    size: Their number of components, d.
+    """
+
+    logs: Array
+    within: Array
+    beyond: Array
+    log_integral: float
+    size: int
+
+    @classmethod
+    @lru_cache(maxsize=64)
+    def of(cls, noise: RobustNoise, size: int) -> Radius:
+        """The radius of a noise's residuals of `size` components.
+
+        The integrand over t = ln r is e^{−ρ(e^{2t}) + d t}, times the sphere's surface; it falls
+        off at both ends, so that sums at even steps converge faster than any power of the step.
+        """
+        from scipy.special import gammaln  # here, since it is slow to import
+
+        logs = np.linspace(-60.0 / size, 60.0, 2**14)
+        squares = np.exp(2.0 * logs)
+        with np.errstate(over="ignore"):
+            exponent = size * logs - noise.loss(squares, np.full(logs.shape, size))
+        top = float(exponent.max())
+        parts = np.exp(exponent - top)
+        if not np.isfinite(top) or parts[-1] > 1e-9 * parts.max():
+            raise ModelError(
+                f"{noise!r} of {size} components has no finite integral: let is_proper({size}) be "
+                "False"
+            )
+        surface = log(2.0) + 0.5 * size * log(pi) - float(gammaln(0.5 * size))
+        total = float(parts.sum())
+        parts /= total
+        within = np.cumsum(parts) - 0.5 * parts
+        beyond = np.cumsum(parts[::-1])[::-1] - 0.5 * parts
+        step = float(logs[1] - logs[0])
+        return cls(logs, within, beyond, surface + top + log(total * step), size)
+
+    def moved(self, radius: Array) -> Array:
+        """The radii (...) within which lies as much of the density as within those of a Gaussian.
+
+        The shares nearer to 1 than to 0 are compared by what lies beyond.
+        """
+        from scipy.special import chdtr, chdtrc  # here, since they are slow to import
+
+        beyond = chdtrc(self.size, radius**2)
+        near = np.interp(chdtr(self.size, radius**2), self.within, self.logs)
+        far = np.interp(-beyond, -self.beyond, self.logs)
+        found: Array = np.exp(np.where(beyond < 0.5, far, near))
+        return found
 
 
 @lru_cache(maxsize=256)
@@ -383,8 +543,7 @@ class TruncatedLeastSquares(RobustNoise):
         limit = self.threshold**2
         return np.where(largest > limit, limit / np.maximum(2.0 * largest - limit, limit), inf)
 
-    @staticmethod
-    def next_stage(stage: Array) -> Array:
+    def next_stage(self, stage: Array) -> Array:
         """The next μ."""
         return np.where(stage > _HARD, inf, _GROWTH * stage)
 

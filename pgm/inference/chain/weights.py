@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from pgm.cpds import ConditionalGaussian, RobustNoise, TruncatedLeastSquares
+from pgm.cpds import ConditionalGaussian, RobustNoise
 from pgm.kernels import roots, solving
 from pgm.kernels.arrays import Array, Integers, Kind, Mask, independent, inner
 
@@ -128,7 +128,7 @@ class Weights:
         """
         noise = self.noise
         hard = noise.weight(square, self.count)
-        if not isinstance(noise, TruncatedLeastSquares):
+        if not noise.graduated:
             return hard, self.stage
         counted = np.where(self.count > 0, square, 0.0)
         stage = np.where(
@@ -171,7 +171,7 @@ class Weights:
     def loss(self, square: Array) -> Array:
         """Twice the loss, 2 ρ(s), at squares (k, runs); if graduated, at its present stage."""
         noise = self.noise
-        if isinstance(noise, TruncatedLeastSquares):
+        if noise.graduated:
             found = noise.staged_loss(square, self.stage)
         else:
             found = noise.loss(square, self.count)
