@@ -257,7 +257,9 @@ class BeliefFamily(Generic[B]):
         -------
         PgmError
         """
-        return refused(option, of, self.spare, self.more.get(option, ": leave it out"))
+        return refused(
+            option, of, self.beliefs, self.spare, self.more.get(option, ": leave it out")
+        )
 
     def infer(self, graph: DynamicGraph, bound: BoundEvidence, call: Call) -> Outcome[B]:
         """The outcome of a call's schedule on a dynamic network's graph, given its evidence."""

@@ -257,6 +257,6 @@ def send_over_time(
     graph = compile(model, bound.steps, method=method, compiled=compiled)
     family = family_of(graph.model, belief)
     call = call._replace(compiled=graph.layout.compiled or None)
-    require(call.asked, graph, OVER_TIME, family)
+    require(call.asked(graph), graph, OVER_TIME, family)
     with reporting(progress):
         return Posterior(family.infer(graph, bound, call))

@@ -23,7 +23,7 @@ from pgm.inference.families import family_of
 from pgm.inference.impossible import RAISE
 from pgm.inference.options import OVER_TIME, STATIC, Call, require
 from pgm.inference.posterior import Posterior
-from pgm.inference.schedule import Filtering, FixedLag, Loopy, Schedule, Smoothing
+from pgm.inference.schedule import Filtering, FixedLag, Loopy, Schedule
 from pgm.inference.starting_points import Start
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.progress import Progress, reporting
@@ -174,11 +174,11 @@ def send(
         compiled = graph.layout.compiled
         family = family_of(graph.model, belief)
         call = call._replace(compiled=compiled or None)
-        require(call.asked, graph, OVER_TIME, family)
+        require(call.asked(graph), graph, OVER_TIME, family)
         bound = bind_chain(graph.model, evidence, graph.steps, identities=True, compiled=compiled)
         with reporting(progress):
             return Posterior(family.infer(graph, bound, call))
-    asked = call.asked if belief is None else {**call.asked, "belief": belief}
+    asked = call.asked(graph) if belief is None else {**call.asked(graph), "belief": belief}
     family = family_of(graph.network)
     require(asked, graph, STATIC, family)
     _require_static(graph, schedule)
@@ -193,15 +193,6 @@ def _require_static(graph: ClusterGraph, schedule: Schedule | None) -> None:
             f"only a dynamic network is filtered, or smoothed by a lag; {titled(graph)} has no "
             f"time, for which {schedule!r} is: leave the schedule out for a tree, and on a graph "
             "with loops give pgm.Flooding(), pgm.Sequential() or pgm.Residual()"
-        )
-    if isinstance(schedule, Smoothing) and schedule.damping:
-        raise GraphError(
-            f"{schedule!r}: the damping of linearisation points is for dynamic networks; on other "
-            "graphs pgm.Flooding(damping=...) damps messages"
-        )
-    if isinstance(schedule, Smoothing) and schedule.gate is not None:
-        raise GraphError(
-            f"{schedule!r}: a gate is for dynamic networks, at whose predicted beliefs it decides"
         )
     if not graph.is_tree and not isinstance(schedule, Loopy):
         advice = f"and {schedule!r} is for trees; give"

@@ -9,15 +9,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
+from pgm.compile import BalancedGraph
 from pgm.display import titled
 from pgm.errors import GraphError, ModelError, PgmError
 from pgm.inference.impossible import RAISE
+from pgm.inference.schedule import Loopy, Schedule
 from pgm.linearisers import TAYLOR
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from pgm.inference.schedule import Schedule
     from pgm.inference.starting_points import Start
     from pgm.linearisers import Lineariser
 
@@ -38,12 +39,26 @@ class Call(NamedTuple):
     impossible: str = RAISE
     compiled: Any = None
 
-    @property
-    def asked(self) -> dict[str, Any]:
-        """The options, but for the schedule, that are not left at their defaults."""
+    def asked(self, graph: Any) -> dict[str, Any]:
+        """The options that are not left at their defaults, those of the schedule among them.
+
+        For `graph`, which is one of its method.
+        """
         default = Call()._asdict()
         given = self._asdict()
-        return {n: v for n, v in given.items() if n != "schedule" and not _is(v, default[n])}
+        found = {n: v for n, v in given.items() if n != "schedule" and not _is(v, default[n])}
+        if isinstance(graph, BalancedGraph):
+            found["method"] = "Balanced"
+        for name, left in OF_SCHEDULES.items():
+            value = getattr(self.schedule, name, left)
+            if not isinstance(self.schedule, Loopy) and not _is(value, left):
+                found[name] = value
+        return found
+
+
+# The options of schedules of linearisations, whose other arguments say what is sent; and their
+# defaults. A schedule for graphs with loops has options of its own.
+OF_SCHEDULES: dict[str, Any] = {"iterations": 1, "damping": 0.0, "gate": None}
 
 
 class Party(Protocol):
@@ -79,7 +94,7 @@ def require(given: Mapping[str, Any], of: object, *parties: Party) -> None:
 class OverTime(NamedTuple):
     """Graphs of dynamic networks, which take every option but those of networks without time."""
 
-    takes: frozenset[str] = frozenset({*Call._fields, "method"} - {"memory"})
+    takes: frozenset[str] = frozenset({*Call._fields, *OF_SCHEDULES, "method"} - {"memory"})
 
     def refusal(self, option: str, of: object) -> PgmError:
         """The error for an option of networks without time."""
@@ -89,13 +104,25 @@ class OverTime(NamedTuple):
 class Static(NamedTuple):
     """Graphs of networks without time."""
 
-    takes: frozenset[str] = frozenset({"lineariser", "start", "memory", "impossible", "compiled"})
+    takes: frozenset[str] = frozenset(
+        {"lineariser", "start", "memory", "impossible", "compiled", "iterations"}
+    )
 
     def refusal(self, option: str, of: object) -> PgmError:
         """The error for an option of dynamic networks."""
         if option == "belief":
             return GraphError(
                 f"belief= is for dynamic networks, whose states it is of, not for {titled(of)}"
+            )
+        if option == "gate":
+            return GraphError(
+                "gate= is for dynamic networks, at whose predicted beliefs it decides, not for "
+                f"{titled(of)}"
+            )
+        if option == "damping":
+            return GraphError(
+                "the damping of linearisation points is for dynamic networks; on other graphs "
+                "pgm.Flooding(damping=...) damps messages"
             )
         return GraphError(
             f"keep= and executor= are for the runs of dynamic networks, not for {titled(of)}; to "
@@ -105,7 +132,12 @@ class Static(NamedTuple):
 
 OVER_TIME, STATIC = OverTime(), Static()
 
-# Options whose refusal is the same whoever has no use for them; {of} is the graph, or network.
+_NOTHING = (
+    "{beliefs} need no linearising, so that there is nothing to iterate or damp; leave iterations "
+    "and damping out"
+)
+# Options whose refusal is the same whoever has no use for them: {of} is the graph, or network, and
+# {beliefs} are those of the family. Other options' is in the family's words.
 REFUSALS: dict[str, tuple[type[PgmError], str]] = {
     "memory": (
         GraphError,
@@ -116,16 +148,29 @@ REFUSALS: dict[str, tuple[type[PgmError], str]] = {
         GraphError,
         "impossible= is for the runs of discrete networks, not for {of}",
     ),
+    "method": (
+        GraphError,
+        "{beliefs} go along a chain of slices, which {of} is not: leave method= out of pgm.compile "
+        "or pgm.smooth",
+    ),
+    "iterations": (ModelError, _NOTHING),
+    "damping": (ModelError, _NOTHING),
 }
 
 
-def refused(option: str, of: object, spare: str = "", more: str = ": leave it out") -> PgmError:
+def refused(
+    option: str, of: object, beliefs: str = "", spare: str = "", more: str = ": leave it out"
+) -> PgmError:
     """The error for an option that is not taken.
 
-    `spare` says, of most options, for what a family has no use of those; `more` is the remedy.
+    `beliefs` are the family's, in the plural; `spare` says, of most options, for what it has no use
+    of those; `more` is the remedy.
     """
-    error, text = REFUSALS.get(option, (ModelError, f"{option}= {spare}"))
-    return error(text.format(of=titled(of)) + more)
+    if option not in REFUSALS:
+        return ModelError(f"{option}= {spare}{more}")
+    error, text = REFUSALS[option]
+    remedy = more if option == "impossible" else ""
+    return error(text.format(of=titled(of), beliefs=beliefs) + remedy)
 
 
 def _is(value: Any, default: Any) -> bool:

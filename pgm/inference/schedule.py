@@ -387,3 +387,20 @@ class Residual(Loopy):
 
 
 Schedule = Filtering | FixedLag | Calibration | Loopy
+
+
+def kind_of(schedule: Schedule | None, beliefs: str) -> Kind:
+    """The kind of a chain's beliefs that a schedule leaves; smoothed without a schedule.
+
+    `Filtering`, `FixedLag` and `Smoothing` are taken, and `Calibration` counts as `Smoothing`. Any
+    other schedule raises a `ModelError`, whose text names the `beliefs`, by a plural such as
+    "tables".
+    """
+    if schedule is None or type(schedule) is Calibration:
+        schedule = Smoothing()
+    if not isinstance(schedule, Filtering | FixedLag | Smoothing):
+        raise ModelError(
+            f"{beliefs} take pgm.Filtering(), pgm.FixedLag(...) or pgm.Smoothing(), not "
+            f"{schedule!r}"
+        )
+    return schedule.kind

@@ -336,7 +336,7 @@ CARTS = pgm.compile(MODEL, T, method=pgm.Balanced())
         (
             lambda: pgm.filter(TABLES, {WET: ["yes"]}, gate=0.9),
             pgm.ModelError,
-            "a gate is for Gaussian beliefs",
+            "gate= is for beliefs that are Gaussian",
         ),
         (lambda: pgm.filter(MODEL, EVIDENCE).rejected[z], pgm.EvidenceError, "give gate="),
         (

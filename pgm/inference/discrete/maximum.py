@@ -40,10 +40,11 @@ from pgm.inference.discrete.run_pieces import Distinct, some_runs, tree_pieces
 from pgm.inference.discrete.tree_passes import collect, enter
 from pgm.inference.discrete.tree_plan import Stack, TreePlan, plan_for
 from pgm.inference.limits import Room, require_runs
+from pgm.inference.markov.family import TABLES
 from pgm.inference.markov.most_probable_path import most_probable_path
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.inference.markov.run import require_beliefs
-from pgm.inference.markov.schedule_kinds import require_chain
+from pgm.inference.options import Call, require
 from pgm.inference.parts.workers import Workers
 from pgm.inference.posterior import require_variable
 from pgm.inference.summaries import spread
@@ -265,7 +266,7 @@ def _most_probable_path(graph: DynamicGraph, evidence: Evidence) -> MostProbable
     (*runs, T+1); of a control, which has no step 0, (*runs, T). *runs are the user's axes of runs.
     """
     bound = bind_chain(graph.model, evidence, graph.steps)
-    require_chain(graph, "tables")
+    require(Call().asked(graph), graph, TABLES)
     plan = SlicePlan(graph.layout)
     require_beliefs(plan, bound, 1)
     path, log_probability = most_probable_path(TableSlices(plan, bound))

@@ -23,8 +23,7 @@ from pgm.inference.grid.outcome import GridOutcome
 from pgm.inference.grid.settings import GridSettings
 from pgm.inference.grid.slices import GridModel, GridSlices, Worst
 from pgm.inference.markov.chain import StateChain
-from pgm.inference.markov.schedule_kinds import kind_of, require_chain
-from pgm.inference.schedule import Schedule
+from pgm.inference.schedule import Schedule, kind_of
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array
 from pgm.progress import counted
@@ -42,7 +41,6 @@ def run(
     The schedule says whether to filter or to smooth, and with what lag; None smooths. A
     `GridWarning` is given for each fault that the status shows.
     """
-    require_chain(graph, "beliefs on a grid")
     kind = kind_of(schedule, "beliefs on a grid")
     found = _refined(graph, bound, kind, grid)
     found.figures.warn()

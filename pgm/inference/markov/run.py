@@ -19,9 +19,8 @@ from pgm.inference.markov.chain import TINY, StateChain
 from pgm.inference.markov.impossible_runs import first_lost
 from pgm.inference.markov.outcome import StateOutcome
 from pgm.inference.markov.plan import SlicePlan, TableSlices
-from pgm.inference.markov.schedule_kinds import kind_of, require_chain
 from pgm.inference.markov.single_state import DirectChain
-from pgm.inference.schedule import Schedule
+from pgm.inference.schedule import Schedule, kind_of
 from pgm.inference.status import Status
 from pgm.kernels.semirings import LOG_SUM_PRODUCT
 from pgm.resources import require_memory
@@ -38,7 +37,6 @@ def run(
     """
     allow = allows(impossible)
     kind = kind_of(schedule, "tables")
-    require_chain(graph, "tables")
     plan = SlicePlan(graph.layout)
     sets = 1 if kind == FILTERED else 2
     require_beliefs(plan, bound, sets)

@@ -12,11 +12,11 @@ from pgm.evidence import BoundEvidence
 from pgm.inference import sweep
 from pgm.inference.associations import by_density
 from pgm.inference.belief_kind import FILTERED, SMOOTHED, Kind
-from pgm.inference.markov.schedule_kinds import kind_of, require_chain
 from pgm.inference.own.outcome import Hidden, OwnOutcome
 from pgm.inference.own.slices import BACK, TAKEN, Slice
 from pgm.inference.own.status import status_of
 from pgm.inference.particles.model import ParticleModel
+from pgm.inference.schedule import kind_of
 from pgm.kernels.arrays import Array
 from pgm.progress import counted
 
@@ -112,7 +112,6 @@ def run(
 
     A family that cannot flow back is refused a smoother, by a ModelError.
     """
-    require_chain(graph, family.beliefs)
     kind = kind_of(call.schedule, family.beliefs)
     if kind != FILTERED and not family.flows_back:
         raise ModelError(

@@ -9,7 +9,6 @@ from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence
 from pgm.inference import sweep
 from pgm.inference.belief_kind import FILTERED, Kind
-from pgm.inference.markov.schedule_kinds import kind_of, require_chain
 from pgm.inference.particles.backward import Backward
 from pgm.inference.particles.chain import ParticleChain
 from pgm.inference.particles.cloud import Cloud
@@ -18,7 +17,7 @@ from pgm.inference.particles.model import ParticleModel
 from pgm.inference.particles.outcome import ParticleOutcome
 from pgm.inference.particles.record import Record
 from pgm.inference.particles.settings import ParticleSettings
-from pgm.inference.schedule import Schedule
+from pgm.inference.schedule import Schedule, kind_of
 from pgm.inference.status import Status
 from pgm.networks import DynamicBayesianNetwork
 from pgm.resources import gibibytes, require_memory
@@ -35,7 +34,6 @@ def run(
     The schedule says whether they are filtered or smoothed; without one they are smoothed. Warnings
     tell of few effective particles and of impossible measurements.
     """
-    require_chain(graph, "particles")
     kind = kind_of(schedule, "particles")
     require_fitting(particles, graph.model)
     model = ParticleModel(graph.model, bound, particles.dtype)

@@ -160,7 +160,7 @@ def test_what_it_has_not_is_refused_in_words():
     [
         ({"lineariser": pgm.Unscented()}, "lineariser= is for beliefs that are Gaussian"),
         ({"keep": x}, "keep= is for beliefs that are Gaussian"),
-        ({"gate": 0.9}, "a gate is for Gaussian beliefs"),
+        ({"gate": 0.9}, "gate= is for beliefs that are Gaussian"),
         ({"iterations": 3}, "ensembles need no linearising"),
         ({"impossible": "allow"}, "impossible= is for the runs of discrete networks"),
     ],
