@@ -15,7 +15,7 @@ from pgm.comparison.row import FAILURES, Name, Row, failed, judge
 from pgm.comparison.table import Comparison
 from pgm.compile import compile
 from pgm.display import titled
-from pgm.errors import ModelError
+from pgm.errors import ModelError, PgmError
 from pgm.evidence import Evidence
 from pgm.factors import Gaussian
 from pgm.factors.scope import as_scope, labels, listed
@@ -68,7 +68,8 @@ def compare(
     - RMSE and NEES are those of `pgm.consistency`.
 
     A run that fails, of a `LinearisationError` or `NumericalError`, is a row with its error in
-    words. A CPD with a lineariser of its own keeps it.
+    words, and so is a schedule that a `BeliefFamily` refuses. A CPD with a lineariser of its own
+    keeps it.
 
     Parameters
     ----------
@@ -164,8 +165,10 @@ def _run(
     count, kind = compared.graph.steps + 1, schedule.kind
     names = {state: Name(*named, state, kind) for state in compared.states}
     family, call = None, Call(schedule, keep=compared.states)
+    failures: tuple[type[PgmError], ...] = FAILURES
     if isinstance(method, BeliefFamily):
         family, call = method, Call(schedule)
+        failures = (*FAILURES, ModelError)  # one that only filters is a row beside the others
     else:
         call = call._replace(lineariser=method)
     began = time.perf_counter()
@@ -176,7 +179,7 @@ def _run(
             call,
             family,
         )
-    except FAILURES as error:
+    except failures as error:
         seconds = time.perf_counter() - began
         return [
             failed(name, count, truth.get(state), error, seconds=seconds)
@@ -321,8 +324,8 @@ def _truths(
 
 
 def _title(oracle: BeliefFamily[Any] | Oracle | None) -> str:
-    grid = isinstance(oracle, BeliefFamily) or hasattr(oracle, "grid")
-    return "oracle: grid" if grid else "oracle"
+    family = oracle if isinstance(oracle, BeliefFamily) else getattr(oracle, "grid", None)
+    return "oracle" if family is None else f"oracle: {type(family).__name__}"
 
 
 def _described(oracle: BeliefFamily[Any] | Oracle) -> str:

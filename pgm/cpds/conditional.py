@@ -162,6 +162,7 @@ class ConditionalGaussian(CPD):
                 variable=self.child,
                 cpd=self,
             )
+        noise.require_sound(self.child.dimension)
         self._set(noise=noise)
         if not isinstance(self.cov, Noise):
             self.require_proper("a robust noise weighs residuals by it")

@@ -71,19 +71,6 @@ class RobustNoise(InCode, ABC):
 
     graduated: ClassVar[bool] = False
 
-    def __post_init__(self) -> None:
-        for field in fields(self):  # type: ignore[arg-type]
-            value = getattr(self, field.name)
-            if not is_number(value) or not 0.0 < value < inf:
-                raise ModelError(
-                    f"{type(self).__name__}: {field.name} is a positive number, not {value!r}"
-                )
-            if not _SMALLEST <= value <= _LARGEST:
-                raise ModelError(
-                    f"{type(self).__name__}: {field.name} is between {_SMALLEST:g} and "
-                    f"{_LARGEST:g}, not {value!r}; for a Gaussian leave noise= out"
-                )
-
     @abstractmethod
     def loss(self, square: Array, count: npt.ArrayLike) -> Array:
         """The loss ρ(s) of squares, zero at zero.
@@ -161,6 +148,53 @@ class RobustNoise(InCode, ABC):
         found = self.log_scale(sizes) - offset - 0.5 * sizes * (np.log(weight) - LOG_2PI)
         return np.where(sizes > 0, found, 0.0)
 
+    def require_sound(self, size: int) -> None:
+        """Refuse, by a ModelError, a loss and a slope that do not fit each other.
+
+        They are tried at squares from 10⁻³ to 10⁴: numbers of the squares' shape, the loss zero at
+        zero, the slope its derivative times two, not negative, and falling. A kink may lie at one.
+        """
+        squares = np.concatenate([[0.0], 1.37 * np.logspace(-3.0, 4.0, 15)])
+        squares.flags.writeable = False
+        count = np.full(squares.shape, size)
+        count.flags.writeable = False
+
+        def told(name: str, at: Array) -> Array:
+            """The values of the loss, or of the slope, at squares."""
+            try:
+                with np.errstate(all="ignore"):
+                    found = np.asarray(getattr(self, name)(at, count), dtype=np.float64)
+            except Exception as error:
+                raise ModelError(
+                    f"{self!r}: {name}(square, count) failed: {type(error).__name__}: {error}; it "
+                    "takes arrays of squares, which are read-only, and returns as many numbers"
+                ) from error
+            if found.shape != at.shape or not np.isfinite(found).all():
+                raise ModelError(
+                    f"{self!r}: {name}(square, count) returns shape {found.shape} for squares of "
+                    f"shape {at.shape}, or numbers that are not finite"
+                )
+            return found
+
+        loss, slope = told("loss", squares), told("slope", squares)
+        if abs(loss[0]) > 1e-9:
+            raise ModelError(f"{self!r}: the loss of a square of 0 is {loss[0]:g}; 0 was due")
+        if (slope < 0.0).any() or (np.diff(slope) > 1e-9 * np.abs(slope[1:])).any():
+            raise ModelError(
+                f"{self!r}: the slope, 2 ρ′(s), is negative or grows with s; a loss concave in the "
+                "square was due, of which larger residuals weigh less"
+            )
+        step = 1e-4 * squares[1:]
+        ahead, back = (told("loss", np.append(0.0, squares[1:] + s * step))[1:] for s in (1, -1))
+        due = (ahead - back) / step
+        wrong = np.abs(due - slope[1:]) > 1e-3 * np.maximum(np.abs(due), slope[1:]) + 1e-6
+        if wrong.sum() > 1:
+            k = int(wrong.argmax())
+            raise ModelError(
+                f"{self!r}: at a square of {squares[1 + k]:.3g} the slope is {slope[1 + k]:.6g}; "
+                f"twice the derivative of the loss is {due[k]:.6g}"
+            )
+
     def require_proper(self, size: int, cpd: object) -> None:
         """Refuse a density without an integral."""
         if not self.is_proper(size):
@@ -209,6 +243,23 @@ class RobustNoise(InCode, ABC):
     def staged_loss(self, square: Array, stage: Array) -> Array:
         """The loss of squares at a stage; a Gaussian's before the first, which is NaN."""
         raise NotImplementedError(f"{self!r} is graduated: it needs staged_loss(square, stage)")
+
+
+class _Positive(RobustNoise):
+    """Base of noise whose parameters are all positive."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, field.name)
+            if not is_number(value) or not 0.0 < value < inf:
+                raise ModelError(
+                    f"{type(self).__name__}: {field.name} is a positive number, not {value!r}"
+                )
+            if not _SMALLEST <= value <= _LARGEST:
+                raise ModelError(
+                    f"{type(self).__name__}: {field.name} is between {_SMALLEST:g} and "
+                    f"{_LARGEST:g}, not {value!r}; for a Gaussian leave noise= out"
+                )
 
 
 class Radius(NamedTuple):
@@ -286,7 +337,7 @@ def _log_rise(a: float, b: float) -> float:
 
 @public
 @dataclass(frozen=True)
-class StudentT(RobustNoise):
+class StudentT(_Positive):
     r"""Multivariate Student-t noise, whose scale matrix is the CPD's `cov`.
 
     .. math:: ρ(s) = \tfrac{ν + d}{2} \ln(1 + s / ν), \qquad w(s) = \frac{ν + d}{ν + s}
@@ -338,7 +389,7 @@ class StudentT(RobustNoise):
 
 @public
 @dataclass(frozen=True)
-class Cauchy(RobustNoise):
+class Cauchy(_Positive):
     r"""The Cauchy loss of robust statistics, a Gaussian's near zero: w = 1 there.
 
     .. math:: ρ(s) = \tfrac{k^2}{2} \ln(1 + s / k^2), \qquad w(s) = \frac{1}{1 + s / k^2}
@@ -394,7 +445,7 @@ class Cauchy(RobustNoise):
 
 @public
 @dataclass(frozen=True)
-class Huber(RobustNoise):
+class Huber(_Positive):
     r"""Huber's noise: a Gaussian's within a threshold, of exponential tails beyond.
 
     .. math:: ρ(s) = \begin{cases} s/2 & \sqrt s ≤ k \\ k \sqrt s - k^2/2 & \text{else} \end{cases},
@@ -474,7 +525,7 @@ class Huber(RobustNoise):
 
 @public
 @dataclass(frozen=True)
-class TruncatedLeastSquares(RobustNoise):
+class TruncatedLeastSquares(_Positive):
     r"""Truncated least squares: a Gaussian within a threshold, nothing beyond it.
 
     .. math:: ρ(s) = \min(s, c^2) / 2, \qquad w(s) = 1 \text{ if } s ≤ c^2, \text{ else } 0

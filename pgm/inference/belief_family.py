@@ -287,6 +287,11 @@ class BeliefFamily(Generic[B]):
 
 def require_family(belief: Any, model: Any) -> None:
     """Refuse, by a ModelError, a `belief` that is no family, or a model that cannot have it."""
+    if isinstance(belief, type) and issubclass(belief, BeliefFamily):
+        raise ModelError(
+            "belief= is a pgm.Grid(...) or pgm.Particles(...), or a family of your own: make one, "
+            f"{belief.__name__}(...)"
+        )
     if not isinstance(belief, BeliefFamily):
         raise ModelError(
             "belief= is a pgm.Grid(...) or pgm.Particles(...), or a family of your own "

@@ -100,8 +100,8 @@ def filter(
         The variables whose marginals are kept, so that many runs fit in memory; see `infer`.
     executor : concurrent.futures.Executor, optional
         A pool of processes or threads that works on parts of the runs; see `infer`.
-    belief : Grid or Particles, optional
-        Beliefs on a grid, or by particles, in place of Gaussians.
+    belief : BeliefFamily, optional
+        Beliefs on a `Grid`, by `Particles`, or of a family of your own, in place of Gaussians.
     progress : bool or callable
         Whether bars show how far the work is, or a function that is told; see `infer`.
     impossible : str

@@ -41,8 +41,8 @@ class Threshold(InCode):
     remedy: str = "look at the beliefs"
 
     def passed(self, values: Array) -> Mask:
-        """Where figures are beyond the limit."""
-        return values < self.limit if self.below else values > self.limit
+        """Where figures are beyond the limit, or NaN."""
+        return ~(values >= self.limit) if self.below else ~(values <= self.limit)
 
     def worst(self, values: Array) -> float:
         """The figure furthest beyond the limit."""

@@ -133,3 +133,43 @@ def test_an_integral_that_is_not_finite_is_told():
 def test_the_stages_of_a_graduated_loss_have_to_be_there(stage):
     with pytest.raises(NotImplementedError, match=f"it needs {stage}"):
         getattr(Half(), stage)(*[np.ones(1)] * (1 + stage.startswith("staged")))
+
+
+def changed(**methods):
+    """A pseudo-Huber noise with other methods."""
+    return type("Changed", (PseudoHuber,), methods)(2.0)
+
+
+@pytest.mark.parametrize(
+    ("noise", "text"),
+    [
+        (changed(slope=lambda n, s, k: 0.5 / np.sqrt(1.0 + s / 4.0)), "twice the derivative"),
+        (changed(loss=lambda n, s, k: 2.0 * PseudoHuber.loss(n, s, k)), "twice the derivative"),
+        (changed(loss=lambda n, s, k: 1.0 + PseudoHuber.loss(n, s, k)), "of a square of 0 is 1"),
+        (changed(slope=lambda n, s, k: -PseudoHuber.slope(n, s, k)), "negative or grows"),
+        (changed(slope=lambda n, s, k: 1.0 + s), "negative or grows"),
+        (changed(slope=lambda n, s, k: np.sqrt(s, out=s)), "slope.* failed: ValueError"),
+        (changed(loss=lambda n, s, k: s[..., None]), "returns shape"),
+        (changed(slope=lambda n, s, k: s * np.nan), "not finite"),
+    ],
+)
+def test_a_loss_and_a_slope_that_do_not_fit_are_refused(noise, text):
+    with pytest.raises(pgm.ModelError, match=text):
+        pgm.LinearGaussianCPD(z, {x: 1.0}, cov=1.0, noise=noise)
+
+
+@pytest.mark.parametrize(
+    "noise",
+    [
+        pgm.StudentT(1e-3),
+        pgm.StudentT(1e6),
+        pgm.Huber(1e-3),
+        pgm.Huber(1e6),
+        pgm.Cauchy(1e-3),
+        pgm.TruncatedLeastSquares(1e-2),
+        pgm.TruncatedLeastSquares(40.0),
+    ],
+)
+def test_known_noise_is_sound(noise):
+    noise.require_sound(1)
+    noise.require_sound(3)

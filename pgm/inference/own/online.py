@@ -79,7 +79,8 @@ class OnlineOwnBelief(OnlineBelief):
                 step=self.step,
             )
         columns = self._hidden.columns(scope)
-        return shown(self._family, [self.value], scope, columns, self.lead, None)
+        size = self._hidden.size
+        return shown(self._family, [self.value], scope, columns, self.lead, None, size)
 
     @property
     def _title(self) -> str:

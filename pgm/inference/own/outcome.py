@@ -38,6 +38,11 @@ class Hidden(NamedTuple):
     model: DynamicBayesianNetwork
     places: Mapping[Variable, slice]
 
+    @property
+    def size(self) -> int:
+        """The number of components of a slice, d."""
+        return sum(variable.dimension for variable in self.places)
+
     def first(self, scope: Scope) -> int:
         """The first step at which all variables of a scope stand: 1 if one is a hidden control."""
         return int(any(v.template in self.model.controls for v in scope))
@@ -134,7 +139,8 @@ class OwnOutcome(Outcome[Any]):
         some = every[first:] if step is None else [every[step]]
         at = None if step is not None else np.arange(first, len(every))
         columns = self._hidden_ones.columns(scope)
-        return shown(self.family, some, scope, columns, self.log_evidence.shape, at)
+        lead, size = self.log_evidence.shape, self._hidden_ones.size
+        return shown(self.family, some, scope, columns, lead, at, size)
 
     @property
     def _title(self) -> str:

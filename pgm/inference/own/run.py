@@ -6,13 +6,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pgm.boundary import as_floats
 from pgm.compile import DynamicGraph
 from pgm.errors import ModelError, NumericalError
 from pgm.evidence import BoundEvidence
+from pgm.factors.scope import listed
 from pgm.inference import sweep
 from pgm.inference.associations import by_density
 from pgm.inference.belief_kind import FILTERED, SMOOTHED, Kind
+from pgm.inference.own.marginals import pair
 from pgm.inference.own.outcome import Hidden, OwnOutcome
+from pgm.inference.own.sealed import sealed
 from pgm.inference.own.slices import BACK, TAKEN, Slice
 from pgm.inference.own.status import status_of
 from pgm.inference.particles.model import ParticleModel
@@ -40,11 +44,11 @@ class OwnChain:
 
     def start(self) -> Any:
         """The family's belief over the slice at step 0."""
-        return self.family.begin(Slice(self.model, 0))
+        return sealed(self.family.begin(Slice(self.model, 0)))
 
     def predict(self, step: int, belief: Any) -> Any:
         """The family's belief over a step's slice."""
-        return self.family.predict(Slice(self.model, step), belief)
+        return sealed(self.family.predict(Slice(self.model, step), belief))
 
     def take(self, step: int, belief: Any) -> tuple[Any, Array]:
         """The family's belief given the measurements of a step, and their log-density, (runs,).
@@ -56,12 +60,8 @@ class OwnChain:
         if not at.measurements:
             return belief, np.zeros(at.runs)
         found = self.family.take(at, belief)
-        if not isinstance(found, tuple) or len(found) != 2:
-            raise ModelError(
-                f"{self.family!r}: take(at, belief) returns the belief and a log-density, not "
-                f"{type(found).__name__}"
-            )
-        log_density = np.asarray(found[1], dtype=np.float64)
+        belief, told = pair(self.family, "take(at, belief)", found, "the belief and a log-density")
+        log_density = as_floats(told, f"{self.family!r}: the log-density of take", ModelError)
         if log_density.shape not in ((), (1,), (at.runs,)):
             raise ModelError(
                 f"{self.family!r}: the log-density of take(at, belief) has shape "
@@ -70,14 +70,17 @@ class OwnChain:
         log_density = np.broadcast_to(log_density.reshape(-1), (at.runs,))
         bad = np.isnan(log_density) | (log_density == np.inf)
         if bad.any():
-            run = self.model.bound.first_run + int(bad.argmax())
+            place = int(bad.argmax())
+            run = self.model.bound.first_run + place
+            missing = [m.variable for m in at.measurements if np.isnan(m.value[place]).any()]
             raise NumericalError(
                 f"{self.family!r}: the log-density of the measurements at step {step}, run {run}, "
-                f"is {log_density[bad][0]}",
+                f"is {log_density[place]}"
+                + (f"; {listed(missing)} is missing there, in part or whole" if missing else ""),
                 step=step,
                 run=run,
             )
-        return found[0], log_density
+        return sealed(belief), log_density
 
     def keep(self, step: int, predicted: Any, known: Any, log_density: Array | float) -> None:
         """Keep a step's beliefs and the log-density of its measurements."""
@@ -88,7 +91,7 @@ class OwnChain:
     def back(self, step: int, later: Any) -> Any:
         """The family's belief over a step's slice that knows what that of the next step knows."""
         at = Slice(self.model, step, BACK)
-        return self.family.back(at, self.known[step], self.predicted[step + 1], later)
+        return sealed(self.family.back(at, self.known[step], self.predicted[step + 1], later))
 
     def smoothed(self, kind: Kind) -> list[Any]:
         """The beliefs of all steps that know the measurements up to a lag later, or all."""

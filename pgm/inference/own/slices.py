@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,8 @@ from pgm.variables import Variable
 Generators = Sequence[np.random.Generator]
 # The purposes of a slice's random numbers, beside that of a prediction; see `streams`.
 TAKEN, BACK = 101, 102
+# Calls of `Slice.generators` in one method have purposes so far apart.
+_CALLS = 1000
 
 
 class Slice(InCode):
@@ -43,6 +46,13 @@ class Slice(InCode):
         By state and hidden control, its components among the d of a point.
     angles : ndarray of bool
         (d,): which components are angles.
+    cpds : tuple of ConditionalAt
+        The CPDs that lead to the slice, parents first: the priors at step 0, the transition from
+        the step before at others.
+    inputs : mapping of Variable to ndarray
+        The values of the inputs of `cpds`, (runs or 1, k) each.
+    measurements : tuple of Measurement
+        The measurements of the step, of each sensor in turn, of which some run took any.
 
     Examples
     --------
@@ -50,19 +60,19 @@ class Slice(InCode):
     """
 
     def __init__(self, model: ParticleModel, step: int, purpose: int = 0) -> None:
-        self._model, self._purpose = model, purpose
+        self._model, self._purpose, self._asked = model, purpose, 0
         self.step, self.runs = step, model.bound.runs
-        self.places: Mapping[Variable, slice] = model.places
+        self.places: Mapping[Variable, slice] = MappingProxyType(model.places)
         self.angles = model.angles
 
     def __repr__(self) -> str:
         return f"Slice(step {self.step}, over {list(self.places)}, {self.runs} runs)"
 
     def generators(self, seed: int) -> list[np.random.Generator]:
-        """Random generators, one for each run, of this step and method alone.
+        """Random generators, one for each run, of this step, method and call alone.
 
         They depend on the seed, the number of the run and the step, so that a run's draws are the
-        same whichever runs it is worked with.
+        same whichever runs it is worked with. Another call gives others.
 
         Parameters
         ----------
@@ -72,8 +82,21 @@ class Slice(InCode):
         -------
         list of numpy.random.Generator
         """
-        first = self._model.bound.first_run
-        return [stream(seed, first + run, self.step, self._purpose) for run in range(self.runs)]
+        first, purpose = self._model.bound.first_run, self._purpose + _CALLS * self._asked
+        self._asked += 1
+        return [stream(seed, first + run, self.step, purpose) for run in range(self.runs)]
+
+    @cached_property
+    def cpds(self) -> tuple[ConditionalAt, ...]:
+        """The CPDs that lead to the slice, parents first."""
+        laws = self._model.transition if self.step else self._model.prior
+        row = self._model.row(self.step) if self.step else 0
+        return tuple(ConditionalAt(law, row, self) for law in laws)
+
+    @property
+    def inputs(self) -> Mapping[Variable, Any]:
+        """The values of the inputs of `cpds`, (runs or 1, k) each."""
+        return MappingProxyType({v: each for cpd in self.cpds for v, each in cpd.inputs.items()})
 
     def prior(self, count: int, generators: Generators) -> Array:
         """Draws from the prior of the states; hidden controls, which begin at step 1, are zero.
@@ -90,15 +113,16 @@ class Slice(InCode):
         ndarray
             (runs, n, d).
         """
-        before = np.zeros((self.runs, count, self._model.size))
-        return self._drawn(self._model.prior, 0, before, generators)
+        if self.step:
+            raise ModelError(f"{self!r}: the prior is of step 0; moved(points) leads to others")
+        return self.moved(np.zeros((self.runs, count, self._model.size)), generators)
 
-    def moved(self, points: Array, generators: Generators) -> Array:
+    def moved(self, before: Array, generators: Generators) -> Array:
         """Draws from the transition, one from each point of the step before.
 
         Parameters
         ----------
-        points : ndarray
+        before : ndarray
             (runs, n, d).
         generators : sequence of numpy.random.Generator
             One for each run, as of `generators`.
@@ -108,7 +132,52 @@ class Slice(InCode):
         ndarray
             (runs, n, d).
         """
-        return self._drawn(self._model.transition, self._model.row(self.step), points, generators)
+        now, drawing = self._none(before), _drawing(before, generators)
+        some = self._some(now, before)
+        for cpd in self.cpds:
+            some.now[self.places[cpd.variable]] = cpd._law.draw(cpd._row, some, drawing)
+        return _apart(some.now, before)
+
+    def mean(self, before: Array) -> Array:
+        """The points expected after points of the step before, without noise.
+
+        Parameters
+        ----------
+        before : ndarray
+            (runs, n, d).
+
+        Returns
+        -------
+        ndarray
+            (runs, n, d). At step 0 it is the prior's mean.
+
+        Raises
+        ------
+        ModelError
+            If a CPD is not Gaussian, so that its mean is not known.
+        """
+        now = self._none(before)
+        for cpd in self.cpds:
+            now[..., self.places[cpd.variable]] = cpd.mean(now, before)
+        return now
+
+    def log_density(self, now: Array, before: Array) -> Array:
+        """The log-density of points, given those of the step before.
+
+        Parameters
+        ----------
+        now, before : ndarray
+            (runs, n, d) each.
+
+        Returns
+        -------
+        ndarray
+            (runs, n). At step 0 it is the prior's, whatever `before`.
+        """
+        found: Array = np.zeros(now.shape[:2])
+        for cpd in self.cpds:
+            found = found + cpd.log_density(now[..., self.places[cpd.variable]], now, before)
+        return found
 
     @cached_property
     def measurements(self) -> tuple[Measurement, ...]:
@@ -120,72 +189,79 @@ class Slice(InCode):
             if sensor.reading.taken[row].any()
         )
 
-    def _drawn(self, laws: Sequence[Law], row: int, points: Array, generators: Generators) -> Array:
-        """Draws (runs, n, d) of the children of laws at a row of inputs, given points before."""
-        some = self._some(points, now=np.zeros((self._model.size, points[..., 0].size)))
-        drawing = _drawing(points, generators)
-        for law in laws:
-            some.now[self.places[law.cpd.child]] = law.draw(row, some, drawing)
-        return _apart(some.now, points)
-
-    def _some(self, points: Array, now: Array | None = None) -> Some:
-        """Points (runs, n, d) as `Some` particles of this step; with `now`, of the one before."""
-        flat = np.asarray(points, dtype=np.float64)
-        if flat.ndim != 3 or flat.shape[0] != self.runs or flat.shape[2] != self._model.size:
+    def _none(self, points: Array) -> Array:
+        """Zeros of the shape of points (runs, n, d), which is checked."""
+        shape = np.shape(points)
+        if len(shape) != 3 or shape[0] != self.runs or shape[2] != self._model.size:
             raise ModelError(
-                f"points at step {self.step} have shape {flat.shape}; ({self.runs}, n, "
+                f"points at step {self.step} have shape {shape}; ({self.runs}, n, "
                 f"{self._model.size}) was due: runs, points, components"
             )
-        flat = np.ascontiguousarray(flat.reshape(-1, flat.shape[2]).T)
-        owner = None if self.runs == 1 else np.repeat(np.arange(self.runs), points.shape[1])
-        return Some(self.step, flat if now is None else now, flat, owner)
+        return np.zeros(shape)
+
+    def _some(self, now: Array, before: Array | None = None) -> Some:
+        """Points (runs, n, d) of this step, and of the one before, as `Some` particles."""
+        self._none(now)
+        each = [now, now if before is None else before]
+        here, past = (np.array(np.reshape(p, (-1, now.shape[2])).T, dtype=float) for p in each)
+        owner = None if self.runs == 1 else np.repeat(np.arange(self.runs), now.shape[1])
+        return Some(self.step, here, past, owner)
 
 
-class Measurement(InCode):
-    """One measurement of a sensor, of all runs at once, and its law given the hidden variables.
+class ConditionalAt(InCode):
+    """A CPD at a step, of all runs at once, with the values of its inputs.
 
     Attributes
     ----------
     variable : Variable
-        The sensor's variable, of k components.
+        The child, of k components.
     cpd : CPD
-        The sensor's CPD.
-    value : ndarray
-        (runs, k), NaN where nothing was measured.
     inputs : mapping of Variable to ndarray
-        By observed parent of the sensor, its value, (runs or 1, d) each.
+        By observed parent, its value, (runs or 1, ...).
 
     Examples
     --------
     See `BeliefFamily`.
     """
 
-    def __init__(self, sensor: Sensor, row: int, at: Slice) -> None:
-        self._sensor, self._row, self._at = sensor, row, at
-        reading = sensor.reading
-        self.cpd: CPD = reading.cpd
-        self.variable: Variable = reading.cpd.child
-        taken = np.where(reading.taken[row], reading.values[row], np.nan)
-        self.value: Array = np.broadcast_to(taken, (at.runs, taken.shape[-1]))
-        self.inputs: Mapping[Variable, Any] = {
-            parent: values[row] for parent, values in sensor.law.inputs.items()
-        }
+    def __init__(self, law: Law, row: int, at: Slice) -> None:
+        self._law, self._row, self._at = law, row, at
+        self.cpd: CPD = law.cpd
+        self.variable: Variable = law.cpd.child
+        self.inputs: Mapping[Variable, Any] = {v: values[row] for v, values in law.inputs.items()}
 
     def __repr__(self) -> str:
-        return f"Measurement({self.variable!r}, step {self._at.step}, {self._at.runs} runs)"
+        return (
+            f"{type(self).__name__}({self.variable!r}, step {self._at.step}, {self._at.runs} runs)"
+        )
 
     @property
     def angles(self) -> Mask:
         """The mask of components that are angles, (k,)."""
         return self.variable.angle_mask
 
-    def mean(self, points: Array) -> Array:
-        """The measurement expected at points, without noise.
+    @property
+    def cov(self) -> Array:
+        """The covariance of the noise, (runs or 1, k, k).
+
+        Raises
+        ------
+        ModelError
+            If the CPD is not Gaussian.
+        """
+        lower = self._gaussian().root(self._row, self._at.step).lower
+        found: Array = lower @ lower.swapaxes(-1, -2)
+        return found
+
+    def mean(self, points: Array, before: Array | None = None) -> Array:
+        """The child expected at points, without noise.
 
         Parameters
         ----------
         points : ndarray
-            (runs, n, d).
+            (runs, n, d), of the step.
+        before : ndarray, optional
+            (runs, n, d), of the step before; the same as `points` if it is not given.
 
         Returns
         -------
@@ -195,40 +271,93 @@ class Measurement(InCode):
         Raises
         ------
         ModelError
-            If the sensor's CPD is not Gaussian, so that its mean is not known.
+            If the CPD is not Gaussian, so that its mean is not known.
         LinearisationError
-            If the sensor's function is not finite there.
+            If the CPD's function is not finite there.
         """
-        law = self._sensor.law
-        if not isinstance(law, GaussianLaw):
-            raise ModelError(
-                f"{self.cpd!r} does not tell its mean; draw(...) and log_density(...) are there",
-                variable=self.variable,
-                cpd=self.cpd,
-            )
-        some = self._at._some(points)
-        found = np.broadcast_to(law.mean(self._row, some), (len(self.angles), some.size))
-        return _apart(found, points)
+        some = self._at._some(points, before)
+        found = self._gaussian().mean(self._row, some)
+        return _apart(np.broadcast_to(found, (len(self.angles), some.size)), points)
 
-    def draw(self, points: Array, generators: Generators) -> Array:
-        """Draws of the measurement, with its noise, one at each point.
+    def draw(self, points: Array, generators: Generators, before: Array | None = None) -> Array:
+        """Draws of the child, with its noise, one at each point.
 
         Parameters
         ----------
         points : ndarray
-            (runs, n, d).
+            (runs, n, d), of the step.
         generators : sequence of numpy.random.Generator
             One for each run, as of `Slice.generators`.
+        before : ndarray, optional
+            (runs, n, d), of the step before; the same as `points` if it is not given.
 
         Returns
         -------
         ndarray
             (runs, n, k).
         """
-        some = self._at._some(points)
-        return _apart(self._sensor.law.draw(self._row, some, _drawing(points, generators)), points)
+        some = self._at._some(points, before)
+        return _apart(self._law.draw(self._row, some, _drawing(points, generators)), points)
 
-    def log_density(self, points: Array) -> Array:
+    def log_density(self, value: Array, points: Array, before: Array | None = None) -> Array:
+        """The log-density of values of the child at points.
+
+        Parameters
+        ----------
+        value : ndarray
+            (runs, n, k).
+        points : ndarray
+            (runs, n, d), of the step.
+        before : ndarray, optional
+            (runs, n, d), of the step before; the same as `points` if it is not given.
+
+        Returns
+        -------
+        ndarray
+            (runs, n).
+        """
+        some = self._at._some(points, before)
+        child = np.ascontiguousarray(np.reshape(value, (-1, len(self.angles))).T, dtype=float)
+        return self._law.log_density(self._row, some, child).reshape(points.shape[:2])
+
+    def residual(self, a: Array, b: Array) -> Array:
+        """The difference a − b of values of the child (..., k), angles wrapped to [−π, π)."""
+        return difference(np.asarray(a, dtype=np.float64), np.asarray(b), self.angles)
+
+    def _gaussian(self) -> GaussianLaw:
+        """The law of a Gaussian CPD; any other is refused by a ModelError."""
+        if not isinstance(self._law, GaussianLaw):
+            raise ModelError(
+                f"{self.cpd!r} is no Gaussian CPD, whose mean and covariance are known; draw(...) "
+                "and log_density(...) are there",
+                variable=self.variable,
+                cpd=self.cpd,
+            )
+        return self._law
+
+
+class Measurement(ConditionalAt):
+    """One measurement of a sensor, of all runs at once, and its CPD given the hidden variables.
+
+    Attributes
+    ----------
+    variable : Variable
+        The sensor's variable, of k components.
+    value : ndarray
+        (runs, k), NaN where nothing was measured.
+
+    Examples
+    --------
+    See `BeliefFamily`.
+    """
+
+    def __init__(self, sensor: Sensor, row: int, at: Slice) -> None:
+        super().__init__(sensor.law, row, at)
+        self._sensor, reading = sensor, sensor.reading
+        taken = np.where(reading.taken[row], reading.values[row], np.nan)
+        self.value: Array = np.broadcast_to(taken, (at.runs, taken.shape[-1]))
+
+    def log_likelihood(self, points: Array) -> Array:
         """The log-density of the measurement at points; components not measured are left out.
 
         Parameters
@@ -245,10 +374,6 @@ class Measurement(InCode):
         found = np.zeros(some.size)
         self._sensor.add(self._row, some, found)
         return found.reshape(points.shape[:2])
-
-    def residual(self, a: Array, b: Array) -> Array:
-        """The difference a − b of measurements (..., k), angles wrapped to [−π, π)."""
-        return difference(np.asarray(a, dtype=np.float64), np.asarray(b), self.angles)
 
 
 def _drawing(points: Array, generators: Generators) -> Drawing:

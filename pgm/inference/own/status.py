@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pgm.inference.figures import OwnFigures
+from pgm.boundary import as_floats
+from pgm.errors import ModelError
+from pgm.inference.figures import OwnFigures, Threshold
 from pgm.inference.status import Status
+from pgm.kernels.arrays import Array
 
 if TYPE_CHECKING:
     from pgm.inference.belief_family import BeliefFamily
@@ -19,12 +22,36 @@ def status_of(family: BeliefFamily[Any], beliefs: Sequence[Any], lead: tuple[int
 
     A number beyond its threshold in `family.warns` gives a BeliefWarning.
     """
-    runs = int(np.prod(lead))
+    runs, numbers = int(np.prod(lead)), {}
     each = [family.numbers(belief) for belief in beliefs]
-    numbers = {}
+    for found in each:
+        if not isinstance(found, Mapping) or set(found) != set(each[0]):
+            raise ModelError(
+                f"{family!r}: numbers(belief) returns a mapping of the same names for each belief, "
+                f"not {found!r}"
+            )
     for name in each[0] if each else ():
-        values = [np.broadcast_to(np.asarray(one[name], dtype=np.float64), (runs,)) for one in each]
-        numbers[name] = np.stack(values, axis=-1).reshape(*lead, len(each))
+        if hasattr(Status, name) or name in Status.__annotations__:
+            raise ModelError(f"{family!r}: numbers(belief) has {name!r}, which every status has")
+        values = np.stack([_by_run(family, name, one[name], runs) for one in each], axis=-1)
+        numbers[name] = values.reshape(*lead, len(each))
+    for name, threshold in family.warns.items():
+        if not isinstance(threshold, Threshold) or (each and name not in numbers):
+            raise ModelError(
+                f"{family!r}: warns has {name!r}: {threshold!r}; it maps names of numbers(belief) "
+                "to pgm.Threshold(...)"
+            )
     figures = OwnFigures(numbers, family.warns)
     figures.warn(repr(family))
     return Status.of_figures(figures, lead)
+
+
+def _by_run(family: BeliefFamily[Any], name: str, value: Any, runs: int) -> Array:
+    """A figure of a belief, (runs,), from a number or an array of these."""
+    found = as_floats(value, f"{family!r}: {name} of numbers(belief)", ModelError)
+    if found.shape not in ((), (runs,)):
+        raise ModelError(
+            f"{family!r}: {name} of numbers(belief) has shape {found.shape}; ({runs},), one a run, "
+            "or a number was due"
+        )
+    return np.broadcast_to(found, (runs,))

@@ -34,6 +34,9 @@ class Gamma(pgm.BeliefFamily):
         missing = np.isnan(seen.value[:, 0])
         return np.where(missing, belief, known), np.where(missing, 0.0, log_density)
 
+    def numbers(self, belief):
+        return {"weight": belief[1]}
+
     def moments(self, belief):
         a, b = belief
         return (a / b)[:, None], (a / b**2)[:, None, None]
@@ -107,7 +110,7 @@ class Faulty(Gamma):
 
     def __init__(self, method, value):
         super().__init__(2.0, 1.0)
-        setattr(self, method, lambda *_: value)
+        setattr(self, method, value if method == "warns" else lambda *_: value)
 
 
 @pytest.mark.parametrize(
@@ -117,8 +120,31 @@ class Faulty(Gamma):
         ("take", (1, np.zeros(3)), pgm.ModelError, r"has shape \(3,\) at step 1; \(1,\)"),
         ("take", (1, np.nan), pgm.NumericalError, "at step 1, run 0, is nan"),
         ("take", (1, np.inf), pgm.NumericalError, "at step 1, run 0, is inf"),
-        ("moments", (np.zeros(1), np.eye(1)), pgm.ModelError, r"\(runs, d\) and \(runs, d, d\)"),
-        ("draws", (np.zeros((2, 3)), None), pgm.ModelError, r"\(runs, n, d\) was due"),
+        ("take", (1,), pgm.ModelError, "returns the belief and a log-density, not a tuple of 1"),
+        ("take", (1, "much"), pgm.ModelError, "the log-density of take"),
+        ("moments", np.zeros((1, 1)), pgm.ModelError, "a mean and a covariance, not ndarray"),
+        ("moments", None, pgm.ModelError, "a mean and a covariance, not NoneType"),
+        ("moments", (np.zeros((1, 2)), np.zeros((1, 2, 2))), pgm.ModelError, "were due"),
+        ("moments", (np.full((1, 1), np.nan), np.ones((1, 1, 1))), pgm.NumericalError, "of step 0"),
+        ("moments", (np.zeros((1, 1)), -np.ones((1, 1, 1))), pgm.NumericalError, "below zero"),
+        ("draws", np.zeros((1, 3, 1)), pgm.ModelError, "points and their log-weights, not ndarray"),
+        (
+            "draws",
+            (np.zeros((1, 3, 1)), np.zeros(3)),
+            pgm.ModelError,
+            r"log-weights of shape \(3,\)",
+        ),
+        ("draws", (np.zeros((1, 0, 1)), None), pgm.NumericalError, "no points"),
+        ("draws", (np.full((1, 3, 1), np.nan), None), pgm.NumericalError, "not finite"),
+        ("draws", (np.zeros((1, 3, 1)), np.full((1, 3), -np.inf)), pgm.NumericalError, "infinite"),
+        ("numbers", 3.0, pgm.ModelError, "a mapping of the same names"),
+        ("numbers", {"size": np.zeros(4)}, pgm.ModelError, r"size of numbers\(belief\) has shape"),
+        ("numbers", {"size": "much"}, pgm.ModelError, "size of numbers"),
+        ("numbers", {"converged": 1.0}, pgm.ModelError, "'converged', which every status has"),
+        ("warns", {"much": 1.5}, pgm.ModelError, "maps names of numbers"),
+        ("warns", {"much": pgm.Threshold(1.0)}, pgm.ModelError, "maps names of numbers"),
+        ("moments", (np.zeros(1), np.eye(1)), pgm.ModelError, r"\(1, 1\) and \(1, 1, 1\) were due"),
+        ("draws", (np.zeros((2, 3)), None), pgm.ModelError, r"\(1, n, 1\) was due"),
     ],
 )
 def test_what_a_method_returns_is_checked(method, value, error, text):
@@ -142,3 +168,24 @@ def test_points_of_a_wrong_shape_are_refused():
 
     with pytest.raises(pgm.ModelError, match=r"have shape \(3, 1\); \(1, n, 1\) was due"):
         pgm.filter(MODEL, {count: COUNTS, dose: DOSES}, belief=Flat(2.0, 1.0))
+
+
+def test_beliefs_are_kept_as_they_were():
+    class Rash(Gamma):
+        def predict(self, at, belief):
+            belief *= self.forget
+            return belief
+
+    with pytest.raises(ValueError, match="read-only"):
+        pgm.filter(MODEL, {count: COUNTS, dose: DOSES}, belief=Rash(2.0, 1.0))
+
+
+def test_a_missing_reading_that_a_family_forgot_is_named():
+    class Forgetful(Gamma):
+        def take(self, at, belief):
+            (seen,) = at.measurements
+            return belief, seen.value[:, 0]
+
+    counts = np.stack([COUNTS, np.where(np.isnan(COUNTS), 1.0, COUNTS)])
+    with pytest.raises(pgm.NumericalError, match="step 2, run 0, is nan; count is missing there"):
+        pgm.filter(MODEL, {count: counts, dose: DOSES}, belief=Forgetful(2.0, 1.0))

@@ -8,45 +8,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 import pgm
 from pgm.examples import walk, x, z
 from tests.inference.own.ensemble import EnsembleKalman
+from tests.inference.own.robot import ROBOT, M, R, S, U, driven
 
 READINGS = np.array([[4.0], [3.0], [np.nan], [4.4]])
 FEW = EnsembleKalman(40, seed=3)
-
-S = pgm.Variable("s", components=("east", "north", "heading"), angles=("heading",))
-U = pgm.Variable("u", components=("v", "omega"))
-R = pgm.Variable("r", components=("range", "bearing"), angles=("bearing",))
-M = pgm.Variable("m", components=("east", "north"))
-
-
-def drive(s, u):
-    heading = s[..., 2] + 0.5 * u[..., 1]
-    step = [u[..., 0] * np.cos(heading), u[..., 0] * np.sin(heading), u[..., 1]]
-    return s + np.stack(step, axis=-1)
-
-
-def see(s, m):
-    away = m - s[..., :2]
-    bearing = np.arctan2(away[..., 1], away[..., 0]) - s[..., 2]
-    return np.stack([np.hypot(away[..., 0], away[..., 1]), bearing], axis=-1)
-
-
-ROBOT = pgm.DynamicBayesianNetwork(
-    [pgm.GaussianCPD(S, [0.0, 0.0, 3.0], [0.04, 0.04, 0.01])],
-    [pgm.NonlinearGaussianCPD(S, (S.previous, U), drive, cov=[0.01, 0.01, 0.001])],
-    [pgm.NonlinearGaussianCPD(R, (S, M), see, cov=[0.04, 0.0025])],
-)
-
-
-def driven(runs=()):
-    """Evidence of a drive past two landmarks, across the branch of the heading."""
-    rng = np.random.default_rng(4)
-    marks = np.array([[4.0, 3.0], [-5.0, 2.0]])
-    steps = np.repeat(np.arange(1, 13), 2)
-    given = {
-        U: np.tile([0.5, 0.1], (12, 1)),
-        R: pgm.sightings(step=steps, given={M: marks[np.arange(24) % 2]}),
-    }
-    return ROBOT.sample(given, runs=runs, rng=rng)
 
 
 def test_it_is_the_kalman_filter_of_a_linear_model():
@@ -126,6 +91,18 @@ def test_it_is_compared_and_compares():
     assert found["Taylor", "smoother"].kl < 1e-3
     judged = pgm.compare(walk, {z: READINGS}, oracle=EnsembleKalman(2000))
     assert judged["Taylor", "filter"].kl < 0.01
+    assert any("oracle: EnsembleKalman" in line for line in str(judged).splitlines()[1:])
+
+
+def test_a_family_that_only_filters_is_a_row_beside_the_others():
+    class Forward(EnsembleKalman):
+        back = pgm.BeliefFamily.back
+
+    methods = {"forward": Forward(2000), "Taylor": pgm.Taylor()}
+    found = pgm.compare(walk, {z: READINGS}, linearisers=methods, truth={x: np.zeros((5, 1))})
+    assert found["forward", "filter"].error == ""
+    assert "has no back" in found["forward", "smoother"].error
+    assert found["Taylor", "smoother"].error == ""
 
 
 @pytest.mark.parametrize("draw", [pgm.plot.trajectory, pgm.plot.errors, pgm.plot.particles])

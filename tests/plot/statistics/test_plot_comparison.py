@@ -39,8 +39,8 @@ def test_each_row_is_a_curve(found):
         "Taylor, smoother",
         "far, filter (failed)",
         "far, smoother (failed)",
-        "oracle: grid, filtered,\nfrom its own Gaussian",
-        "oracle: grid, smoothed,\nfrom its own Gaussian",
+        "oracle: Grid, filtered,\nfrom its own Gaussian",
+        "oracle: Grid, smoothed,\nfrom its own Gaussian",
     ]
     for word in ("filter", "smoother"):
         drawn = curves[f"Taylor, {word}"]
