@@ -47,7 +47,7 @@ class Leg(NamedTuple):
 # From top to bottom; each imports from those below it, and kernels from no other.
 LAYERS = [
     Layer(
-        "io, recordings, consistency, comparison, plot, viewer, examples",
+        "io, recordings, consistency, comparison, plot, results, viewer, examples",
         "logs, checks, pictures",
     ),
     Layer("learning", "parameters"),

@@ -5,7 +5,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 from warnings import warn
 
-from pgm.clustergraph import Cluster, ClusterGraph
+from pgm.clustergraph import ClusterGraph
 from pgm.compile import (
     LTRIP,
     Balanced,
@@ -56,8 +56,6 @@ from pgm.errors import (
 from pgm.evidence import constant, records, sightings, soft, unknown
 from pgm.factors import AffineGaussian, CanonicalForm, Gaussian, Table
 from pgm.inference import (
-    Associations,
-    Audit,
     BeliefFamily,
     Calibration,
     CellProposal,
@@ -65,26 +63,16 @@ from pgm.inference import (
     FixedLag,
     Flooding,
     Grid,
-    GridBelief,
-    GridFigures,
     Injection,
     Kind,
     KLDSampling,
     LevenbergMarquardt,
     LikelihoodSampling,
-    Lost,
-    MostProbable,
-    OnlineBelief,
     OnlineFilter,
-    ParticleBelief,
-    ParticleFigures,
     Particles,
-    Posterior,
-    Rejections,
     Residual,
     Sequential,
     Smoothing,
-    Status,
     Threshold,
     audit,
     filter,
@@ -93,7 +81,7 @@ from pgm.inference import (
     query,
     smooth,
 )
-from pgm.io import Stamped, Timeline, stamped, timeline
+from pgm.io import stamped, timeline
 from pgm.linearisers import (
     Cubature,
     GaussHermite,
@@ -108,8 +96,8 @@ from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.variables import Discrete, Variable, variables
 
 if TYPE_CHECKING:
-    from pgm import comparison, consistency, learning, maps, plot, recordings
-    from pgm.comparison import Comparison, compare
+    from pgm import comparison, consistency, learning, maps, plot, recordings, results
+    from pgm.comparison import compare
     from pgm.io.networks import (
         from_pgmpy,
         read_bif,
@@ -122,16 +110,25 @@ if TYPE_CHECKING:
     )
     from pgm.io.poses import Poses
     from pgm.io.tum import read_tum, write_tum
-    from pgm.learning import Fit, FitStatus, fit
+    from pgm.learning import fit
     from pgm.recordings.recording import Recording
     from pgm.viewer import view
 
 __version__ = "0.1.0"
 
 # Slow to import, or seldom wanted: loaded when first asked for.
-_MODULES = ("comparison", "consistency", "learning", "maps", "plot", "recordings", "viewer")
+_MODULES = (
+    "comparison",
+    "consistency",
+    "learning",
+    "maps",
+    "plot",
+    "recordings",
+    "results",
+    "viewer",
+)
 _LATER = {
-    "pgm.comparison": ("Comparison", "compare"),
+    "pgm.comparison": ("compare",),
     "pgm.io.networks": (
         "from_pgmpy",
         "read_bif",
@@ -144,7 +141,7 @@ _LATER = {
     ),
     "pgm.io.poses": ("Poses",),
     "pgm.io.tum": ("read_tum", "write_tum"),
-    "pgm.learning": ("Fit", "FitStatus", "fit"),
+    "pgm.learning": ("fit",),
     "pgm.recordings.recording": ("Recording",),
     "pgm.viewer": ("view",),
 }
@@ -152,6 +149,29 @@ _LATER = {
 
 # Names of the version before, each with the one that stands for it.
 _MOVED = {
+    **{
+        name: f"pgm.results.{name}"
+        for name in (
+            "Associations",
+            "Audit",
+            "Cluster",
+            "Comparison",
+            "Fit",
+            "FitStatus",
+            "GridBelief",
+            "GridFigures",
+            "Lost",
+            "MostProbable",
+            "OnlineBelief",
+            "ParticleBelief",
+            "ParticleFigures",
+            "Posterior",
+            "Rejections",
+            "Stamped",
+            "Status",
+            "Timeline",
+        )
+    },
     **dict.fromkeys(
         (
             "ChainPosterior",
@@ -160,12 +180,12 @@ _MOVED = {
             "ParticlePosterior",
             "StatePosterior",
         ),
-        "Posterior",
+        "pgm.results.Posterior",
     ),
-    **dict.fromkeys(("OnlineGrid", "OnlineParticles", "OnlineTables"), "OnlineFilter"),
-    "GridStatus": "GridFigures",
-    "ParticleStatus": "ParticleFigures",
-    **dict.fromkeys(("OnlineGridBelief", "OnlineParticleBelief"), "OnlineBelief"),
+    **dict.fromkeys(("OnlineGrid", "OnlineParticles", "OnlineTables"), "pgm.OnlineFilter"),
+    "GridStatus": "pgm.results.GridFigures",
+    "ParticleStatus": "pgm.results.ParticleFigures",
+    **dict.fromkeys(("OnlineGridBelief", "OnlineParticleBelief"), "pgm.results.OnlineBelief"),
 }
 
 
@@ -195,8 +215,9 @@ if not TYPE_CHECKING:  # to type checkers it would say that every name exists
             if name in names:
                 return getattr(import_module(module), name)
         if name in _MOVED:
-            warn(f"pgm.{name} is pgm.{_MOVED[name]} now", DeprecationWarning, stacklevel=2)
-            return globals()[_MOVED[name]]
+            warn(f"pgm.{name} is {_MOVED[name]} now", DeprecationWarning, stacklevel=2)
+            module, _, new = _MOVED[name].rpartition(".")
+            return getattr(import_module(module), new)
         raise AttributeError(f"module 'pgm' has no attribute {name!r}")
 
 
@@ -209,8 +230,6 @@ __all__ = [
     "LTRIP",
     "AffineGaussian",
     "ArrayError",
-    "Associations",
-    "Audit",
     "Balanced",
     "BayesianNetwork",
     "BeliefFamily",
@@ -220,9 +239,7 @@ __all__ = [
     "CanonicalForm",
     "Cauchy",
     "CellProposal",
-    "Cluster",
     "ClusterGraph",
-    "Comparison",
     "Compiled",
     "ConvergenceWarning",
     "Cubature",
@@ -233,8 +250,6 @@ __all__ = [
     "ExecutorError",
     "FileError",
     "Filtering",
-    "Fit",
-    "FitStatus",
     "FixedLag",
     "Flooding",
     "GaussHermite",
@@ -242,8 +257,6 @@ __all__ = [
     "GaussianCPD",
     "GraphError",
     "Grid",
-    "GridBelief",
-    "GridFigures",
     "GridWarning",
     "Huber",
     "Injection",
@@ -257,43 +270,33 @@ __all__ = [
     "LinearGaussianCPD",
     "LinearisationError",
     "Lineariser",
-    "Lost",
     "MinFill",
     "MixtureCPD",
     "ModelError",
     "MonteCarlo",
-    "MostProbable",
     "NestedDissection",
     "NonlinearGaussianCPD",
     "NumericalError",
-    "OnlineBelief",
     "OnlineFilter",
-    "ParticleBelief",
-    "ParticleFigures",
     "ParticleWarning",
     "Particles",
     "PgmError",
     "Poses",
-    "Posterior",
     "PrecisionWarning",
     "QuasiMonteCarlo",
     "Recording",
-    "Rejections",
     "Residual",
     "RobustNoise",
     "SampledCPD",
     "Sequential",
     "Smoothing",
-    "Stamped",
     "StatisticalRegression",
-    "Status",
     "StochasticMinFill",
     "StudentT",
     "Table",
     "TableCPD",
     "Taylor",
     "Threshold",
-    "Timeline",
     "TruncatedLeastSquares",
     "Unscented",
     "Variable",
@@ -321,6 +324,7 @@ __all__ = [
     "read_xmlbif",
     "recordings",
     "records",
+    "results",
     "shifts",
     "sightings",
     "smooth",

@@ -28,6 +28,7 @@ PUBLIC = [
     "pgm.maps",
     "pgm.plot",
     "pgm.recordings",
+    "pgm.results",
 ]
 
 

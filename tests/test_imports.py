@@ -22,7 +22,7 @@ LAYERS = [
     {"compile"},
     {"inference"},
     {"learning"},
-    {"io", "consistency", "comparison", "plot", "recordings", "viewer", "examples"},
+    {"io", "consistency", "comparison", "plot", "recordings", "results", "viewer", "examples"},
 ]
 HEIGHT = {name: height for height, layer in enumerate(LAYERS) for name in layer}
 

@@ -12,7 +12,16 @@ import pytest
 import pgm
 
 ROOT = Path(__file__).parents[1]
-LATER = ["comparison", "consistency", "maps", "plot", "compare", "read_bif", "write_xmlbif"]
+LATER = [
+    "comparison",
+    "consistency",
+    "maps",
+    "plot",
+    "results",
+    "compare",
+    "read_bif",
+    "write_xmlbif",
+]
 
 
 def test_dir_lists_what_is_public_and_nothing_else():
@@ -67,11 +76,14 @@ pgm.read_bif(3.0)
 pgm.plto
 pose = {"components": ("east", "north"), "angles": ("north",)}
 pgm.Variable("y", **pose)
+pgm.results.Comparison.rowz
+from pgm.results import Posterior
+Posterior(1, 2, 3)
 """
 
 
 def test_type_checkers_know_them(tmp_path):
-    """Six deliberate errors are found, in their lines, and no others.
+    """Eight deliberate errors are found, in their lines, and no others.
 
     By the project's settings, so that what `make lint` has found out of the package is known.
     """
@@ -82,8 +94,9 @@ def test_type_checkers_know_them(tmp_path):
         [sys.executable, "-m", "mypy", str(script)], cwd=ROOT, capture_output=True, text=True
     )
     found = re.findall(r"script\.py:(\d+): error: (.*)", run.stdout)
-    assert [int(line) for line, _ in found] == [7, 8, 9, 10, 11, 12], run.stdout + run.stderr
+    assert [int(line) for line, _ in found] == [7, 8, 9, 10, 11, 12, 15, 17], run.stdout + run.stderr
     words = ["confidenze", "truth", "resolution", "compare", "read_bif", "plto"]
+    words += ["rowz", "Posterior"]
     for (_, error), word in zip(found, words, strict=True):
         assert word in error
 
@@ -109,6 +122,7 @@ def test_importing_pgm_loads_nothing_that_is_slow_to_import():
     slow = {"matplotlib", "networkx", "scipy", "pandas", "xarray", "tqdm", "IPython"}
     slow |= {"typer", "rich", "yaml", "PIL", "defusedxml", "pgmpy", "gtsam", "concurrent.futures"}
     slow |= {"multiprocessing", "experiments", "models", "pgm.plot", "pgm.maps", "pgm.comparison"}
+    slow |= {"pgm.results"}
     assert not slow & loaded("import pgm")
     assert not slow & loaded("import pgm; dir(pgm)")
 

@@ -165,7 +165,7 @@ def _gaussian(belief: Any, state: Variable, compared: Compared) -> tuple[Gaussia
     else:
         raise ModelError(
             f"the oracle's marginal of {state!r} is a {type(belief).__name__}; a pgm.Gaussian, "
-            "a pgm.GridBelief or a pgm.ParticleBelief over steps 0..T was due",
+            "a pgm.results.GridBelief or a pgm.results.ParticleBelief over steps 0..T was due",
             variable=state,
         )
     due = (*compared.lead, count, state.dimension)

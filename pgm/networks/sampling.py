@@ -93,6 +93,15 @@ class Sample(Shown, NoArray, Immutable):
         variables indices of states, without the last axis.
     evidence : mapping
         The inputs and the measurements, ready for `infer`.
+
+    Examples
+    --------
+    >>> from pgm.examples import walk, x, z
+    >>> drawn = walk.sample(steps=3, rng=1)
+    >>> drawn[x].shape, drawn[z].shape
+    ((4, 1), (3, 1))
+    >>> pgm.filter(walk, drawn.evidence)[x].mean.shape
+    (4, 1)
     """
 
     values: Mapping[Variable, Values]

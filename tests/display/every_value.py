@@ -185,6 +185,7 @@ def filtered():
         ).initial(),
         "online lag": lagged,
         "chain": pgm.compile(model, STEPS),
+        "compilation": pgm.compile(model, STEPS).compilation,
         "tree": pgm.compile(model, STEPS, method=pgm.Balanced()),
         "short": pgm.compile(model, 1),
         "cluster": pgm.compile(model, STEPS).clusters[3],

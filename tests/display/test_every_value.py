@@ -58,7 +58,7 @@ def test_text_is_short(value, request):
 
 
 # Posteriors are pages of the viewer, which has tests of its own.
-PAGES = (pgm.Posterior,)
+PAGES = (pgm.results.Posterior,)
 ELEMENTS = {name: value for name, value in VALUES.items() if not isinstance(value, PAGES)}
 
 
@@ -76,7 +76,7 @@ def test_html_is_sound(value):
 
 def test_each_public_class_has_a_value():
     here = {cls for value in VALUES.values() for cls in type(value).__mro__}
-    spaces = (pgm, consistency, pgm.comparison, pgm.recordings)
+    spaces = (pgm, consistency, pgm.comparison, pgm.recordings, pgm.results)
     for space in spaces:
         for name in set(space.__all__) - BASES - {"Oracle"}:
             found = getattr(space, name)

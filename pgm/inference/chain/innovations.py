@@ -53,6 +53,13 @@ class Innovations(Shown, NoArray):
     rejected : ndarray of bool
         (..., M): marks sightings that a gate has rejected: they have a residual and a covariance,
         but do not count in `nis` and `dof`.
+
+    Examples
+    --------
+    >>> from pgm.examples import walk, z
+    >>> found = pgm.filter(walk, {z: [[4.0]]}).innovations[z]
+    >>> found.residual, found.cov, found.nis
+    (array([[4.]]), array([[[4.]]]), array([nan,  4.]))
     """
 
     residual: Array

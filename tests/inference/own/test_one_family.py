@@ -119,16 +119,6 @@ def test_the_family_is_that_of_the_network():
     assert isinstance(families.TABLES, belief_family.BeliefFamily)
 
 
-@pytest.mark.parametrize(
-    "name", ["ChainPosterior", "GridPosterior", "KeptPosterior", "ParticlePosterior"]
-)
-def test_old_names_are_told_the_new_ones(name):
-    with pytest.warns(DeprecationWarning, match=f"pgm.{name} is pgm.Posterior now"):
-        assert getattr(pgm, name) is pgm.Posterior
-    with pytest.warns(DeprecationWarning, match="pgm.OnlineGrid is pgm.OnlineFilter now"):
-        assert pgm.OnlineGrid is pgm.OnlineFilter
-
-
 ONLINE = {
     "grid": (walk, pgm.Grid({"x": (-8.0, 12.0, 200)}), "beliefs on a grid"),
     "particles": (walk, pgm.Particles(20, seed=0), "particles"),
@@ -149,7 +139,7 @@ ONLINE = {
 def test_online_a_record_of_one_step_refuses_what_its_family_has_not(name):
     model, belief, words = ONLINE[name]
     found = pgm.OnlineFilter(model, belief=belief).initial()
-    assert isinstance(found, pgm.OnlineBelief)
+    assert isinstance(found, pgm.results.OnlineBelief)
     assert repr(found).startswith("OnlineBelief(predicted, step 0")
     for asked in ("lost", "lost_since", "rejected", "associations"):
         with pytest.raises(pgm.EvidenceError, match=f"{words} have none online"):

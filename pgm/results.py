@@ -1,0 +1,106 @@
+"""Results and statuses, which calls return: for annotations and ``isinstance``.
+
+================= ==================================== ========================================
+name              what it is                           what returns it
+================= ==================================== ========================================
+`Posterior`       beliefs, log-evidence, and more      `pgm.filter`, `pgm.smooth`, `pgm.infer`
+`Status`          iterations, convergence, digits      ``posterior.status``
+`GridFigures`     figures in the status of a grid      ``posterior.status``, of a `Grid`
+`ParticleFigures` figures in the status of particles   ``posterior.status``, of `Particles`
+`GridBelief`      probabilities of cells               ``posterior[x]``, of a `Grid`
+`ParticleBelief`  weighted draws                       ``posterior[x]``, of `Particles`
+`Innovations`     measurements less predictions        ``posterior.innovations[z]``
+`Rejections`      decisions of a sensor's gate         ``posterior.rejected[z]``
+`Associations`    probabilities of what was sighted    ``posterior.associations[z]``
+`Lost`            steps of beliefs probably wrong      ``posterior.lost``
+`OnlineBelief`    the belief at one step of a loop     `OnlineFilter`'s ``predict``, ``update``
+`MostProbable`    the likeliest assignment             `pgm.most_probable`
+`Audit`           a smoother against the exact answer  `pgm.audit`
+`Comparison`      linearisers side by side             `pgm.compare`
+`Row`             one lineariser under one schedule    ``comparison["Taylor", "filter"]``
+`Fit`             a model, with what was learnt        `pgm.fit`
+`FitStatus`       the course of learning               ``pgm.fit(...).status``
+`Sample`          states and measurements drawn        ``model.sample(...)``
+`Timeline`        a log laid on steps, as evidence     `pgm.timeline`
+`ControlReport`   what became of a control's rows      ``timeline.controls[u]``
+`ReadingReport`   what became of a sensor's rows       ``timeline.readings[z]``
+`Stamped`         rows of a log, with their stamps     `pgm.stamped`
+`Cluster`         variables of a graph, and their CPDs ``graph.clusters[k]``
+`Compilation`     what machine code takes, or why not  ``graph.compilation``
+`Derivatives`     how a CPD's derivatives are found    ``cpd.derivatives``
+================= ==================================== ========================================
+"""
+
+from typing import TYPE_CHECKING, Any
+
+from pgm.clustergraph import Cluster
+from pgm.compile import Compilation
+from pgm.cpds import Derivatives
+from pgm.inference import (
+    Associations,
+    Audit,
+    GridBelief,
+    GridFigures,
+    Innovations,
+    Lost,
+    MostProbable,
+    OnlineBelief,
+    ParticleBelief,
+    ParticleFigures,
+    Posterior,
+    Rejections,
+    Status,
+)
+from pgm.io import ControlReport, ReadingReport, Stamped, Timeline
+from pgm.networks import Sample
+
+if TYPE_CHECKING:
+    from pgm.comparison import Comparison, Row
+    from pgm.learning import Fit, FitStatus
+else:  # loaded when first asked for, as they load SciPy
+
+    def __getattr__(name: str) -> Any:
+        """Load the module of a name that is seldom wanted."""
+        if name in ("Comparison", "Row"):
+            from pgm import comparison
+
+            return getattr(comparison, name)
+        if name in ("Fit", "FitStatus"):
+            from pgm import learning
+
+            return getattr(learning, name)
+        raise AttributeError(f"module 'pgm.results' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """The names of results, those not loaded yet too."""
+    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})
+
+
+__all__ = [
+    "Associations",
+    "Audit",
+    "Cluster",
+    "Comparison",
+    "Compilation",
+    "ControlReport",
+    "Derivatives",
+    "Fit",
+    "FitStatus",
+    "GridBelief",
+    "GridFigures",
+    "Innovations",
+    "Lost",
+    "MostProbable",
+    "OnlineBelief",
+    "ParticleBelief",
+    "ParticleFigures",
+    "Posterior",
+    "ReadingReport",
+    "Rejections",
+    "Row",
+    "Sample",
+    "Stamped",
+    "Status",
+    "Timeline",
+]
