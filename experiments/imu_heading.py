@@ -88,7 +88,7 @@ def run(out: Out = None) -> None:
     )
 
 
-def step(heading_rate: float, lineariser: pgm.Lineariser | None = None) -> pgm.Posterior:
+def step(heading_rate: float, lineariser: pgm.Lineariser | None = None) -> pgm.results.Posterior:
     """The step's posterior, where the heading's variance grows by a rate [rad²/rad]."""
     network = networks.turn_after_move(
         position_rate=RATE, heading_rate=heading_rate, sensor_std=SENSOR_STD
@@ -97,7 +97,7 @@ def step(heading_rate: float, lineariser: pgm.Lineariser | None = None) -> pgm.P
     return pgm.filter(network, evidence, lineariser=lineariser or pgm.Taylor())
 
 
-def numbers(posterior: pgm.Posterior) -> dict[str, Any]:
+def numbers(posterior: pgm.results.Posterior) -> dict[str, Any]:
     """What the filter has made of the heading: the gain is P Hᵀ S⁻¹ of its own covariances."""
     predicted, after = posterior.predicted[pose], posterior[pose]
     innovation = posterior.innovations[compass]
@@ -123,14 +123,14 @@ def closed_form(heading_rate: float) -> dict[str, Any]:
     }
 
 
-def largest_difference(posteriors: dict[str, pgm.Posterior]) -> float:
+def largest_difference(posteriors: dict[str, pgm.results.Posterior]) -> float:
     """How far moments of the linearisers' posteriors are apart."""
     beliefs = [posterior[pose] for posterior in posteriors.values()]
     means, covs = np.array([b.mean for b in beliefs]), np.array([b.cov for b in beliefs])
     return float(max(np.ptp(means, axis=0).max(), np.ptp(covs, axis=0).max()))
 
 
-def canonical_start(posterior: pgm.Posterior) -> str:
+def canonical_start(posterior: pgm.results.Posterior) -> str:
     """What the library says to who asks for the first belief as a canonical form."""
     try:
         posterior.belief(0)
@@ -139,7 +139,7 @@ def canonical_start(posterior: pgm.Posterior) -> str:
     return ""
 
 
-def figure(posterior: pgm.Posterior) -> Figure:
+def figure(posterior: pgm.results.Posterior) -> Figure:
     """The poses on a map, and the densities of the heading."""
     result, (chart, lines) = plt.subplots(1, 2, figsize=(11, 4.6), layout="constrained")
     _draw_poses(posterior, chart)
@@ -152,7 +152,7 @@ def _row(found: dict[str, Any]) -> tuple[float, float, float, float]:
     return found["predicted_variance"], found["gain"], found["mean"], found["variance"]
 
 
-def _draw_poses(posterior: pgm.Posterior, ax: Axes) -> None:
+def _draw_poses(posterior: pgm.results.Posterior, ax: Axes) -> None:
     predicted, after = posterior.predicted[pose], posterior[pose]
     shown = (
         ("known start", after.mean[0], after.cov[0], INK, 0.45),
@@ -180,7 +180,7 @@ def _draw_poses(posterior: pgm.Posterior, ax: Axes) -> None:
     ax.legend(loc="upper left", fontsize="small")
 
 
-def _draw_densities(posterior: pgm.Posterior, ax: Axes) -> None:
+def _draw_densities(posterior: pgm.results.Posterior, ax: Axes) -> None:
     ours, slipped = numbers(posterior), numbers(step(PRINTED_RATE))
     heading = np.linspace(1.1, 2.5, 500)
     curves = (

@@ -113,7 +113,7 @@ def simulate(
 
 def compare(
     network: pgm.DynamicBayesianNetwork, drive: simulation.Drive
-) -> tuple[dict[str, dict[str, dict[str, float]]], dict[str, pgm.Posterior]]:
+) -> tuple[dict[str, dict[str, dict[str, float]]], dict[str, pgm.results.Posterior]]:
     """Errors of the filter and the smoother by lineariser, and the smoothed posteriors."""
     results: dict[str, dict[str, dict[str, float]]] = {
         key: {name: {} for name in LINEARISERS}
@@ -283,7 +283,7 @@ def _legend() -> list[Artist]:
     ]
 
 
-def _error_figure(posteriors: dict[str, pgm.Posterior], drive: simulation.Drive) -> Figure:
+def _error_figure(posteriors: dict[str, pgm.results.Posterior], drive: simulation.Drive) -> Figure:
     posterior = posteriors["Unscented"]
     figure, axes = plt.subplots(
         3, 2, figsize=(11, 6.5), sharex=True, sharey="row", layout="constrained"

@@ -12,7 +12,7 @@ from pgm import consistency
 Array = npt.NDArray[np.float64]
 
 
-def run_errors(posterior: pgm.Posterior, truth: Array) -> dict[str, Array]:
+def run_errors(posterior: pgm.results.Posterior, truth: Array) -> dict[str, Array]:
     """Figures of many runs, (runs,) each, over the steps of a run.
 
     Parameters

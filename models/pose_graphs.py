@@ -85,7 +85,7 @@ class PoseGraphNetwork:
         means |= dict(zip(self.poses, poses, strict=True))
         return means | dict(zip(self.landmarks, landmarks, strict=True))
 
-    def means(self, posterior: pgm.Posterior) -> tuple[Array, Array]:
+    def means(self, posterior: pgm.results.Posterior) -> tuple[Array, Array]:
         """Poses (N, 3) and landmarks (L, 2) of a posterior."""
         return (
             np.array([posterior[x].mean for x in self.poses]),

@@ -37,7 +37,7 @@ def alone(work: Chains) -> Contender:
     return Contender(lambda: np.asarray(first.call())[None], first.units)
 
 
-def _values(posterior: pgm.Posterior, work: Chains) -> Array:
+def _values(posterior: pgm.results.Posterior, work: Chains) -> Array:
     belief = posterior[work.state]
     assert isinstance(belief, pgm.Table)
     return belief.values

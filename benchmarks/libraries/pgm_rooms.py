@@ -20,7 +20,7 @@ def on_grid(schedule: str, work: Robots) -> Contender:
     def call() -> Array:
         posterior = pgm.infer(graph, work.evidence(0), schedule=SCHEDULES[schedule], belief=grid)
         belief = posterior[pose]
-        assert isinstance(belief, pgm.GridBelief)
+        assert isinstance(belief, pgm.results.GridBelief)
         return belief.values
 
     return Contender(call, work.steps * int(np.prod(rooms.CELLS)))

@@ -40,7 +40,7 @@ from experiments.belief_propagation.loops import Case, Numbers, titled
 from experiments.belief_propagation.repository import NAMES, require_stored
 from experiments.record import Out, Record, Seed
 
-By = dict[str, dict[str, pgm.Posterior]]  # graph and schedule
+By = dict[str, dict[str, pgm.results.Posterior]]  # graph and schedule
 
 # Precision of sums of three, of which undamped messages diverge.
 _DIVERGING = 2.0
@@ -241,7 +241,7 @@ def _note_convergence(
 
 def _records(
     compared: Mapping[str, Case], posteriors: Mapping[str, By]
-) -> dict[str, dict[str, pgm.Status]]:
+) -> dict[str, dict[str, pgm.results.Status]]:
     """How schedules converge on the Bethe graphs of three networks."""
     hard = cases.sums_of_three(_DIVERGING)
     half = pgm.Flooding(damping=0.5)

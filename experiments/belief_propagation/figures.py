@@ -35,7 +35,7 @@ def graphs(case: Case) -> Figure:
     return side_by_side(drawings, columns=2)
 
 
-def convergence(records: Mapping[str, Mapping[str, pgm.Status]]) -> Figure:
+def convergence(records: Mapping[str, Mapping[str, pgm.results.Status]]) -> Figure:
     """The residuals of some schedules, one panel a network."""
     figure, axes = plt.subplots(
         1, len(records), sharey=True, figsize=(4.4 * len(records), 4.0), layout="constrained"

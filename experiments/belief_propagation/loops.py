@@ -42,7 +42,7 @@ class Case:
     """
 
     evidence: Mapping[pgm.Variable, Any]
-    exact: pgm.Posterior
+    exact: pgm.results.Posterior
     graphs: Mapping[str, pgm.ClusterGraph]
 
     @classmethod
@@ -69,11 +69,11 @@ class Case:
         return [v for v in self.network.variables if v not in self.evidence]
 
     @unsettled()
-    def send(self, graph: str, schedule: Any) -> pgm.Posterior:
+    def send(self, graph: str, schedule: Any) -> pgm.results.Posterior:
         """The posterior on one of the graphs."""
         return pgm.infer(self.graphs[graph], self.evidence, schedule=schedule)
 
-    def errors(self, posterior: pgm.Posterior) -> Numbers:
+    def errors(self, posterior: pgm.results.Posterior) -> Numbers:
         """How far beliefs are from the exact ones, and how the schedule went."""
         status = posterior.status
         compare = _probabilities if self.network.discrete else _moments
@@ -85,7 +85,7 @@ class Case:
             "converged": bool(status.converged),
         }
 
-    def posteriors(self) -> dict[str, dict[str, pgm.Posterior]]:
+    def posteriors(self) -> dict[str, dict[str, pgm.results.Posterior]]:
         """By graph and schedule."""
         return {
             graph: {name: self.send(graph, schedule) for name, schedule in SCHEDULES.items()}
@@ -94,7 +94,7 @@ class Case:
 
 
 def _probabilities(
-    posterior: pgm.Posterior, exact: pgm.Posterior, hidden: Sequence[pgm.Variable]
+    posterior: pgm.results.Posterior, exact: pgm.results.Posterior, hidden: Sequence[pgm.Variable]
 ) -> Numbers:
     """The largest error of a probability in a marginal, and all marginals."""
     ours = {v: as_table(posterior[v]).probabilities for v in hidden}
@@ -106,7 +106,7 @@ def _probabilities(
 
 
 def _moments(
-    posterior: pgm.Posterior, exact: pgm.Posterior, hidden: Sequence[pgm.Variable]
+    posterior: pgm.results.Posterior, exact: pgm.results.Posterior, hidden: Sequence[pgm.Variable]
 ) -> Numbers:
     """The largest error of a mean, in exact standard deviations, and the ratios of those."""
     ours = [as_gaussian(posterior[v]) for v in hidden]

@@ -89,7 +89,7 @@ def run(
 
 
 def _told_of(
-    record: Record, drive: Drive, results: dict[str, Any], posterior: pgm.Posterior
+    record: Record, drive: Drive, results: dict[str, Any], posterior: pgm.results.Posterior
 ) -> None:
     """The tables and figures of one recording."""
     ways = dict(results)

@@ -38,7 +38,7 @@ def trace(found: dict[str, Any], fitted: float) -> Figure:
     return figure
 
 
-def errors(drive: Drive, posteriors: dict[str, pgm.Posterior]) -> Figure:
+def errors(drive: Drive, posteriors: dict[str, pgm.results.Posterior]) -> Figure:
     """How far each smoother is from the truth over time."""
     figure, ax = plt.subplots(figsize=(11, 4), layout="constrained")
     times = drive.timeline.times - drive.timeline.times[0]

@@ -113,7 +113,7 @@ WAYS = {
 
 
 @unsettled()
-def learnt(drive: Drive, way: Way, iterations: int) -> tuple[dict[str, Any], pgm.Posterior]:
+def learnt(drive: Drive, way: Way, iterations: int) -> tuple[dict[str, Any], pgm.results.Posterior]:
     """The way from the start to the end, and the posterior there.
 
     Keys are ``start`` and ``end``, each with the parameters by name, the errors of filter and
@@ -148,7 +148,7 @@ def learnt(drive: Drive, way: Way, iterations: int) -> tuple[dict[str, Any], pgm
     return result, after
 
 
-def fitted(drive: Drive) -> tuple[dict[str, Any], pgm.Posterior]:
+def fitted(drive: Drive) -> tuple[dict[str, Any], pgm.results.Posterior]:
     """What was fitted with the truth: the same of it as of an end, of ranges as recorded.
 
     ``residual`` is the standard deviation of the ranges about those of the true places [m], at the
@@ -172,7 +172,7 @@ def residual(drive: Drive, scale: float, offset: float) -> float:
     return float(np.nanstd(np.asarray(heard.values)[:, 0] - scale * apart - offset))
 
 
-def judged(drive: Drive, posterior: pgm.Posterior) -> dict[str, float]:
+def judged(drive: Drive, posterior: pgm.results.Posterior) -> dict[str, float]:
     """Errors of the position against the truth [m], and the log-evidence."""
     assert drive.truth is not None
     return {

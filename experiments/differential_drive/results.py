@@ -57,7 +57,7 @@ class Solved:
     problem: Problem
     truth: Array
     evidence: Mapping[pgm.Variable, Any]
-    posteriors: dict[str, pgm.Posterior]
+    posteriors: dict[str, pgm.results.Posterior]
 
     def beliefs(self) -> dict[tuple[str, str], pgm.Gaussian]:
         """From step 1 on, by lineariser, and "filter" or "smoother"."""

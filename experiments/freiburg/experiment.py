@@ -34,7 +34,7 @@ from models.networks import pose
 from pgm import consistency
 
 Array = npt.NDArray[np.float64]
-Posteriors = dict[str, pgm.Posterior]
+Posteriors = dict[str, pgm.results.Posterior]
 
 QUICK: dict[str, Any] = {"particles": 20_000}
 STACKED = {"alone": False, "stacked": True}
@@ -232,7 +232,7 @@ def smooth(log: Log, *, grouped: bool = False) -> Posteriors:
 
 
 def divergences(
-    reference: pgm.Gaussian, posteriors: Mapping[str, pgm.Posterior]
+    reference: pgm.Gaussian, posteriors: Mapping[str, pgm.results.Posterior]
 ) -> dict[str, dict[str, float]]:
     """Mean, median and largest KL(reference ‖ filtered belief) over the steps, by lineariser.
 
@@ -253,7 +253,7 @@ def divergences(
     return found
 
 
-def by_schedule(table: pgm.Comparison) -> dict[str, dict[str, dict[str, float]]]:
+def by_schedule(table: pgm.results.Comparison) -> dict[str, dict[str, dict[str, float]]]:
     """Mean and largest KL over the steps, by lineariser and schedule."""
     found: dict[str, dict[str, dict[str, float]]] = {}
     for row in table.rows:
@@ -274,13 +274,13 @@ def largest_difference(
     )
 
 
-def cell_count(posterior: pgm.Posterior) -> int:
+def cell_count(posterior: pgm.results.Posterior) -> int:
     """The number of a grid's cells."""
     return int(np.prod([each.size for each in posterior[pose.at(0)].centres]))
 
 
 def furthest(
-    reference: pgm.Gaussian, posteriors: Mapping[str, pgm.Posterior], count: int = 4
+    reference: pgm.Gaussian, posteriors: Mapping[str, pgm.results.Posterior], count: int = 4
 ) -> list[int]:
     """The steps where the filters are furthest from the reference, well apart, in order."""
     kl = sum(consistency.kl(reference, p.filtered[pose]) for p in posteriors.values())

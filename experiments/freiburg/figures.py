@@ -21,7 +21,7 @@ Array = npt.NDArray[np.float64]
 PLANE = {"xlabel": "east [m]", "ylabel": "north [m]"}
 
 
-def path(log: Log, posterior: pgm.Posterior, reckoned: Array) -> Figure:
+def path(log: Log, posterior: pgm.results.Posterior, reckoned: Array) -> Figure:
     """Filter and smoother beside each other, over the path by odometry alone."""
     figure, axes = plt.subplots(
         1, 2, figsize=(12, 6.5), sharex=True, sharey=True, layout="constrained"
@@ -36,7 +36,9 @@ def path(log: Log, posterior: pgm.Posterior, reckoned: Array) -> Figure:
     return figure
 
 
-def filters(log: Log, posteriors: Mapping[str, pgm.Posterior], reference: pgm.Gaussian) -> Figure:
+def filters(
+    log: Log, posteriors: Mapping[str, pgm.results.Posterior], reference: pgm.Gaussian
+) -> Figure:
     """The filtered path of each lineariser, over the reference's."""
     figure, axes = plt.subplots(
         2, 3, figsize=(13, 9.0), sharex=True, sharey=True, layout="constrained"
@@ -64,7 +66,7 @@ def filters(log: Log, posteriors: Mapping[str, pgm.Posterior], reference: pgm.Ga
     return figure
 
 
-def divergence(reference: pgm.Gaussian, posteriors: Mapping[str, pgm.Posterior]) -> Figure:
+def divergence(reference: pgm.Gaussian, posteriors: Mapping[str, pgm.results.Posterior]) -> Figure:
     """KL from the reference over the steps, the first belief apart, which all of them know."""
     figure, ax = plt.subplots(figsize=(11, 4.5), layout="constrained")
     for colour, (label, posterior) in zip(PALETTE, posteriors.items(), strict=False):
@@ -76,7 +78,7 @@ def divergence(reference: pgm.Gaussian, posteriors: Mapping[str, pgm.Posterior])
     return figure
 
 
-def compared(table: pgm.Comparison) -> Figure:
+def compared(table: pgm.results.Comparison) -> Figure:
     """KL of filters and smoothers from a grid's beliefs over the steps."""
     figure, axes = plt.subplots(2, 1, figsize=(11, 8), sharex=True, sharey=True)
     for ax, schedule in zip(axes, ("filter", "smoother"), strict=True):
@@ -90,7 +92,7 @@ def compared(table: pgm.Comparison) -> Figure:
 
 
 def beliefs(
-    posteriors: Mapping[str, pgm.Posterior],
+    posteriors: Mapping[str, pgm.results.Posterior],
     particles: Particles,
     steps: Sequence[int],
 ) -> Figure:

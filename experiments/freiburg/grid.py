@@ -30,7 +30,7 @@ class Gridded:
         Of filter and smoother together.
     """
 
-    posterior: pgm.Posterior
+    posterior: pgm.results.Posterior
     seconds: float
 
 
@@ -61,7 +61,9 @@ def gridded(log: Log) -> Gridded:
     return Gridded(posterior, time.perf_counter() - began)
 
 
-def compared(log: Log, posterior: pgm.Posterior, *, grouped: bool = False) -> pgm.Comparison:
+def compared(
+    log: Log, posterior: pgm.results.Posterior, *, grouped: bool = False
+) -> pgm.results.Comparison:
     """Every lineariser, as filter and as smoother, beside the grid.
 
     Parameters

@@ -55,13 +55,13 @@ def _away(points: Array, about: Array) -> Array:
     return away
 
 
-def of_particles(belief: pgm.ParticleBelief) -> Array:
+def of_particles(belief: pgm.results.ParticleBelief) -> Array:
     """The estimates (runs, 3) of particles at a step."""
     each = (belief[k] for k in range(belief.lead[0]))
     return np.stack([heaviest(_poses(one.states), one.weights) for one in each])
 
 
-def of_grid(belief: pgm.GridBelief) -> Array:
+def of_grid(belief: pgm.results.GridBelief) -> Array:
     """The estimate (3,) of a grid at a step."""
     values = belief.values
     cells = np.nonzero(values > _LEAST * values.max())

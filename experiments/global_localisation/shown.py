@@ -43,8 +43,8 @@ class Shown:
 
     world: World
     truth: Array
-    grid: list[pgm.GridBelief]
-    particles: list[pgm.ParticleBelief]
+    grid: list[pgm.results.GridBelief]
+    particles: list[pgm.results.ParticleBelief]
 
     @staticmethod
     def of(world: World, drive: Drives, grid: Way, particles: Way) -> Shown:
@@ -91,7 +91,9 @@ class Shown:
         within(ax)
 
 
-def draw_particles(world: World, belief: pgm.ParticleBelief, truth: Array, ax: Axes) -> None:
+def draw_particles(
+    world: World, belief: pgm.results.ParticleBelief, truth: Array, ax: Axes
+) -> None:
     """Particles in the house, and a cross where the robot is."""
     pgm.plot.occupancy_map(world.map, ax=ax, alpha=WALLS)
     pgm.plot.particles(belief, truth=truth, colour=PALETTE[0], ticks=False, ax=ax)

@@ -25,7 +25,7 @@ from experiments.grid_localisation.problem import LINEARISERS, STARTS
 from experiments.record import Out, Record, Seed
 from models.networks import pose
 from models.simulation import Drive
-from pgm.comparison import Row
+from pgm.results import Row
 
 Array = npt.NDArray[np.float64]
 
@@ -106,7 +106,9 @@ def run(
     )
 
 
-def compared(start: str, drive: Drive, oracle: pgm.Grid | pgm.Posterior) -> pgm.Comparison:
+def compared(
+    start: str, drive: Drive, oracle: pgm.Grid | pgm.results.Posterior
+) -> pgm.results.Comparison:
     """Every lineariser from one start, as filter and smoother, beside the oracle and the truth."""
     return pgm.compare(
         problem.network(start),
@@ -117,7 +119,7 @@ def compared(start: str, drive: Drive, oracle: pgm.Grid | pgm.Posterior) -> pgm.
     )
 
 
-def found_at(posterior: pgm.Posterior) -> int:
+def found_at(posterior: pgm.results.Posterior) -> int:
     """The first step where the filtered grid's deviation in the plane is below half a metre.
 
     The last step, where it never is.
@@ -127,7 +129,7 @@ def found_at(posterior: pgm.Posterior) -> int:
     return int(below[0]) if below.size else std.size - 1
 
 
-def judged(table: pgm.Comparison, found: int) -> dict[str, dict[str, dict[str, Any]]]:
+def judged(table: pgm.results.Comparison, found: int) -> dict[str, dict[str, dict[str, Any]]]:
     """The figures of each lineariser, as filter and as smoother."""
     results: dict[str, dict[str, dict[str, Any]]] = {}
     for row in table.rows:
@@ -163,7 +165,7 @@ def in_a_line(status: object) -> str:
     return "; ".join(line.strip() for line in repr(status).splitlines())
 
 
-def of_grid(posterior: pgm.Posterior, table: pgm.Comparison) -> dict[str, Any]:
+def of_grid(posterior: pgm.results.Posterior, table: pgm.results.Comparison) -> dict[str, Any]:
     """The grid's own figures."""
     return {
         "cells": repr(posterior.grid),
@@ -179,7 +181,7 @@ def _tabulate(
     record: Record,
     title: str,
     results: dict[str, dict[str, dict[str, Any]]],
-    table: pgm.Comparison,
+    table: pgm.results.Comparison,
 ) -> None:
     heads = ("lineariser", "schedule", "KL [nats]", "once found", "from step")
     rows: list[tuple[object, ...]] = [

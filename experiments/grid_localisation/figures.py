@@ -29,8 +29,8 @@ def moments(found: int, steps: int) -> list[int]:
 
 
 def maps(
-    oracle: pgm.Posterior,
-    gaussians: Mapping[str, pgm.Posterior],
+    oracle: pgm.results.Posterior,
+    gaussians: Mapping[str, pgm.results.Posterior],
     drive: Drive,
     steps: Sequence[int],
 ) -> Figure:
@@ -63,7 +63,7 @@ def maps(
 
 def draw(
     ax: Axes,
-    belief: pgm.GridBelief,
+    belief: pgm.results.GridBelief,
     gaussians: Mapping[str, pgm.Gaussian],
     drive: Drive,
     step: int,
@@ -83,8 +83,8 @@ def ellipses(ax: Axes, gaussians: Mapping[str, pgm.Gaussian]) -> None:
 
 
 def animate(
-    oracle: pgm.Posterior,
-    gaussians: Mapping[str, pgm.Posterior],
+    oracle: pgm.results.Posterior,
+    gaussians: Mapping[str, pgm.results.Posterior],
     drive: Drive,
     path: Path,
 ) -> None:
@@ -101,7 +101,7 @@ def animate(
     pgm.plot.animate_beliefs(belief, path, truth=truth, landmarks=places, also=also, arrows=30)
 
 
-def divergences(tables: Mapping[str, pgm.Comparison], found: int) -> Figure:
+def divergences(tables: Mapping[str, pgm.results.Comparison], found: int) -> Figure:
     """KL of filters from the grid over the steps, a panel a start."""
     figure, axes = plt.subplots(
         1, len(tables), figsize=(14, 4.6), sharex=True, sharey=True, layout="constrained"
@@ -118,7 +118,7 @@ def divergences(tables: Mapping[str, pgm.Comparison], found: int) -> Figure:
     return figure
 
 
-def alike(table: pgm.Comparison) -> Figure:
+def alike(table: pgm.results.Comparison) -> Figure:
     """KL of filters and of smoothers over the steps, the grid started as they are."""
     figure, axes = plt.subplots(
         1, 2, figsize=(13, 4.6), sharex=True, sharey=True, layout="constrained"

@@ -117,7 +117,7 @@ def solve(
     iterations: int,
 ) -> Outcome:
     """Filter or smooth all runs, and judge the belief."""
-    kinds: dict[str, Callable[..., pgm.Posterior]] = {
+    kinds: dict[str, Callable[..., pgm.results.Posterior]] = {
         "filter": pgm.filter,
         "smoother": pgm.smooth,
     }

@@ -32,8 +32,8 @@ class Solved:
 
     truth: Array
     evidence: dict[pgm.Variable, Array]
-    filtered: pgm.Posterior
-    smoothed: pgm.Posterior
+    filtered: pgm.results.Posterior
+    smoothed: pgm.results.Posterior
 
 
 def solve(problem: Problem, controls: Array, runs: int, seed: int) -> Solved:
@@ -42,9 +42,9 @@ def solve(problem: Problem, controls: Array, runs: int, seed: int) -> Solved:
     evidence = {problem.control: controls, fix: sample[fix]}
     graph = pgm.compile(problem.network, steps=len(controls))
 
-    def sent(schedule: pgm.Filtering | pgm.Smoothing) -> pgm.Posterior:
+    def sent(schedule: pgm.Filtering | pgm.Smoothing) -> pgm.results.Posterior:
         found = pgm.infer(graph, evidence, schedule=schedule, lineariser=problem.lineariser)
-        assert isinstance(found, pgm.Posterior)
+        assert isinstance(found, pgm.results.Posterior)
         return found
 
     return Solved(sample[problem.state], evidence, sent(pgm.Filtering()), sent(pgm.Smoothing()))

@@ -121,7 +121,7 @@ class Stray:
 
     first: int
     followed: Followed
-    clouds: dict[int, pgm.ParticleBelief]
+    clouds: dict[int, pgm.results.ParticleBelief]
 
     @property
     def found_at(self) -> int | None:
@@ -164,7 +164,7 @@ class Gridded:
     """
 
     first: int
-    grid: pgm.Posterior
+    grid: pgm.results.Posterior
     followed: dict[str, Followed]
 
     @property

@@ -13,7 +13,7 @@ import numpy.typing as npt
 import pgm
 from experiments.linearisers.settings import Setting, simulate, unwrapped
 from models.networks import pose
-from pgm.networks.sampling import Sample
+from pgm.results import Sample
 
 Array = npt.NDArray[np.float64]
 
@@ -69,7 +69,7 @@ class Outcome:
         Time of the filter, all simulations at once.
     """
 
-    posterior: pgm.Posterior
+    posterior: pgm.results.Posterior
     divergence: Array
     unwrapped: float
     indefinite: float
@@ -108,7 +108,7 @@ class Trial:
     setting: Setting
     network: pgm.DynamicBayesianNetwork
     sample: Sample
-    best: pgm.Posterior
+    best: pgm.results.Posterior
 
     @classmethod
     def draw(cls, setting: Setting, runs: int, truth_samples: int, seed: int) -> Trial:

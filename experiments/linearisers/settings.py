@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pgm
 from models.networks import fix, pose, velocity
 from models.networks.poses import driven
-from pgm.networks.sampling import Sample
+from pgm.results import Sample
 
 CONTROL = (1.0, 0.5)  # m/s, rad/s
 DT = 1.0  # s

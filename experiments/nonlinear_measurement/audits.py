@@ -39,7 +39,7 @@ class Audited:
     trusted: float
 
 
-def distance(posterior: pgm.Posterior, truth: Truth) -> Array:
+def distance(posterior: pgm.results.Posterior, truth: Truth) -> Array:
     """How far a result is from exact, (runs,) [nats], in what an audit judges.
 
     KL(exact moments ‖ belief) of the pose after the step, of a smoother that of both poses
@@ -54,7 +54,7 @@ def distance(posterior: pgm.Posterior, truth: Truth) -> Array:
     return np.maximum(kl, np.abs(posterior.log_evidence - truth.log_evidence))
 
 
-def audited(found: pgm.Audit, kept: Integers, off: Array) -> Audited:
+def audited(found: pgm.results.Audit, kept: Integers, off: Array) -> Audited:
     """Compare the verdicts on the simulations that were kept with their distance from exact."""
     suspect, trusted, off = found.suspect[kept], found.trusted[kept], off[kept]
     wrong, right = off >= WRONG, off < RIGHT

@@ -44,7 +44,7 @@ class Rule:
     lag: float = 0
 
     @unsettled()
-    def solve(self, case: Case, lineariser: pgm.Lineariser | None = None) -> pgm.Posterior:
+    def solve(self, case: Case, lineariser: pgm.Lineariser | None = None) -> pgm.results.Posterior:
         """The beliefs of all simulations of a case at once."""
         rule = lineariser or self.lineariser
         if self.lag == 0:
@@ -85,7 +85,7 @@ def rules(seed: int) -> dict[str, Rule]:
     }
 
 
-def settled(status: pgm.Status) -> Mask:
+def settled(status: pgm.results.Status) -> Mask:
     """In which simulations iterating came to rest; where nothing is to iterate, in all."""
     if not len(status.residuals):
         return np.ones(status.converged.shape, dtype=bool)

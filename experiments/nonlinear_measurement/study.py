@@ -129,7 +129,7 @@ def study(
 
 def _solve(
     case: Case, truth: Truth, kept: Integers, compared: dict[str, Rule]
-) -> tuple[Solved, dict[str, float], dict[str, pgm.Posterior]]:
+) -> tuple[Solved, dict[str, float], dict[str, pgm.results.Posterior]]:
     """Beliefs of all rules, how iterating ended, and the posteriors."""
     after = pose.at(1)
     exact = pgm.Gaussian(after, truth.mean[kept], truth.cov[kept])

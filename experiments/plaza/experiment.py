@@ -77,7 +77,7 @@ def run(
 
 def localise(
     log: Log, setting: Setting, name: str
-) -> tuple[dict[str, Any], dict[str, pgm.Posterior]]:
+) -> tuple[dict[str, Any], dict[str, pgm.results.Posterior]]:
     """Position RMSE of dead reckoning, and of each lineariser's filter and smoother."""
     model = networks.range_only(
         start=log.truth[0],

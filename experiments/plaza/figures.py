@@ -23,7 +23,7 @@ RINGS = 7  # ellipses of each belief in it
 PLANE = ("east", "north")
 
 
-def path(log: Log, posterior: pgm.Posterior) -> Figure:
+def path(log: Log, posterior: pgm.results.Posterior) -> Figure:
     """The whole drive, the part in which filter and smoother differ most, and their errors."""
     figure = plt.figure(figsize=(12, 8.6), layout="constrained")
     grid = figure.add_gridspec(2, 2, height_ratios=(2.6, 1.0))
@@ -67,7 +67,7 @@ def path(log: Log, posterior: pgm.Posterior) -> Figure:
     return figure
 
 
-def errors(log: Log, posterior: pgm.Posterior) -> Figure:
+def errors(log: Log, posterior: pgm.results.Posterior) -> Figure:
     """Errors east and north in bands of three standard deviations."""
     figure, axes = plt.subplots(
         2, 2, figsize=(12, 5.5), sharex=True, sharey=True, layout="constrained"

@@ -18,8 +18,8 @@ import typer
 from experiments.record import note
 from models.networks import distance, landmark, travelled
 from pgm.errors import EvidenceError
-from pgm.io import Timeline
 from pgm.recordings import Recording, read_plaza
+from pgm.results import Timeline
 
 Array = npt.NDArray[np.float64]
 

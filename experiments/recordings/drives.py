@@ -44,7 +44,7 @@ class Drive:
     name: str
     setting: Setting
     recording: Recording
-    timeline: pgm.Timeline
+    timeline: pgm.results.Timeline
     truth: Array | None
     start: Array
 

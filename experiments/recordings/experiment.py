@@ -229,7 +229,7 @@ def _tables(record: Record, drive: Drive, results: dict[str, Any]) -> None:
 def _pictures(
     record: Record,
     drive: Drive,
-    shown: dict[str, pgm.Posterior],
+    shown: dict[str, pgm.results.Posterior],
     rankings: dict[str, Any],
 ) -> None:
     """The path, errors over time, and who of the sensors fits the model least."""

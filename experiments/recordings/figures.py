@@ -21,7 +21,7 @@ DRAWN = {"filter": PALETTE[0], "smoother": PALETTE[1], "robust smoother": PALETT
 MARGIN = 0.15
 
 
-def paths(drive: Drive, shown: dict[str, pgm.Posterior]) -> Figure:
+def paths(drive: Drive, shown: dict[str, pgm.results.Posterior]) -> Figure:
     """The plane: landmarks, dead reckoning, estimates, truth."""
     figure, ax = plt.subplots(figsize=(7.5, 7), layout="constrained")
     reckoned = pgm.filter(drive.network(), drive.motion)[pose].mean
@@ -60,7 +60,7 @@ def paths(drive: Drive, shown: dict[str, pgm.Posterior]) -> Figure:
     return figure
 
 
-def errors(drive: Drive, shown: dict[str, pgm.Posterior]) -> Figure:
+def errors(drive: Drive, shown: dict[str, pgm.results.Posterior]) -> Figure:
     """Distances from the truth over time, and the filter's own bound."""
     assert drive.truth is not None
     figure, ax = plt.subplots(figsize=(10, 3.6), layout="constrained")

@@ -34,19 +34,19 @@ class Method:
     """
 
     about: str
-    run: Callable[..., pgm.Posterior]
+    run: Callable[..., pgm.results.Posterior]
     noise: RobustNoise | None = None
 
-    def __call__(self, drive: Drive, lineariser: pgm.Lineariser) -> pgm.Posterior:
+    def __call__(self, drive: Drive, lineariser: pgm.Lineariser) -> pgm.results.Posterior:
         """The posterior of a drive."""
         return self.run(drive.network(noise=self.noise), drive.evidence, lineariser=lineariser)
 
 
-def _smooth(**settings: Any) -> Callable[..., pgm.Posterior]:
+def _smooth(**settings: Any) -> Callable[..., pgm.results.Posterior]:
     return lambda model, evidence, **more: pgm.smooth(model, evidence, **settings, **more)
 
 
-def _filter(**settings: Any) -> Callable[..., pgm.Posterior]:
+def _filter(**settings: Any) -> Callable[..., pgm.results.Posterior]:
     return lambda model, evidence, **more: pgm.filter(model, evidence, **settings, **more)
 
 

@@ -21,7 +21,7 @@ def factor(cpd: CPD) -> str:
     return rf"$\phi_{{{cpd.child.name}}}({_names((cpd.child, *cpd.parents))})$"
 
 
-def potential(cluster: pgm.Cluster, evidence: Mapping[pgm.Variable, float]) -> list[str]:
+def potential(cluster: pgm.results.Cluster, evidence: Mapping[pgm.Variable, float]) -> list[str]:
     """The initial belief of a cluster, the product of its factors, on two lines."""
     factors = " ".join(factor(cpd) for cpd in cluster.cpds)
     scope = ", ".join(

@@ -15,13 +15,13 @@ from pgm.cpds import CPD
 Evidence = Mapping[pgm.Variable, float]
 
 
-def initial_belief(cluster: pgm.Cluster) -> pgm.CanonicalForm:
+def initial_belief(cluster: pgm.results.Cluster) -> pgm.CanonicalForm:
     """ψ, the product of a cluster's factors, over its scope (equation 5.9)."""
     return reduce(mul, map(_factor, cluster.cpds)).extend(cluster.scope)
 
 
 def message(
-    posterior: pgm.Posterior, source: int, target: int, evidence: Evidence
+    posterior: pgm.results.Posterior, source: int, target: int, evidence: Evidence
 ) -> pgm.CanonicalForm:
     """δ from ψ and the messages that come from the other neighbours (equations 5.10 to 5.13)."""
     graph = posterior.graph

@@ -191,7 +191,7 @@ def simulate(
 @unsettled()
 def estimate(
     network: pgm.DynamicBayesianNetwork, drive: simulation.Drive, iterations: int
-) -> tuple[dict[str, Beliefs], dict[str, pgm.Posterior], dict[str, pgm.Status]]:
+) -> tuple[dict[str, Beliefs], dict[str, pgm.results.Posterior], dict[str, pgm.results.Status]]:
     """The three beliefs of each lineariser, its plain posterior, and how its iterating went."""
     beliefs: dict[str, Beliefs] = {}
     plain, status = {}, {}
@@ -217,7 +217,7 @@ def _signed(change: tuple[float, float] | None) -> str:
     return "" if change is None else f"{change[0]:+.3f} ± {change[1]:.3f}"
 
 
-def _innovations(posterior: pgm.Posterior) -> dict[str, Any]:
+def _innovations(posterior: pgm.results.Posterior) -> dict[str, Any]:
     innovations = posterior.innovations[sighting]
     read = len(np.unique(innovations.step))
     found = consistency.whiteness(innovations, min(LAGS, read - 1))

@@ -57,7 +57,7 @@ def coverage(beliefs: dict[str, Beliefs], truth: Array) -> Figure:
     return _closed(figure)
 
 
-def innovations(posteriors: dict[str, pgm.Posterior], times: Array) -> Figure:
+def innovations(posteriors: dict[str, pgm.results.Posterior], times: Array) -> Figure:
     """NIS of the filter over time, and the whiteness of its innovations."""
     figure, axes = _grid(2, posteriors, (12.0, 6.4), sharex=False)
     for column, posterior in zip(axes.T, posteriors.values(), strict=True):
@@ -73,7 +73,7 @@ def innovations(posteriors: dict[str, pgm.Posterior], times: Array) -> Figure:
     return _closed(figure)
 
 
-def convergence(status: dict[str, pgm.Status], tolerance: float) -> Figure:
+def convergence(status: dict[str, pgm.results.Status], tolerance: float) -> Figure:
     """How the iterated smoother settled."""
     figure, axes = _grid(1, status, (12.0, 3.6))
     for ax, found in zip(axes[0], status.values(), strict=True):

@@ -80,7 +80,7 @@ def test_every_graph_gives_its_clusters_by_index_or_value(make):
         with pytest.raises(pgm.GraphError, match=rf"there is no .*; clusters are 0\.\.{last}"):
             graph.cluster(stranger)
     with pytest.raises(pgm.GraphError, match=r"of another graph|there is no cluster Cluster"):
-        graph.cluster(pgm.Cluster(last, (STRANGER,), (), ()))
+        graph.cluster(pgm.results.Cluster(last, (STRANGER,), (), ()))
 
 
 def test_the_clusters_of_a_small_graph_are_named():

@@ -366,7 +366,7 @@ CHAIN = pgm.DynamicBayesianNetwork(
         ),
         (
             {"oracle": Own(np.zeros(3), pgm.Kind(0)), "schedules": [pgm.Filtering()]},
-            "marginal of a is a ndarray; a pgm.Gaussian, a pgm.GridBelief or",
+            "marginal of a is a ndarray; a pgm.Gaussian, a pgm.results.GridBelief or",
         ),
         ({"truth": np.zeros((T + 1, 1))}, "truth= maps states to their values"),
         ({"truth": {z: np.zeros((T + 1, 1))}}, "given of z, which is no state"),

@@ -193,7 +193,7 @@ class Tampered(BalancedGraph):
     def _view(self, index):
         found = super()._view(index)
         changed = self._scope.get(index, lambda scope: scope)(found.scope)
-        return pgm.Cluster(index, changed, found.cpds, found.families)
+        return pgm.results.Cluster(index, changed, found.cpds, found.families)
 
     def _sepset(self, i, j):
         return self._edges.get((i, j), lambda scope: scope)(super()._sepset(i, j))

@@ -9,7 +9,7 @@ import pgm
 from models import networks
 from models.networks import fix, shift
 from pgm import consistency
-from pgm.inference import Innovations
+from pgm.results import Innovations
 
 
 def innovations(residual, step, cov=None):

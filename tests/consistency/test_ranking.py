@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import pgm
-from pgm.inference import Innovations
+from pgm.results import Innovations
 
 z, y = pgm.variables("z y")
 

@@ -79,7 +79,7 @@ def test_digits_are_those_of_an_error():
 @pytest.mark.parametrize(("error", "told"), [(0.99e-6, False), (1.01e-6, True)])
 def test_the_warning_is_for_less_than_six_digits(error, told):
     """In any run; the words say how many, and where they are to be found."""
-    status = pgm.Status(1, np.empty((0, 2)), np.ones(2, dtype=bool))
+    status = pgm.results.Status(1, np.empty((0, 2)), np.ones(2, dtype=bool))
     measured = digits(np.array([1e-12, error]), (2,))
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")

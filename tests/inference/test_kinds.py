@@ -56,7 +56,9 @@ def fixed_lag(method=None):
     ahead = pgm.infer(graph, EVIDENCE, schedule=pgm.Filtering())
     found = [dense(step, until=min(step + LAG, T)) for step in range(T + 1)]
     mean, cov = (np.array([each[k] for each in found])[:, None] for k in (0, 1))
-    return pgm.Posterior(replace(ahead._outcome, kind=pgm.Kind(LAG), _smoothed=Beliefs(mean, cov)))
+    return pgm.results.Posterior(
+        replace(ahead._outcome, kind=pgm.Kind(LAG), _smoothed=Beliefs(mean, cov))
+    )
 
 
 def test_a_kind_is_a_value_with_a_name():
@@ -143,7 +145,9 @@ def test_a_lag_s_joints_and_beliefs_know_the_readings_of_their_latest_variable(m
 def test_in_twice_the_digits_a_joint_knows_the_same():
     """After a prior that says nothing: the normal equations of transitions and readings alone."""
     flat = linear.replace(prior=[pgm.GaussianCPD(place, 1.0, cov=np.inf)])
-    posterior = pgm.Posterior(replace(filtered(flat, EVIDENCE)._outcome, kind=pgm.Kind(LAG)))
+    posterior = pgm.results.Posterior(
+        replace(filtered(flat, EVIDENCE)._outcome, kind=pgm.Kind(LAG))
+    )
     assert posterior._outcome._careful is not None
     steps = np.diff(np.eye(T + 1), axis=0) + 0.1 * np.eye(T + 1)[:-1]  # x[t + 1] - 0.9 x[t]
     for i, j in ((1, 2), (0, 4)):

@@ -102,7 +102,7 @@ WAYS = {
 @pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
 def test_a_status_is_immutable_and_so_are_its_copies(way):
     edges = {(0, 1): np.array(1e-12)}
-    status = pgm.Status(3, np.array([1.0, 0.5, 1e-12]), np.array(True), edges)
+    status = pgm.results.Status(3, np.array([1.0, 0.5, 1e-12]), np.array(True), edges)
     edges.clear()
     for one in (status, way(status)):
         assert one.iterations == 3
@@ -115,4 +115,4 @@ def test_a_status_is_immutable_and_so_are_its_copies(way):
         for array in (one.residuals, one.converged):
             with pytest.raises(ValueError, match="read-only"):
                 array[...] = 0
-    assert dict(pgm.Status(1, np.empty(0), np.array(True)).by_edge) == {}
+    assert dict(pgm.results.Status(1, np.empty(0), np.array(True)).by_edge) == {}

@@ -37,7 +37,7 @@ PLOTS = {
     "coverage": lambda p, truth, kind: pgm.plot.coverage(p[x], truth, label=kind),
     "whiteness": lambda p, truth, kind: pgm.plot.whiteness(p.innovations[z], label=kind),
     "convergence": lambda p, truth, kind: pgm.plot.convergence(
-        pgm.Status(2, np.ones((2, 20)), np.ones(20, dtype=bool)), label=kind
+        pgm.results.Status(2, np.ones((2, 20)), np.ones(20, dtype=bool)), label=kind
     ),
 }
 

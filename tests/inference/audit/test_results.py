@@ -50,7 +50,7 @@ def test_the_numbers_of_the_gaussian_are_made_of_its_weights():
 
 def test_an_audit_is_a_value():
     found = pgm.audit(posterior(), samples=100, rng=1)
-    assert isinstance(found, pgm.Audit)
+    assert isinstance(found, pgm.results.Audit)
     assert repr(found).startswith("Audit(100 samples, effective ")
     assert list(pickle.loads(pickle.dumps(found)).innovations) == [z]
     with pytest.raises(AttributeError, match="immutable"):
@@ -333,7 +333,7 @@ def summed_up(log_weights):
     """An audit of weights of the Gaussian, and of as many that say nothing."""
     both = np.concatenate([log_weights, np.full_like(log_weights, -np.inf)])[None]
     control = np.where(np.isfinite(both), 2.0, 0.0)
-    return pgm.Audit(Mixture.make(both, control, both, np.zeros(1)), np.array(0.0))
+    return pgm.results.Audit(Mixture.make(both, control, both, np.zeros(1)), np.array(0.0))
 
 
 def test_estimates_of_a_heavy_tail_are_not_to_be_trusted():

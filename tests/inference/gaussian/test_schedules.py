@@ -48,11 +48,11 @@ def test_schedules_are_values(kind):
 
 def test_a_status_tells_how_it_went():
     residuals = np.array([[1.0, 2.0], [1e-11, 0.5]])
-    status = pgm.Status(2, residuals, np.array([True, False]))
+    status = pgm.results.Status(2, residuals, np.array([True, False]))
     title, worst = repr(status).splitlines()
     assert title == "Status(2 iterations, 1 of 2 runs converged, last residual 0.5)"
     assert worst == "  residuals of the worst run: 2, 0.5"
-    once = pgm.Status(1, residuals[:1], np.array([False, False]))
+    once = pgm.results.Status(1, residuals[:1], np.array([False, False]))
     assert repr(once) == "Status(1 iteration, 0 of 2 runs converged, last residual 2)"
     with pytest.raises(ValueError, match="read-only"):
         status.residuals[0, 0] = 0.0

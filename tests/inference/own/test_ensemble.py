@@ -21,7 +21,7 @@ def test_it_is_the_kalman_filter_of_a_linear_model():
     assert_allclose(found[x].std, due[x].std, rtol=0.03)
     assert_allclose(found.log_evidence, due.log_evidence, atol=0.08)
     assert (found.kind, found.log_evidence_kind) == (pgm.Kind(0), "own")
-    assert isinstance(found[x], pgm.ParticleBelief)
+    assert isinstance(found[x], pgm.results.ParticleBelief)
     assert_array_equal(found[x.at(2)].mean, found[x].mean[2])
 
 

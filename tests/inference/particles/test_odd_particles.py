@@ -45,7 +45,7 @@ def test_the_warning_names_the_step_that_is_short_of_particles():
     """Not one with fewer particles in all, which are all worth something."""
     shares = np.array([[4.0, 5.0]])
     zero = np.zeros((1, 2))
-    status = pgm.ParticleFigures(
+    status = pgm.results.ParticleFigures(
         shares, np.array([[4, 900]]), zero > 0, zero.astype(int), zero > 0, zero > 0
     )
     with pytest.warns(pgm.ParticleWarning, match="worth 5 of them at step 1 .* in 1 of 1 runs"):

@@ -9,7 +9,7 @@ import pgm.plot
 def status(residuals, iterations=None):
     residuals = np.array(residuals, dtype=float)
     runs = residuals.shape[1:]
-    return pgm.Status(iterations or len(residuals), residuals, np.ones(runs, dtype=bool))
+    return pgm.results.Status(iterations or len(residuals), residuals, np.ones(runs, dtype=bool))
 
 
 def curves(ax):

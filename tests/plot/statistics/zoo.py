@@ -40,7 +40,7 @@ def convergence(count, runs=1, zero=False):
         residuals = 10.0 ** (-np.arange(30)[:, None] * (0.2 + 0.1 * rng.random(runs)))
         if zero:
             residuals[-5:] = 0.0
-        status = pgm.Status(30, residuals, np.ones(runs, bool))
+        status = pgm.results.Status(30, residuals, np.ones(runs, bool))
         ax = pgm.plot.convergence(status, tolerance=1e-6, label=f"schedule {k}", ax=ax)
     return ax
 
