@@ -27,6 +27,7 @@ extensions = [
     "sphinx.ext.mathjax",
     "sphinx_copybutton",
     "building.docstrings",
+    "building.links",
     "building.mathjax",
     "building.pictures",
 ]
