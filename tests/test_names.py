@@ -78,7 +78,7 @@ pose = {"components": ("east", "north"), "angles": ("north",)}
 pgm.Variable("y", **pose)
 pgm.results.Comparison.rowz
 from pgm.results import Posterior
-Posterior(1, 2, 3)
+posterior: Posterior = 3
 """
 
 
@@ -94,7 +94,9 @@ def test_type_checkers_know_them(tmp_path):
         [sys.executable, "-m", "mypy", str(script)], cwd=ROOT, capture_output=True, text=True
     )
     found = re.findall(r"script\.py:(\d+): error: (.*)", run.stdout)
-    assert [int(line) for line, _ in found] == [7, 8, 9, 10, 11, 12, 15, 17], run.stdout + run.stderr
+    assert [int(line) for line, _ in found] == [7, 8, 9, 10, 11, 12, 15, 17], (
+        run.stdout + run.stderr
+    )
     words = ["confidenze", "truth", "resolution", "compare", "read_bif", "plto"]
     words += ["rowz", "Posterior"]
     for (_, error), word in zip(found, words, strict=True):
