@@ -4,33 +4,31 @@ A *plan* lays all tables and messages out once, for many sets of evidence; makin
 as a dozen inferences with it. For the first set of evidence none is made: each cluster's table is
 multiplied when it is needed, from its CPDs and the messages to it. From the second on, a plan pays.
 
-Variables are denoted by numbers, their places in the network. An observed variable keeps an axis of
-length one. All tables have their axes in one order, in which a cluster's *own* variables, those
-that it does not share with its parent, stand before the shared ones. A cluster's table is thus a
-matrix, with a row for each joint state of its own variables and a column for each joint state of
-the shared ones: the message to the parent is the sum of the rows, and the message back multiplies
-each row by one vector.
+The clusters themselves are a plan of elimination, which is carried out at once: each is a step that
+multiplies its factors, and leaves to its parent the variables that it shares with it. Variables are
+denoted by numbers, their places in the network. An observed variable keeps an axis of length one.
+All tables have their axes in one order, in which a cluster's *own* variables, those that it does
+not share with its parent, stand before the shared ones.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 
 from pgm.clustergraph import ClusterGraph
 from pgm.cpds import TableCPD
 from pgm.evidence.static import BoundStates
+from pgm.inference.elimination import Calibrated, Plan, Scope, Step, TableAlgebra
 from pgm.kernels.arrays import Array
+from pgm.kernels.semirings import SUM_PRODUCT
 from pgm.variables import Discrete
 
-# A table of at least so many entries is summed over one axis after the other: summed over several
-# axes at once, its inner loops are as short as its last axes.
-LONG = 2**8
 # In a network of at most `FEW` variables, whose joint has at most `TINY` entries, one cluster holds
 # them all.
 FEW, TINY = 16, 2**7
@@ -46,10 +44,6 @@ class Answer:
 
     marginals: Mapping[Discrete, Array]
     log_evidence: float
-
-
-# The variables of a table, in the order of its axes, and its values.
-Factor = tuple[Sequence[int], Array]
 
 
 def answer(graph: ClusterGraph, evidence: BoundStates) -> Answer | None:
@@ -72,26 +66,28 @@ def _answer(graph: ClusterGraph, evidence: BoundStates) -> Answer:
 
     Underflow, and evidence of probability zero, raise `FloatingPointError`.
     """
-    return _Tree(graph, evidence).answer()
+    question = _Question(graph, evidence)
+    algebra = TableAlgebra(SUM_PRODUCT, question.sizes, aligned=0)
+    calibrated = Calibrated(question.plan, question.factors, algebra)
+    log_evidence = 0.0
+    for step, total in zip(question.plan.steps, calibrated.totals, strict=True):
+        if not step.left:
+            log_evidence += math.log(total) if total else -math.inf
+    return Answer(_marginals(question, calibrated, algebra), log_evidence)
 
 
-class _Tree:
-    """The two passes of messages over the trees of a graph, for one set of evidence.
+class _Question:
+    """A graph's clusters as a plan of elimination, and the tables that evidence makes of its CPDs.
 
     In a tiny network one cluster, made for the purpose, holds all variables.
 
     variables: The variables of the network; elsewhere each is denoted by its index here.
-    order: The numbers of the clusters, parents before children.
-    parent: Of each cluster, the number of its parent; −1 for a root.
-    scopes: Of each cluster, its variables in the order of the axes of its table.
-    shared: Of each cluster, the variables that its parent has too, which stand last in its scope.
     rank: Of each variable, a number below zero; the axes of all tables stand in ascending rank.
     shown: The state of each observed variable.
     sizes: Of each variable, its number of states; 1 if it is observed.
-    factors: Of each cluster, the factors whose product is its table: its CPDs, its soft evidence,
-        and the messages from its children, appended when they are computed. A factor is a pair: its
-        variables in the order of its axes, and its values.
-    columns: Of each cluster, its message to the parent, (joint states of the shared variables,).
+    factors: The tables of the CPDs, and the soft evidence of variables that have it.
+    plan: The steps, one a cluster, children before parents; what a step leaves is the sepset of its
+        cluster and the parent.
     """
 
     def __init__(self, graph: ClusterGraph, evidence: BoundStates) -> None:
@@ -104,32 +100,39 @@ class _Tree:
         if len(self.sizes) <= FEW and math.prod(self.sizes) <= TINY:
             everything = range(len(self.sizes))
             assigned: Sequence[Sequence[int]] = [everything]
-            self._hang([()], [everything])
+            joined: Sequence[Sequence[int]] = [()]
+            members: Sequence[Sequence[int]] = [everything]
         else:
-            assigned = graph._assigned
-            self._hang(graph._neighbours, graph._members)
+            assigned, joined, members = graph._assigned, graph._neighbours, graph._members
+        clusters = self._hang(joined, members)
+        self.factors: list[Array] = []
+        scopes: list[Scope] = []
+        own: list[list[int]] = [[] for _ in members]
         cpds = cast(Sequence[TableCPD], network.cpds)
-        self.factors = [
-            [self._of_cpd(network._families[k], cpds[k].table) for k in numbers]
-            for numbers in assigned
-        ]
+        for cluster, numbers in enumerate(assigned):
+            for number in numbers:
+                own[cluster].append(len(scopes))
+                self._add_cpd(scopes, network._families[number], cpds[number].table)
         if evidence.weights:
             # A variable goes where its own CPD does: into a cluster that has it.
             homes = {number: k for k, numbers in enumerate(assigned) for number in numbers}
             for variable, weights in evidence.weights.items():
-                place = places[variable]
-                self.factors[homes[place]].append(self._of_weights(place, weights[0]))
+                own[homes[places[variable]]].append(len(scopes))
+                self._add_weights(scopes, places[variable], weights[0])
+        self._cover(scopes, clusters, own)
+        self.plan = _plan(scopes, self.sizes, clusters, own)
 
-    def _hang(self, joined: Sequence[Sequence[int]], members: Sequence[Sequence[int]]) -> None:
+    def _hang(
+        self, joined: Sequence[Sequence[int]], members: Sequence[Sequence[int]]
+    ) -> list[_Hung]:
         """Root each tree at its cluster of least number, and rank the variables.
 
         The variables that a cluster does not share with its parent rank before all variables of the
         clusters above it. `joined` has the neighbours of each cluster, by number, `members` its
-        variables. The attributes `order`, `parent`, `scopes`, `shared` and `rank` are set.
+        variables. The clusters are returned parents before children.
         """
-        self.order = list[int]()
-        self.parent = parent = [UNSEEN] * len(joined)
-        self.scopes, self.shared = [list[int]()] * len(joined), [list[int]()] * len(joined)
+        clusters: list[_Hung] = []
+        parent = [UNSEEN] * len(joined)
         self.rank = rank = [0] * len(self.sizes)
         found = 0
         for root in range(len(joined)):
@@ -139,22 +142,22 @@ class _Tree:
             waiting = [root]
             while waiting:
                 k = waiting.pop()
-                self.order.append(k)
                 before = found
                 # Parents before children, as in most tables, which then stay as they are.
                 for place in reversed(members[k]):
                     if not rank[place]:
                         found -= 1
                         rank[place] = found
-                self.scopes[k] = scope = sorted(members[k], key=rank.__getitem__)
-                self.shared[k] = scope[before - found :]
+                scope = tuple(sorted(members[k], key=rank.__getitem__))
+                clusters.append(_Hung(k, parent[k], scope, scope[before - found :]))
                 for other in joined[k]:
                     if other != parent[k]:
                         parent[other] = k
                         waiting.append(other)
+        return clusters
 
-    def _of_cpd(self, family: Sequence[int], table: Array) -> Factor:
-        """A CPD as a factor, each observed variable at its state, on an axis of length one.
+    def _add_cpd(self, scopes: list[Scope], family: Sequence[int], table: Array) -> None:
+        """Add a CPD to the factors, each observed variable at its state, on an axis of length one.
 
         `family` are the numbers of the child, then of the parents; `table` has the parents' axes in
         that order, then the child's. The axes of the factor stand in ascending rank.
@@ -167,148 +170,102 @@ class _Tree:
         scope = sorted(given, key=self.rank.__getitem__)
         if scope != given:
             table = table.transpose([given.index(place) for place in scope])
-        return scope, table
+        scopes.append(tuple(scope))
+        self.factors.append(table)
 
-    def _of_weights(self, place: int, weights: Array) -> Factor:
-        """The soft evidence of the variable numbered `place`, weights (states,), as a factor.
+    def _add_weights(self, scopes: list[Scope], place: int, weights: Array) -> None:
+        """Add the soft evidence of the variable numbered `place`, weights (states,), as a factor.
 
         If the variable is observed too, the factor has the weight of its state alone.
         """
         state = self.shown.get(place)
-        return [place], weights if state is None else weights[state : state + 1]
+        scopes.append((place,))
+        self.factors.append(weights if state is None else weights[state : state + 1])
 
-    def answer(self) -> Answer:
-        """Send the messages to the roots and back, and read marginals and ln p(evidence).
-
-        Raises
-        ------
-        FloatingPointError
-            If a number underflows, or the evidence has probability zero.
-        """
-        sizes = self.sizes
-        shapes = [[sizes[place] for place in shared] for shared in self.shared]
-        ends = list(accumulate(map(math.prod, shapes), initial=0))
-        messages = np.zeros(ends[-1])
-        self.columns = [messages[start:stop] for start, stop in pairwise(ends)]
-        tables, log_evidence = self._collect(shapes)
-        # 0/0 becomes 0, for the dividend is zero too.
-        np.putmask(messages, messages == 0.0, 1.0)
-        return Answer(self._distribute(tables), log_evidence)
-
-    def _collect(self, shapes: Sequence[Sequence[int]]) -> tuple[list[Array], float]:
-        """Send the messages to the roots; returns the clusters' tables, and ln p(evidence).
-
-        The tables are listed by the clusters' numbers. Each is the product of the cluster's
-        factors, the messages from its children among them, as a matrix (joint states of own
-        variables, joint states of shared ones). The sum of the matrix's rows is the message to the
-        parent. It is written to `columns`, and is appended to the parent's factors with an axis for
-        each shared variable; ``shapes[k]`` are the sizes of these axes for cluster k. A root's
-        table keeps an axis for each variable and is divided by its sum.
-        """
-        tables: list[Array] = [NOTHING] * len(self.order)
-        log_evidence = 0.0
-        for k in reversed(self.order):
-            table = self._product(self.scopes[k], self.factors[k])
-            if self.parent[k] < 0:
-                total = float(np.add.reduce(table, None))
-                log_evidence += math.log(total) if total else -math.inf
-                tables[k] = np.divide(table, total)
-                continue
-            message = self.columns[k]
-            tables[k] = matrix = table.reshape(-1, len(message))
-            np.add.reduce(matrix, 0, out=message)
-            self.factors[self.parent[k]].append((self.shared[k], message.reshape(shapes[k])))
-        return tables, log_evidence
-
-    def _product(self, scope: Sequence[int], factors: Iterable[Factor]) -> Array:
-        """The product of some factors, with an axis for each variable of a scope, in its order.
-
-        Each factor is over some of the scope's variables, in the scope's order. The result may be a
-        view of a factor's values, which must not be written to.
-        """
-        sizes = self.sizes
-        table: Array | None = None
-        for own, values in factors:
-            if len(own) < len(scope):
-                values = values.reshape([sizes[place] if place in own else 1 for place in scope])
-            table = values if table is None else np.multiply(table, values)
-        full = tuple([sizes[place] for place in scope])
-        if table is None or table.shape != full:
-            return np.broadcast_to(1.0 if table is None else table, full)
-        return table
-
-    def _distribute(self, tables: list[Array]) -> dict[Discrete, Array]:
-        """Send the messages back from the roots; returns the marginals of variables not observed.
-
-        `tables` are those that `_collect` returns. From the roots down, each table is multiplied by
-        the ratio of the parent's joint of the shared variables to the message that was sent to the
-        parent. The product, which replaces it, is the joint of the cluster's variables given the
-        evidence. Each marginal, (states,), is summed from the smallest table, of a cluster or of
-        shared variables, that has the variable.
-        """
-        sizes = self.sizes
-        homes: list[Factor] = [((), NOTHING)] * len(sizes)
-        least = [math.inf] * len(sizes)
-
-        def offer(scope: Sequence[int], table: Array) -> None:
-            """Keep a joint table for those variables of its scope that have none as small yet.
-
-            The marginal of a variable is summed at the end from the table that is kept for it.
-            """
-            size = table.size
-            for place in scope:
-                if size < least[place]:
-                    least[place], homes[place] = size, (scope, table)
-
-        for k in self.order:
-            scope, parent = self.scopes[k], self.parent[k]
-            table = tables[k]
+    def _cover(
+        self, scopes: list[Scope], clusters: Sequence[_Hung], own: Sequence[list[int]]
+    ) -> None:
+        """Add ones as a factor of each cluster with a variable that nothing which enters it has."""
+        entering = [[scopes[number] for number in numbers] for numbers in own]
+        for cluster, parent, scope, shared in reversed(clusters):
             if parent >= 0:
-                sepset = _to(self.shared[k], self.scopes[parent], tables[parent])
-                offer(self.shared[k], sepset)
-                ratio = np.divide(sepset.reshape(-1), self.columns[k])
-                table = np.multiply(table, ratio).reshape([sizes[place] for place in scope])
-                tables[k] = table
-            offer(scope, table)
-        hidden = [place for place in range(len(sizes)) if place not in self.shown]
-        return self._normalised(hidden, [_to((place,), *homes[place]) for place in hidden])
+                entering[parent].append(shared)
+            if len(set().union(*entering[cluster])) < len(scope):
+                own[cluster].append(len(scopes))
+                scopes.append(scope)
+                self.factors.append(np.ones([self.sizes[place] for place in scope]))
 
-    def _normalised(self, hidden: Sequence[int], sums: Sequence[Array]) -> dict[Discrete, Array]:
-        """The marginals of hidden variables, (states,) each, by the variables.
 
-        `hidden` are the variables' numbers. `sums` has for each of them an array (states,), its
-        marginal but for rounding, which is divided by its total.
-        """
-        if not hidden:
-            return {}
-        widths = [self.sizes[place] for place in hidden]
-        ends = list(accumulate(widths, initial=0))
-        flat = np.concatenate(sums)
-        # They sum to one but for rounding, which grows with the depth of a tree.
-        flat /= np.add.reduceat(flat, ends[:-1]).repeat(widths)
-        flat.flags.writeable = False
-        variables = [self.variables[place] for place in hidden]
-        return {
-            v: flat[start:stop] for v, (start, stop) in zip(variables, pairwise(ends), strict=True)
-        }
+class _Hung(NamedTuple):
+    """A cluster of a rooted tree, by number, its parent, −1 of a root, and their variables.
+
+    scope: The cluster's variables, in ascending rank.
+    shared: Those that the parent has too, which stand last in it.
+    """
+
+    cluster: int
+    parent: int
+    scope: Scope
+    shared: Scope
+
+
+def _plan(
+    scopes: Sequence[Scope],
+    sizes: Sequence[int],
+    clusters: Sequence[_Hung],
+    own: Sequence[Sequence[int]],
+) -> Plan:
+    """The clusters as steps, children before parents.
+
+    own: Of each cluster, the numbers of its factors; what its children leave joins them.
+    """
+    first = len(scopes)
+    entering = [list(numbers) for numbers in own]
+    over = [[scopes[number] for number in numbers] for numbers in own]
+    steps: list[Step] = []
+    for cluster, parent, scope, shared in reversed(clusters):
+        if parent >= 0:
+            entering[parent].append(first + len(steps))
+            over[parent].append(shared)
+        steps.append(Step(tuple(entering[cluster]), tuple(over[cluster]), scope, shared))
+    return Plan(scopes, sizes, steps, ())
+
+
+def _marginals(
+    question: _Question, calibrated: Calibrated[Array], algebra: TableAlgebra
+) -> dict[Discrete, Array]:
+    """The marginals of the hidden variables, (states,) each, by the variables.
+
+    Each is summed from the smallest table, of a cluster or of shared variables, that has the
+    variable.
+    """
+    count = len(question.sizes)
+    homes: list[tuple[Scope, Array]] = [((), NOTHING)] * count
+    least = [math.inf] * count
+    for step, joint, outside in calibrated.back():
+        for scope, table in ((step.left, outside), (step.scope, joint)):
+            if table is not None:
+                size = table.size
+                for place in scope:
+                    if size < least[place]:
+                        least[place], homes[place] = size, (scope, table)
+    hidden = [place for place in range(count) if place not in question.shown]
+    if not hidden:
+        return {}
+    sums = []
+    for place in hidden:
+        scope, table = homes[place]
+        sums.append(algebra.total(table, scope, (place,)))
+    widths = [question.sizes[place] for place in hidden]
+    ends = list(accumulate(widths, initial=0))
+    flat = np.concatenate(sums)
+    # They sum to one but for rounding, which grows with the depth of a tree.
+    flat /= np.add.reduceat(flat, ends[:-1]).repeat(widths)
+    flat.flags.writeable = False
+    variables = [question.variables[place] for place in hidden]
+    return {v: flat[start:stop] for v, (start, stop) in zip(variables, pairwise(ends), strict=True)}
 
 
 UNSEEN = -2
 ALL = slice(None)
 NOTHING = np.empty(0)
-
-
-def _to(wanted: Sequence[int], scope: Sequence[int], table: Array) -> Array:
-    """A table over `scope` summed over all but the wanted variables.
-
-    The axes of the wanted variables keep the order that they have in `scope`.
-    """
-    if len(wanted) == len(scope):
-        return table
-    axes = [axis for axis, place in enumerate(scope) if place not in wanted]
-    if table.size < LONG:
-        total: Array = np.add.reduce(table, tuple(axes))
-        return total
-    for gone, axis in enumerate(axes):
-        table = np.add.reduce(table, axis - gone)
-    return table

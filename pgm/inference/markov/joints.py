@@ -31,7 +31,7 @@ def pair(chain: StateChain, plan: SlicePlan, step: int, message: Array) -> Array
     belief = chain.known[step - 1]
     if plan.controls:
         belief = semiring.total(belief, plan.controls, None)
-    found = plan.pairs.apply(belief, slices.factors(step, "pairs"), semiring)
+    found = slices.through("pairs", step, belief)
     weights, _ = slices.likelihood(step)
     own = message if weights is None else semiring.times(message, weights)
     found = semiring.times(found, own)  # the slice's axes are the last before the runs
@@ -55,7 +55,7 @@ def potential(
         return slices.prior(), weights, log_scale
     runs = chain.known[0].shape[len(plan.shape) :]
     ones = np.full((*sizes(plan.states), *runs), chain.semiring.one)
-    found = plan.pairs.apply(ones, slices.factors(step, "pairs"), chain.semiring)
+    found = slices.through("pairs", step, ones)
     return found, weights, log_scale
 
 

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from pgm.inference.elimination import Move
 from pgm.inference.markov.chain import StateChain
-from pgm.inference.markov.contraction import Move
 from pgm.inference.markov.plan import SlicePlan, TableSlices
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.semirings import MAX_PRODUCT

@@ -3,9 +3,9 @@
 A *slice* is the hidden variables of a step, states and controls. Arrays have an axis for each
 hidden variable, then one of runs, or none where the user gave no axes of runs. A *row* is a step's
 place in the values of inputs. A *map* is the table of a CPD with one hidden parent as a matrix that
-is applied along the parent's axis (`Move`). A *contraction* is a plan for multiplying an array by
-tables, and summing over all variables but the wanted ones. Entries of arrays are numbers or
-logarithms, added by sums or maxima, as a *semiring* has it.
+is applied along the parent's axis (`Move`). Messages are sums of products of tables, by a plan of
+elimination. Entries of arrays are numbers or logarithms, added by sums or maxima, as a *semiring*
+has it.
 """
 
 from __future__ import annotations
@@ -23,8 +23,17 @@ from pgm.cpds import TableCPD
 from pgm.evidence import BoundEvidence
 from pgm.factors.axes import discrete, sizes
 from pgm.factors.scope import in_run
+from pgm.inference.elimination import (
+    Entries,
+    Label,
+    Move,
+    Plan,
+    Scope,
+    TableAlgebra,
+    eliminate,
+    next_smallest,
+)
 from pgm.inference.impossible import ImpossibleEvidence
-from pgm.inference.markov.contraction import Contraction, Factor, Label, Move
 from pgm.inference.markov.input_tables import InputTables, smallest_entry
 from pgm.inference.markov.weights import Weights
 from pgm.kernels.arrays import Array, Integers
@@ -39,7 +48,7 @@ ADVICE = (
 
 
 class SlicePlan:
-    """A plan of the sums over the slices of a model: variables with their axes, and contractions.
+    """The sums over the slices of a model: variables with their axes, and plans of elimination.
 
     A plan is made once for a model, whatever the evidence.
 
@@ -82,37 +91,42 @@ class SlicePlan:
         return [len(labels) == 2 for labels in self._tables]
 
     @cached_property
-    def onward(self) -> Contraction:
-        """The contraction of a forward message: Σ_x' p(x | x') belief(x'), x' the states before."""
-        return Contraction.of(
-            self._before, range(len(self.slice)), self._tables, self.sizes, self._maps
-        )
+    def onward(self) -> Plan:
+        """The sum of a forward message: Σ_x' p(x | x') belief(x'), x' the states before."""
+        return self._sum(self._before, self._now, self._maps)
 
     @cached_property
-    def back(self) -> Contraction:
-        """The contraction of a backward message: Σ_x p(x | x') message(x), x' the states before."""
-        now = range(len(self.slice))
-        return Contraction.of(now, self._before, self._tables, self.sizes, self._maps, back=True)
+    def back(self) -> Plan:
+        """The sum of a backward message: Σ_x p(x | x') message(x), x' the states before."""
+        return self._sum(self._now, self._before, self._maps, back=True)
 
     @cached_property
-    def pairs(self) -> Contraction:
-        """The contraction of a joint of neighbours, p(x | x') belief(x'), with axes x', then x."""
-        both = (*self._before, *range(len(self.slice)))
-        return Contraction.of(
-            self._before, both, self._tables, self.sizes, [False] * len(self._tables)
-        )
+    def pairs(self) -> Plan:
+        """The product for a joint of neighbours, p(x | x') belief(x'), with axes x', then x."""
+        return self._sum(self._before, (*self._before, *self._now))
+
+    def _sum(
+        self, of: Scope, wanted: Scope, maps: Sequence[bool] = (), *, back: bool = False
+    ) -> Plan:
+        """The plan that multiplies an array over `of` by the transition, and sums to `wanted`."""
+        return next_smallest([of, *self._tables], wanted, self.sizes, maps, back=back)
 
     @cached_property
-    def _before(self) -> tuple[Label, ...]:
+    def _before(self) -> Scope:
         """The labels of the states one step before."""
         return tuple(self.labels[v.previous] for v in self.states)
 
     @cached_property
-    def prior(self) -> Contraction:
-        """The contraction of the prior's CPDs to the states at step 0, from an array of no axes."""
+    def _now(self) -> Scope:
+        """The labels of the variables of the slice."""
+        return tuple(range(len(self.slice)))
+
+    @cached_property
+    def prior(self) -> Plan:
+        """The product of the prior's CPDs, over the states at step 0."""
+        states = tuple(self.labels[v] for v in self.states)
         tables = [self.hidden(cpd) for cpd in self.model.prior]
-        states = [self.labels[v] for v in self.states]
-        return Contraction.of((), states, tables, self.sizes, [False] * len(tables))
+        return next_smallest(tables, states, self.sizes)
 
     @cached_property
     def controls(self) -> tuple[int, ...]:
@@ -142,7 +156,7 @@ class RowTables:
         self.index: dict[tuple[int, ...], Any] = {}
         self.by_run = any(len(rows) and rows.shape[1] > 1 for rows in inputs.values())
 
-    def factor(self, row: int, semiring: Semiring, *, as_map: bool) -> Factor:
+    def factor(self, row: int, semiring: Semiring, *, as_map: bool) -> Entries:
         """The table of a row as entries of a semiring, (size of each hidden variable..., [runs]).
 
         The axis of runs is there only if tables differ by run. With `as_map` it is a `Move`, of
@@ -152,12 +166,12 @@ class RowTables:
             return self._called(row, semiring, as_map)
         if not self.by_run:
             key = tuple(int(self.inputs[v][row, 0, 0]) for v in self.observed)
-            found: Factor = self._factor(key, semiring, as_map)
+            found: Entries = self._factor(key, semiring, as_map)
             return found
         states = np.stack(np.broadcast_arrays(*(self.inputs[v][row, :, 0] for v in self.observed)))
         return self._joined(states, semiring, as_map)
 
-    def _joined(self, states: Any, semiring: Semiring, as_map: bool) -> Factor:
+    def _joined(self, states: Any, semiring: Semiring, as_map: bool) -> Entries:
         """The tables of all runs, where observed parents differ by run, with runs on the last axis.
 
         With `as_map` the result is a `Move` with the map of each run.
@@ -185,7 +199,7 @@ class RowTables:
             found = self.index[name] = self._made(key, semiring, as_map)
         return found
 
-    def _made(self, key: tuple[int, ...], semiring: Semiring, as_map: bool) -> Factor:
+    def _made(self, key: tuple[int, ...], semiring: Semiring, as_map: bool) -> Entries:
         """The table at the states `key` of the observed parents, without their axes.
 
         It is an array of entries of the semiring, or, if `as_map`, a `Move`.
@@ -201,7 +215,7 @@ class RowTables:
         found: Array = table[tuple(states.get(v, slice(None)) for v in self.cpd.given)]
         return found
 
-    def _called(self, row: int, semiring: Semiring, as_map: bool) -> Factor:
+    def _called(self, row: int, semiring: Semiring, as_map: bool) -> Entries:
         """The table at a row, where a function of the inputs gives it.
 
         It is (size of each hidden variable..., [runs]), in entries of the semiring, or a `Move`.
@@ -272,7 +286,8 @@ class TableSlices:
         """The same slices with entries of another semiring."""
         other = copy.copy(self)
         other.semiring = semiring
-        other.__dict__.pop("_fixed", None)
+        for name in ("_fixed", "_algebra"):
+            other.__dict__.pop(name, None)
         return other
 
     def until(self, lost: Integers) -> TableSlices:
@@ -301,7 +316,7 @@ class TableSlices:
         """The probabilities of the states at step 0, (*slice, *runs); controls have length 1."""
         semiring = self.semiring
         tables = [semiring.entries(cpd.table) for cpd in self._prior_cpds]
-        found = self.plan.prior.apply(np.full((), semiring.one), tables, semiring)
+        found: Array = eliminate(self.plan.prior, tables, self._algebra)
         found = found.reshape(self.plan.first_shape)
         return np.repeat(found[..., None], self.bound.runs, axis=-1) if self.lead else found
 
@@ -312,7 +327,7 @@ class TableSlices:
         """
         if self.plan.controls:
             belief = self.semiring.total(belief, self.plan.controls, None)
-        return self.plan.onward.apply(belief, self.factors(step, "onward"), self.semiring)
+        return self.through("onward", step, belief)
 
     def backward(self, step: int, message: Array) -> Array:
         """The sum Σ_x p(x | x') message(x), x being the slice of `step` and x' the one before.
@@ -322,20 +337,32 @@ class TableSlices:
         if self.plan.controls:
             rest = message.shape[len(self.plan.shape) :]
             message = np.broadcast_to(message, (*self.plan.shape, *rest))
-        found = self.plan.back.apply(message, self.factors(step, "back"), self.semiring)
+        found = self.through("back", step, message)
         return np.expand_dims(found, self.plan.controls) if self.plan.controls else found
 
-    def factors(self, step: int, way: str) -> Sequence[Factor]:
-        """The tables of the transition into a step, as a contraction of the `SlicePlan` takes them.
+    def through(self, way: str, step: int, array: Array) -> Array:
+        """An array times the tables of the transition into a step, summed as a plan has it.
 
-        `way` is the name of the contraction: ``"onward"``, ``"back"`` or ``"pairs"``.
+        `way` is the name of the plan in `SlicePlan`: ``"onward"``, ``"back"`` or ``"pairs"``. Axes
+        between those of variables and of runs are kept.
         """
+        plan: Plan = getattr(self.plan, way)
+        tables: tuple[Any, ...] = (array, *self.factors(step, way))
+        found: Array = eliminate(plan, tables, self._algebra)
+        return found
+
+    @cached_property
+    def _algebra(self) -> TableAlgebra:
+        """The arithmetic of the tables; that they do not underflow is seen by `smallest`."""
+        return TableAlgebra(self.semiring, self.plan.sizes, watched=False)
+
+    def factors(self, step: int, way: str) -> Sequence[Entries]:
+        """The tables of the transition into a step, as `through` takes them."""
         fixed = self._fixed.get(way)
         if fixed is not None:
             return fixed
-        plan: Contraction = getattr(self.plan, way)
-        along, row = plan.along, step - self.first
-        found = [r.factor(row, self.semiring, as_map=k in along) for k, r in enumerate(self.rows)]
+        maps, row = getattr(self.plan, way).maps, step - self.first
+        found = [r.factor(row, self.semiring, as_map=k in maps) for k, r in enumerate(self.rows, 1)]
         if not any(rows.inputs for rows in self.rows):
             self._fixed[way] = found
         return found
@@ -344,10 +371,10 @@ class TableSlices:
     def single(self) -> bool:
         """Whether the slice is one state, whose transition is a map that all runs share."""
         only = len(self.plan.slice) == 1 and len(self.plan.states) == 1
-        return only and self.plan.onward.along == {0} and not self.rows[0].by_run
+        return only and self.plan.onward.maps == {1} and not self.rows[0].by_run
 
     @property
-    def constant(self) -> Sequence[Factor] | None:
+    def constant(self) -> Sequence[Entries] | None:
         """The tables of the transition, as forward messages use them, if all steps share them.
 
         They are None where the tables may differ by step.
@@ -392,8 +419,8 @@ class TableSlices:
         return found, scales + np.log(top)
 
     @cached_property
-    def _fixed(self) -> dict[str, list[Factor]]:
-        """The cache of `factors`: by the name of a contraction, the tables of the transition.
+    def _fixed(self) -> dict[str, list[Entries]]:
+        """The cache of `factors`: by the name of a plan, the tables of the transition.
 
         It is filled where no CPD of the transition has inputs: all steps have the same tables.
         """

@@ -32,7 +32,7 @@ from pgm.inference.discrete.impossible import ADVICE
 from pgm.inference.discrete.run_pieces import pieces
 from pgm.inference.impossible import OF_RUNS, ImpossibleEvidence
 from pgm.inference.query.elimination import eliminate, lost_runs, refusal
-from pgm.inference.query.plan import EliminationPlan
+from pgm.inference.query.plan import QueryPlan
 from pgm.inference.query.requisite import Requisite, evidence_of
 from pgm.kernels.arrays import Integers, Mask
 from pgm.variables import Discrete
@@ -51,14 +51,14 @@ class Contradiction:
     """
 
     lost: Mask
-    part: EliminationPlan | TableCPD
+    part: QueryPlan | TableCPD
 
     def error(self, evidence: BoundStates) -> ImpossibleEvidence:
         """The error that refuses the impossible evidence.
 
         `evidence` is the evidence of the whole network.
         """
-        if isinstance(self.part, EliminationPlan):
+        if isinstance(self.part, QueryPlan):
             return refusal(self.part, self.lost, evidence.lead)
         cpd, lead = self.part, evidence.lead
         observed = [v for v in cpd.scope if v in evidence.states]
@@ -97,12 +97,12 @@ def contradictions(left_out: Sequence[Family], evidence: BoundStates) -> list[Co
             continue
         hidden = discrete(tuple(dict.fromkeys(v for _, unknown in part for v in unknown)))
         cpds, scopes = zip(*part, strict=True)
-        plan = EliminationPlan.of(
+        plan = QueryPlan.of(
             Requisite(cpds, scopes, hidden, evidence_of(evidence, members)), hidden[-1:]
         )
-        if plan.peak > limits.LIMIT:
+        if plan.sums.peak > limits.LIMIT:
             continue
-        some = pieces(plan.requisite.evidence, limits.BATCH // plan.peak)
+        some = pieces(plan.requisite.evidence, limits.BATCH // plan.sums.peak)
         lost = np.concatenate([lost_runs(eliminate(plan, piece)) for piece in some])
         found.append(Contradiction(np.broadcast_to(lost, evidence.runs), plan))
     return [each for each in found if each.lost.any()]

@@ -30,7 +30,7 @@ from pgm.inference.discrete.run_pieces import pieces
 from pgm.inference.impossible import RAISE, ImpossibleEvidence, allows
 from pgm.inference.query.elimination import NOTHING, eliminate, require_possible
 from pgm.inference.query.left_out import Contradiction, contradictions
-from pgm.inference.query.plan import EliminationPlan
+from pgm.inference.query.plan import QueryPlan
 from pgm.inference.query.requisite import Requisite, certain
 from pgm.kernels.arrays import Array
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
@@ -220,21 +220,21 @@ def _answer(
     tree = math.inf
     if graph is not None and graph.is_tree and sum(graph.sizes) <= limits.LIMIT:
         tree = PASS + ENTRY * graph.cost * runs
-    plan = EliminationPlan.of(requisite, scope) if tree > least else None
-    if graph is not None and (plan is None or tree <= least + plan.cost * runs):
+    plan = QueryPlan.of(requisite, scope) if tree > least else None
+    if graph is not None and (plan is None or tree <= least + plan.sums.cost * runs):
         # Variables that are far apart in the tree may need larger tables there.
         with suppress(GraphError):
             return _read(graph, requisite.evidence, scope, allow=allow)
-    return _eliminated(plan or EliminationPlan.of(requisite, scope), scope, allow=allow)
+    return _eliminated(plan or QueryPlan.of(requisite, scope), scope, allow=allow)
 
 
-def _eliminated(plan: EliminationPlan, scope: States, *, allow: bool) -> Array:
+def _eliminated(plan: QueryPlan, scope: States, *, allow: bool) -> Array:
     """The joint of the variables `scope`, (sizes..., runs or 1), by summing the others out.
 
     With `allow`, runs of impossible evidence have NaN; else they raise ImpossibleEvidence.
     """
     plan.require_size()
-    some = pieces(plan.requisite.evidence, limits.BATCH // plan.peak)
+    some = pieces(plan.requisite.evidence, limits.BATCH // plan.sums.peak)
     parts = [eliminate(plan, piece) for piece in some]
     values = np.concatenate(parts, axis=-1)
     if not allow:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import pgm
 from pgm.evidence.static import bind_discrete
-from pgm.inference.query.plan import EliminationPlan
+from pgm.inference.query.plan import QueryPlan
 from pgm.inference.query.requisite import Requisite
 
 
@@ -105,7 +105,7 @@ def test_a_part_of_a_network_whose_junction_tree_is_too_large():
         np.testing.assert_allclose(pgm.query(source, wanted, evidence).values, due, atol=1e-12)
     part = requisite(net, wanted, evidence)
     assert len(part.cpds) == 16
-    assert max(EliminationPlan.of(part, wanted).sizes) <= 2**6
+    assert max(QueryPlan.of(part, wanted).sums.products) <= 2**6
     with pytest.raises(pgm.GraphError, match=r"tables that are too large: .* GiB at a time"):
         pgm.query(net, variables[-1])
 
@@ -113,14 +113,14 @@ def test_a_part_of_a_network_whose_junction_tree_is_too_large():
 def test_tables_are_no_larger_than_the_order_needs():
     net = chain(200)
     v = net.variables
-    plan = EliminationPlan.of(requisite(net, (v[0], v[-1])), (v[0], v[-1]))
-    assert max(plan.sizes) == 2**3
-    assert plan.peak < 50
+    plan = QueryPlan.of(requisite(net, (v[0], v[-1])), (v[0], v[-1]))
+    assert max(plan.sums.products) == 2**3
+    assert plan.sums.peak < 50
     star = dags.discrete(dags.star(50))
     centre, *leaves = star.variables
     part = requisite(star, (centre,), dict.fromkeys(leaves, 0))
-    plan = EliminationPlan.of(part, (centre,))
-    assert plan.sizes == [2]
+    plan = QueryPlan.of(part, (centre,))
+    assert plan.sums.products == [2]
     # Where variables differ in size, the better of two orders is taken.
     wide = network(3, count=60, largest=8, before=6)
     last = wide.variables[-1:]
@@ -131,7 +131,7 @@ def test_tables_are_no_larger_than_the_order_needs():
     adjacent = [{k for f in families if p in f for k in f} - {p} for p in range(len(sizes))]
     stages = [int(v in last) for v in part.hidden]
     costs = [
-        EliminationPlan._ordered(part, families, adjacent, weights, stages).cost
+        QueryPlan._ordered(part, families, adjacent, weights, stages).sums.cost
         for weights in (sizes, [1] * len(sizes))
     ]
-    assert EliminationPlan.of(part, last).cost == min(costs)
+    assert QueryPlan.of(part, last).sums.cost == min(costs)

@@ -187,13 +187,13 @@ def test_a_name_and_an_index():
 def kernels(monkeypatch):
     """Record which semirings are used."""
     used = []
-    result = elimination._result
+    result = elimination._tables
 
     def recorded(plan, evidence, semiring):
         used.append(semiring)
         return result(plan, evidence, semiring)
 
-    monkeypatch.setattr(elimination, "_result", recorded)
+    monkeypatch.setattr(elimination, "_tables", recorded)
     return used
 
 
