@@ -107,20 +107,19 @@ class _Question:
         clusters = self._hang(joined, members)
         self.factors: list[Array] = []
         scopes: list[Scope] = []
-        own: list[list[int]] = [[] for _ in members]
+        entering: list[list[int]] = [[] for _ in members]
         cpds = cast(Sequence[TableCPD], network.cpds)
         for cluster, numbers in enumerate(assigned):
             for number in numbers:
-                own[cluster].append(len(scopes))
-                self._add_cpd(scopes, network._families[number], cpds[number].table)
+                entering[cluster].append(len(scopes))
+                scopes.append(self._add_cpd(network._families[number], cpds[number].table))
         if evidence.weights:
             # A variable goes where its own CPD does: into a cluster that has it.
             homes = {number: k for k, numbers in enumerate(assigned) for number in numbers}
             for variable, weights in evidence.weights.items():
-                own[homes[places[variable]]].append(len(scopes))
-                self._add_weights(scopes, places[variable], weights[0])
-        self._cover(scopes, clusters, own)
-        self.plan = _plan(scopes, self.sizes, clusters, own)
+                entering[homes[places[variable]]].append(len(scopes))
+                scopes.append(self._add_weights(places[variable], weights[0]))
+        self.plan = Plan(scopes, self.sizes, _steps(clusters, scopes, entering), ())
 
     def _hang(
         self, joined: Sequence[Sequence[int]], members: Sequence[Sequence[int]]
@@ -156,11 +155,12 @@ class _Question:
                         waiting.append(other)
         return clusters
 
-    def _add_cpd(self, scopes: list[Scope], family: Sequence[int], table: Array) -> None:
-        """Add a CPD to the factors, each observed variable at its state, on an axis of length one.
+    def _add_cpd(self, family: Sequence[int], table: Array) -> Scope:
+        """Add a CPD to the factors, each observed variable at its state; returns its scope.
 
-        `family` are the numbers of the child, then of the parents; `table` has the parents' axes in
-        that order, then the child's. The axes of the factor stand in ascending rank.
+        An observed variable keeps an axis of length one. `family` are the numbers of the child,
+        then of the parents; `table` has the parents' axes in that order, then the child's. The
+        axes of the factor stand in ascending rank.
         """
         given = [*family[1:], family[0]]
         if not self.shown.keys().isdisjoint(given):
@@ -170,30 +170,18 @@ class _Question:
         scope = sorted(given, key=self.rank.__getitem__)
         if scope != given:
             table = table.transpose([given.index(place) for place in scope])
-        scopes.append(tuple(scope))
         self.factors.append(table)
+        return tuple(scope)
 
-    def _add_weights(self, scopes: list[Scope], place: int, weights: Array) -> None:
-        """Add the soft evidence of the variable numbered `place`, weights (states,), as a factor.
+    def _add_weights(self, place: int, weights: Array) -> Scope:
+        """Add a variable's soft evidence, weights (states,), to the factors; returns its scope.
 
-        If the variable is observed too, the factor has the weight of its state alone.
+        The variable is numbered `place`. If it is observed, too, the factor has the weight of its
+        state alone.
         """
         state = self.shown.get(place)
-        scopes.append((place,))
         self.factors.append(weights if state is None else weights[state : state + 1])
-
-    def _cover(
-        self, scopes: list[Scope], clusters: Sequence[_Hung], own: Sequence[list[int]]
-    ) -> None:
-        """Add ones as a factor of each cluster with a variable that nothing which enters it has."""
-        entering = [[scopes[number] for number in numbers] for numbers in own]
-        for cluster, parent, scope, shared in reversed(clusters):
-            if parent >= 0:
-                entering[parent].append(shared)
-            if len(set().union(*entering[cluster])) < len(scope):
-                own[cluster].append(len(scopes))
-                scopes.append(scope)
-                self.factors.append(np.ones([self.sizes[place] for place in scope]))
+        return (place,)
 
 
 class _Hung(NamedTuple):
@@ -209,26 +197,32 @@ class _Hung(NamedTuple):
     shared: Scope
 
 
-def _plan(
-    scopes: Sequence[Scope],
-    sizes: Sequence[int],
-    clusters: Sequence[_Hung],
-    own: Sequence[Sequence[int]],
-) -> Plan:
+def _steps(
+    clusters: Sequence[_Hung], scopes: Sequence[Scope], entering: Sequence[list[int]]
+) -> list[Step]:
     """The clusters as steps, children before parents.
 
-    own: Of each cluster, the numbers of its factors; what its children leave joins them.
+    entering: Of each cluster, the numbers of its factors; what its children leave joins them.
+
+    A variable that nothing which enters a cluster has is none of the step's: the product is alike
+    in all its states. A cluster that nothing enters makes no step.
     """
-    first = len(scopes)
-    entering = [list(numbers) for numbers in own]
-    over = [[scopes[number] for number in numbers] for numbers in own]
-    steps: list[Step] = []
+    first, steps = len(scopes), list[Step]()
+    over = [[scopes[number] for number in numbers] for numbers in entering]
     for cluster, parent, scope, shared in reversed(clusters):
+        own, count = over[cluster], len(scope)
+        if not own:
+            continue
+        if count not in map(len, own):
+            known = set().union(*own)
+            if len(known) < count:
+                scope = tuple([place for place in scope if place in known])
+                shared = tuple([place for place in shared if place in known])
         if parent >= 0:
             entering[parent].append(first + len(steps))
             over[parent].append(shared)
-        steps.append(Step(tuple(entering[cluster]), tuple(over[cluster]), scope, shared))
-    return Plan(scopes, sizes, steps, ())
+        steps.append(Step(tuple(entering[cluster]), tuple(own), scope, shared))
+    return steps
 
 
 def _marginals(

@@ -6,7 +6,7 @@ makes plans. `eliminate` and `Calibrated` carry one out (`carry_out`) for any ki
 """
 
 from pgm.inference.elimination.carry_out import Algebra, Calibrated, eliminate, results
-from pgm.inference.elimination.orders import in_order, next_smallest
+from pgm.inference.elimination.orders import by_fill, in_order, next_smallest
 from pgm.inference.elimination.plan import Label, Plan, Scope, Step
 from pgm.inference.elimination.tables import Entries, Move, TableAlgebra
 
@@ -20,6 +20,7 @@ __all__ = [
     "Scope",
     "Step",
     "TableAlgebra",
+    "by_fill",
     "eliminate",
     "in_order",
     "next_smallest",

@@ -85,25 +85,28 @@ class Calibrated(Generic[F]):
         self.products: list[F] = []
         self.totals: list[F] = []
         take = given if callable(given) else given.__getitem__
-        first = len(plan.scopes)
+        first, totals = len(plan.scopes), self.totals
         for step in plan.steps:
-            factors = [take(k) if k < first else self.totals[k - first] for k in step.factors]
+            factors = [take(k) if k < first else totals[k - first] for k in step.factors]
             product = algebra.product(step, factors)
             self.products.append(product)
-            self.totals.append(algebra.total(product, step.scope, step.left))
+            totals.append(algebra.total(product, step.scope, step.left))
 
     def back(self) -> Iterator[tuple[Step, F, F | None]]:
         """Each step, from the last one to the first, with its joint, and that of what it leaves.
 
-        The latter is None of a root, which leaves nothing.
+        The latter is None of a root, whose result no step takes.
         """
-        plan, algebra, steps = self.plan, self.algebra, self.plan.steps
-        joints = self.products[:]
+        algebra, steps, first = self.algebra, self.plan.steps, len(self.plan.scopes)
+        # Of each step whose result was taken, the scope and the joint of the step that took it.
+        takers: dict[int, tuple[Scope, F]] = {}
         for number in range(len(steps) - 1, -1, -1):
-            step, taker = steps[number], plan.takers[number]
-            total = self.totals[number]
-            outside: F | None = None
-            if taker >= 0:
-                outside = algebra.total(joints[taker], steps[taker].scope, step.left)
-            joints[number] = algebra.joint(step, joints[number], total, outside)
-            yield step, joints[number], outside
+            step, outside = steps[number], None
+            taker = takers.pop(number, None)
+            if taker is not None:
+                outside = algebra.total(taker[1], taker[0], step.left)
+            joint = algebra.joint(step, self.products[number], self.totals[number], outside)
+            for factor in step.factors:
+                if factor >= first:
+                    takers[factor - first] = step.scope, joint
+            yield step, joint, outside

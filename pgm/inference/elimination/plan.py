@@ -62,17 +62,6 @@ class Plan:
     wanted: Scope
 
     @cached_property
-    def takers(self) -> list[int]:
-        """Of each step, the number of the step that takes its result; −1 if none does."""
-        first = len(self.scopes)
-        found = [-1] * len(self.steps)
-        for number, step in enumerate(self.steps):
-            for factor in step.factors:
-                if factor >= first:
-                    found[factor - first] = number
-        return found
-
-    @cached_property
     def maps(self) -> frozenset[int]:
         """The numbers of the factors given that are applied as matrices along an axis."""
         return frozenset(step.factors[1] for step in self.steps if step.axis >= 0)

@@ -120,10 +120,11 @@ class TableAlgebra(Algebra[Any]):
         count, total = len(scope) - len(left), self.semiring.total
         if not count:
             return product
-        if scope[count:] == left:
+        first = scope[count:] == left
+        if first and product.size >= LONG:
             # One axis of all that is summed out.
             return total(product.reshape(-1, *product.shape[count:]), 0, None)
-        gone = [k for k, x in enumerate(scope) if x not in left]
+        gone = range(count) if first else [k for k, x in enumerate(scope) if x not in left]
         if product.size < LONG or not self.semiring.linear:
             return total(product, tuple(gone), None)
         for lost, axis in enumerate(gone):
@@ -173,13 +174,14 @@ class TableAlgebra(Algebra[Any]):
 
     def joint(self, step: Step, product: Array, total: Array, outside: Array | None) -> Array:
         """The joint of a step's variables; see `Algebra.joint`."""
-        semiring = self.semiring
+        semiring, scope, left = self.semiring, step.scope, step.left
         if outside is None:
             return cast(Array, semiring.over(product, total))
-        if not (total > semiring.zero).all():
-            total = semiring.divisor(total)
+        if not semiring.linear or np.count_nonzero(total) < total.size:
+            total = semiring.divisor(total)  # where it is zero the joint outside is, too
         ratio = semiring.over(outside, total)
-        ratio = over(ratio, step.left, step.scope, product.ndim - len(step.scope))
+        if scope[len(scope) - len(left) :] != left:
+            ratio = over(ratio, left, scope, product.ndim - len(scope))
         return cast(Array, semiring.times(product, ratio))
 
 

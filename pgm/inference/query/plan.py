@@ -9,20 +9,15 @@ observed in some runs alone, then the results of the plan's steps.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pgm.compile.elimination import Adjacency, min_fill
 from pgm.errors import GraphError
 from pgm.factors.axes import States
 from pgm.factors.scope import listed
 from pgm.inference import limits
-from pgm.inference.elimination import Plan, in_order
+from pgm.inference.elimination import Plan, by_fill
 from pgm.inference.query.requisite import Requisite
 from pgm.resources import gibibytes
-
-# From this cost of a plan on, a second order is tried: that takes less time than it may save.
-LARGE = 2**16
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,60 +39,16 @@ class QueryPlan:
 
     @classmethod
     def of(cls, requisite: Requisite, wanted: States) -> QueryPlan:
-        """The plan in the order of min-fill weighted by numbers of states, `wanted` variables last.
-
-        If the tables of all its steps together have more than 2¹⁶ entries for one run, plain
-        min-fill is tried too, and the plan of fewer entries is taken.
-        """
-        hidden = requisite.hidden
+        """The plan in the order of min-fill, `wanted` variables last."""
+        hidden, evidence = requisite.hidden, requisite.evidence
         place = {v: k for k, v in enumerate(hidden)}
-        families = [tuple(place[v] for v in scope) for scope in requisite.open]
-        adjacent: list[set[int]] = [set() for _ in hidden]
-        for family in families:
-            for vertex in family:
-                adjacent[vertex].update(family)
-        for vertex, near in enumerate(adjacent):
-            near.discard(vertex)
-        stages = [0] * len(hidden)
-        for variable in wanted:
-            if variable in place:  # one of a single state is not
-                stages[place[variable]] = 1
-        sizes = [v.size for v in hidden]
-        best = cls._ordered(requisite, families, adjacent, sizes, stages)
-        if best.sums.cost > LARGE:
-            other = cls._ordered(requisite, families, adjacent, [1] * len(hidden), stages)
-            best = min(best, other, key=lambda each: each.sums.cost)
-        return best
-
-    @classmethod
-    def _ordered(
-        cls,
-        requisite: Requisite,
-        families: Sequence[tuple[int, ...]],
-        adjacent: Adjacency,
-        weights: Sequence[int],
-        stages: Sequence[int],
-    ) -> QueryPlan:
-        """The plan in weighted min-fill order, with the variables asked for last.
-
-        Here a variable is a number, its place in `requisite.hidden`. `families` has the variables
-        of each CPD's table, and `adjacent` the neighbours of each variable, with which it shares a
-        table. `weights` (numbers of states, or ones) and `stages` have an entry for each variable:
-        the stage is 1 for a variable asked for, 0 for one that is summed out.
-        """
-        found = min_fill(adjacent, weights, stages)
-        position = [0] * len(found)
-        for k, vertex in enumerate(found):
-            position[vertex] = k
-        order = tuple(requisite.hidden[k] for k in found)
-        scopes = [tuple(sorted(map(position.__getitem__, family))) for family in families]
-        evidence = requisite.evidence
         soft = {v: None for v, s in evidence.states.items() if not isinstance(s, int)}
-        places = {v: k for k, v in enumerate(order)}
-        weighted = tuple(v for v in (soft | dict.fromkeys(evidence.weights)) if v in places)
-        scopes += [(places[v],) for v in weighted]
-        sums = in_order(scopes, [v.size for v in order], len(order) - sum(stages))
-        return cls(requisite, order, weighted, sums)
+        weighted = tuple(v for v in (soft | dict.fromkeys(evidence.weights)) if v in place)
+        scopes = [tuple([place[v] for v in scope]) for scope in requisite.open]
+        scopes += [(place[v],) for v in weighted]
+        asked = [place[v] for v in wanted if v in place]  # one of a single state is not
+        order, sums = by_fill(scopes, [v.size for v in hidden], asked)
+        return cls(requisite, tuple(hidden[k] for k in order), weighted, sums)
 
     def require_size(self) -> None:
         """Raise a GraphError if the tables need more memory at a time than the limit allows.

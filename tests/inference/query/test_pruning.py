@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 import pgm
 from pgm.evidence.static import bind_discrete
+from pgm.inference.elimination import orders
 from pgm.inference.query.plan import QueryPlan
 from pgm.inference.query.requisite import Requisite
 
@@ -127,11 +128,11 @@ def test_tables_are_no_larger_than_the_order_needs():
     part = requisite(wide, last)
     sizes = [v.size for v in part.hidden]
     place = {v: k for k, v in enumerate(part.hidden)}
-    families = [tuple(place[v] for v in scope) for scope in part.open]
-    adjacent = [{k for f in families if p in f for k in f} - {p} for p in range(len(sizes))]
-    stages = [int(v in last) for v in part.hidden]
+    scopes = [tuple(place[v] for v in scope) for scope in part.open]
+    adjacent = [{k for f in scopes if p in f for k in f} - {p} for p in range(len(sizes))]
+    asked = [place[v] for v in last]
     costs = [
-        QueryPlan._ordered(part, families, adjacent, weights, stages).sums.cost
+        orders._ordered(scopes, adjacent, sizes, weights, asked)[1].cost
         for weights in (sizes, [1] * len(sizes))
     ]
     assert QueryPlan.of(part, last).sums.cost == min(costs)
