@@ -70,9 +70,9 @@ def _answer(graph: ClusterGraph, evidence: BoundStates) -> Answer:
     algebra = TableAlgebra(SUM_PRODUCT, question.sizes, aligned=0)
     calibrated = Calibrated(question.plan, question.factors, algebra)
     log_evidence = 0.0
-    for step, total in zip(question.plan.steps, calibrated.totals, strict=True):
-        if not step.left:
-            log_evidence += math.log(total) if total else -math.inf
+    for root in question.plan.roots:
+        total = calibrated.totals[root]
+        log_evidence += math.log(total) if total else -math.inf
     return Answer(_marginals(question, calibrated, algebra), log_evidence)
 
 

@@ -62,6 +62,13 @@ class Plan:
     wanted: Scope
 
     @cached_property
+    def roots(self) -> list[int]:
+        """The steps whose results no step takes, by number: of several trees, one of each."""
+        first = len(self.scopes)
+        taken = {k - first for step in self.steps for k in step.factors if k >= first}
+        return [number for number in range(len(self.steps)) if number not in taken]
+
+    @cached_property
     def maps(self) -> frozenset[int]:
         """The numbers of the factors given that are applied as matrices along an axis."""
         return frozenset(step.factors[1] for step in self.steps if step.axis >= 0)

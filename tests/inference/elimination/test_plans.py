@@ -201,3 +201,4 @@ def test_both_ways_make_the_joints_of_clusters(seed, name):
             np.testing.assert_allclose(left(outside, semiring), due.sum(axis=gone), atol=1e-14)
         seen.append(step)
     assert seen == list(reversed(TREE.steps))
+    assert TREE.roots == [2, 3]
