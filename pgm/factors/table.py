@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.arguments import public
-from pgm.boundary import as_mapping
+from pgm.boundary import as_generator, as_lengths, as_mapping
 from pgm.display import NoArray, Shown, Summary
 from pgm.errors import ModelError, NumericalError
 from pgm.factors.axes import (
@@ -267,6 +267,34 @@ class Table(FramedTable, Shown, NoArray, Immutable):
         if lead:
             return dict(zip(self.scope, index, strict=True))
         return {v: v.states[k] for v, k in zip(self.scope, index, strict=True)}
+
+    @public
+    def sample(
+        self, size: int | tuple[int, ...] = (), *, rng: np.random.Generator | int
+    ) -> Integers:
+        """Draws of the variables' joint states by the probabilities, as indices.
+
+        Parameters
+        ----------
+        size : int or tuple of int
+            How many draws of each table.
+        rng : numpy.random.Generator or int
+            The generator of draws, or its seed.
+
+        Returns
+        -------
+        ndarray of int
+            (*size, ..., number of variables), in the order of the scope.
+        """
+        shape, lead = as_lengths(size, "of each table"), self.log_scale.shape
+        total = np.cumsum(self._positive().reshape(math.prod(lead), -1), axis=1)
+        level = as_generator(rng).random((math.prod(shape), len(total))) * total[:, -1]
+        drawn = np.empty(level.shape, dtype=np.intp)
+        for table, ends in enumerate(total):
+            # What rounding leaves of the sum goes to no state of its own.
+            drawn[:, table] = np.searchsorted(ends[:-1], level[:, table], side="right")
+        index = unravelled(drawn.reshape((*shape, *lead)), sizes(self.scope))
+        return np.stack(index, axis=-1)
 
     def _positive(self) -> Array:
         values, _ = self._rescaled

@@ -632,3 +632,37 @@ def test_the_largest_entries_of_many_stacks_of_one_are_their_own():
     found = pgm.Table((a, b), values, lead=(9000, 1)).argmax()
     expected = values.reshape(9000, 12).argmax(axis=1)
     assert np.array_equal(found[a][:, 0] * 4 + found[b][:, 0], expected)
+
+
+def test_draws_have_the_probabilities_of_states():
+    rng = np.random.default_rng(0)
+    a, b = pgm.Discrete("a", 3), pgm.Discrete("b", 4)
+    values = rng.random((2, 3, 4))
+    values[0, 1, 2] = values[1, 2, 3] = 0.0
+    table = pgm.Table((a, b), values, [1000.0, -1000.0], lead=2)
+    drawn = table.sample(20_000, rng=1)
+    assert drawn.shape == (20_000, 2, 2)
+    for run in range(2):
+        found = np.zeros((3, 4))
+        np.add.at(found, tuple(drawn[:, run].T), 1.0 / 20_000)
+        due = values[run] / values[run].sum()
+        assert (found[due == 0.0] == 0.0).all()
+        np.testing.assert_allclose(found, due, atol=5.0 * np.sqrt(0.1 / 20_000))
+    assert table.sample((2, 3), rng=0).shape == (2, 3, 2, 2)
+    assert pgm.Table(a, [0.0, 1.0, 0.0]).sample(rng=0).tolist() == [1]
+    with pytest.raises(pgm.NumericalError):
+        pgm.Table(a, [0.0, 0.0, 0.0]).sample(rng=0)
+
+
+def test_every_marginal_can_be_drawn_from():
+    """Of each family, (*size, ..., components)."""
+    from pgm.examples import rain, still, walk, wet, x, z
+
+    seen = {z: [[4.0], [3.0]]}
+    for belief, posterior in {
+        "moments": pgm.filter(walk, seen),
+        "grid": pgm.filter(walk, seen, belief=pgm.Grid({"x": (-8.0, 12.0, 40)})),
+        "particles": pgm.filter(walk, seen, belief=pgm.Particles(50)),
+    }.items():
+        assert posterior[x].sample(5, rng=0).shape == (5, 3, 1), belief
+    assert pgm.filter(still, {wet: [1, 0]})[rain].sample(5, rng=0).shape == (5, 3, 1)
