@@ -7,11 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pgm.errors import ModelError
 from pgm.kernels import regression
 from pgm.kernels.arrays import Array
 
 # Four units in the last place.
 _LAST_PLACES = 4 * 2.0**-52
+# Weights of a mean add up to one but for so much of their sizes.
+_SUM = 1e-9
 
 
 class _Points(NamedTuple):
@@ -33,6 +36,12 @@ class Points(_Points):
     centred : bool
         Whether the first point is the origin.
 
+    Raises
+    ------
+    ModelError
+        If there are not as many weights as points, those of the mean do not add up to one, or the
+        first of centred points is not the origin.
+
     Examples
     --------
     >>> from pgm.linearisers import Points
@@ -41,6 +50,27 @@ class Points(_Points):
     >>> rule.mean_weights @ rule.points**2  # the variance of N(0, 1)
     array([1.])
     """
+
+    def __new__(
+        cls, points: Array, mean_weights: Array, cov_weights: Array, centred: bool
+    ) -> Points:
+        """The points, once they fit their weights."""
+        count = points.shape[-2] if points.ndim > 1 else -1
+        for name, weights in (("mean_weights", mean_weights), ("cov_weights", cov_weights)):
+            if weights.shape != (count,):
+                raise ModelError(
+                    f"a rule's points have shape {points.shape} and its {name} {weights.shape}; "
+                    "(..., N, n) and (N,) were due"
+                )
+        total = float(mean_weights.sum())
+        if not abs(total - 1.0) <= _SUM * max(float(np.abs(mean_weights).sum()), 1.0):
+            raise ModelError(f"a rule's mean_weights add up to {total:g}; one was due")
+        if centred and points[..., 0, :].any():
+            raise ModelError(
+                "a rule's points are centred, and the first of them is not the origin; leave "
+                "centred at False"
+            )
+        return super().__new__(cls, points, mean_weights, cov_weights, centred)
 
     @cached_property
     def fit(self) -> regression.Fit:

@@ -309,3 +309,21 @@ def test_a_rule_of_ones_own_is_points_and_weights():
     assert_allclose(affine.F @ at.mean + affine.b, [value], rtol=1e-8)
     left = value**2 * (np.exp(0.3) - 1) - 0.3 * value**2
     assert_allclose(affine.cov, [[left]], rtol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("points", "mean_weights", "cov_weights", "centred", "text"),
+    [
+        (np.eye(2), [0.5, 0.6], [0.5, 0.5], False, "mean_weights add up to 1.1; one was due"),
+        (np.eye(2), [0.5, np.nan], [0.5, 0.5], False, "mean_weights add up to nan"),
+        (np.eye(2), [1.0], [0.5, 0.5], False, r"its mean_weights \(1,\)"),
+        (np.eye(2), [0.5, 0.5], [1.0], False, r"its cov_weights \(1,\)"),
+        (np.ones(2), [0.5, 0.5], [0.5, 0.5], False, r"points have shape \(2,\)"),
+        (np.eye(2), [0.5, 0.5], [0.5, 0.5], True, "the first of them is not the origin"),
+    ],
+)
+def test_points_that_do_not_fit_their_weights_are_refused(
+    points, mean_weights, cov_weights, centred, text
+):
+    with pytest.raises(pgm.ModelError, match=text):
+        pgm.linearisers.Points(points, np.array(mean_weights), np.array(cov_weights), centred)
