@@ -11,8 +11,8 @@ derivatives are looked at by themselves (`slopes`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import TypeVar
+from collections.abc import Iterator, Sequence
+from types import TracebackType
 
 import numpy as np
 
@@ -22,8 +22,6 @@ from pgm.kernels.arrays import Array, Integers, components_last, quiet
 from pgm.tracing.program import Column, Program
 from pgm.tracing.slopes import Points, Slopes, beside, choice, shown
 from pgm.tracing.trace import Tracer
-
-Found = TypeVar("Found")
 
 # From so many points on, a trace is made anew at each call. Then about so many values are judged,
 # and the slopes of so many points are looked at, or so many entries of slopes.
@@ -231,11 +229,29 @@ class Answers:
 
 
 class Judge:
-    """The traces that one call uses; without trust, it uses none."""
+    """The traces that one call uses; without trust, it uses none.
+
+    A call is a block of its judge, ``with judge:``, at the end of which the traces are judged. An
+    error of the block that may be one of wrong traces goes no further; `right` is then False.
+    """
 
     def __init__(self, *, trusting: bool = True) -> None:
-        self.trusting = trusting
+        self.trusting, self.right = trusting, True
         self.answers: list[Answers] = []
+
+    def __enter__(self) -> Judge:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> bool:
+        if error is not None and not isinstance(error, PgmError):
+            return False
+        self.right = self.passes()
+        return not self.right
 
     def asked(
         self,
@@ -282,23 +298,24 @@ class Judge:
         return right
 
 
-def judged(call: Callable[[Judge], Found]) -> Found:
-    """A call's result from traces that proved right; otherwise the call is done again.
+def judged() -> Iterator[Judge]:
+    """The judges of a call, which is done once for each, until its traces have proved right.
+
+    The result is that of the last::
+
+        for judge in judged():
+            with judge:
+                found = ...
 
     At first a wrong trace is made anew, since its function may have changed; one that was new is
-    given up.
+    given up. The last judge trusts none.
     """
     for _ in range(2):
         judge = Judge()
-        try:
-            found = call(judge)
-        except PgmError:
-            if judge.passes():
-                raise
-        else:
-            if judge.passes():
-                return found
-    return call(Judge(trusting=False))
+        yield judge
+        if judge.right:
+            return
+    yield Judge(trusting=False)
 
 
 def _chosen(doubts: Array) -> Integers:

@@ -10,10 +10,11 @@ deviations, (runs,).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -267,11 +268,11 @@ def stored(
     """
     out = Forward.empty(plan)
     if anchor is None and gated is None:
-        went = _swept(plan, None, out.known, out.predicted, keep=False)
-        return replace(out, closest=went.closest, far=went.far)
-    record = _Record(plan, out.known, out.predicted)
-    with record.refusing(None):
-        sweep.forward(MomentChain(plan, None, anchor=anchor, gated=gated), plan.steps, record)
+        ahead = Pass(plan, None, out.known, out.predicted, keep=False)
+        sweep_all(ahead)
+        return replace(out, closest=ahead.went.closest, far=ahead.went.far)
+    chain = MomentChain(plan, None, anchor=anchor, gated=gated)
+    sweep_all([Part(chain, _Record(plan, out.known, out.predicted))])
     return out
 
 
@@ -281,78 +282,139 @@ def run(plan: ChainPlan, schedule: Filtering) -> tuple[Forward, Status]:
     The plan keeps the linearisations. A ModelError refuses nonlinear sensors of singular noise if
     the schedule controls steps by their cost (`require_cost`).
     """
-    require_cost(schedule, (sensor.family for sensor in plan.sensors))
-    out = Forward.empty(plan)
-    went = _swept(plan, schedule, out.known, out.predicted, keep=True)
-    for family in plan.families:
-        family.settle()
-    status = Status.of(went.residuals, went.converged, plan.lead)
-    return replace(out, closest=went.closest, far=went.far), status
+    ahead = WholePass(plan, schedule)
+    sweep_all(ahead)
+    return ahead.result()
 
 
-def filtered(
-    plan: ChainPlan, schedule: Filtering, room: Room | None = None
-) -> tuple[Filtered, Status]:
-    """The known beliefs of the forward pass, without the predicted ones, and the pass's status.
+class Part(NamedTuple):
+    """Some runs of a forward pass, that NumPy is to sweep: their family, and the record to fill.
+
+    `others` has the parts of all runs together, which are swept where these runs alone fail, since
+    the first error may be of other runs; None where these are all.
+    """
+
+    chain: MomentChain
+    record: _Record
+    others: Callable[[], Iterable[Part]] | None = None
+
+    @contextmanager
+    def refusing(self) -> Iterator[None]:
+        """A context for the part's sweep, in which what fails or is not finite is refused."""
+        try:
+            with self.record.refusing(self.chain.schedule):
+                yield
+        except PgmError:
+            if self.others is not None:
+                sweep_all(self.others())
+            raise
+
+
+def sweep_all(parts: Iterable[Part]) -> None:
+    """Sweep the parts of a forward pass, one after another."""
+    for part in parts:
+        with part.refusing():
+            sweep.forward(part.chain, part.chain.plan.steps, part.record)
+
+
+class Pass:
+    """A forward pass into arrays, which asks for what machine code does not sweep of it.
+
+    `known` has means, covariances and log-densities, `predicted` means and covariances, or nothing
+    if they are not to be kept. Without a schedule the plan's linearisations are used; with one,
+    `keep` says whether the plan stores the new linearisations.
+
+    To iterate sweeps in machine code, if it is used for the plan, and gives the parts of the runs
+    that are left to NumPy: each is to be swept before the next is asked for. After the last `went`
+    tells how the sweep went: by run the residual of each iteration and whether the iterations
+    converged; the smallest share of a variance that is left, be it given other components or after
+    measurements; and whether a mean may be 10⁸ standard deviations from zero.
+    """
+
+    went: Swept
+
+    def __init__(
+        self,
+        plan: ChainPlan,
+        schedule: Filtering | None,
+        known: Arrays,
+        predicted: Arrays = (),
+        *,
+        keep: bool,
+    ) -> None:
+        self.plan, self.schedule, self.keep = plan, schedule, keep
+        self.known, self.predicted = known, predicted
+
+    def __iter__(self) -> Iterator[Part]:
+        self.went = yield from self._left()
+
+    def _left(self) -> Generator[Part, None, Swept]:
+        """The parts left to NumPy, and how the whole sweep went.
+
+        They are of runs that machine code gives up, or of all runs of a plan that it cannot sweep.
+        """
+        plan, schedule, keep = self.plan, self.schedule, self.keep
+        rest = self.known, self.predicted
+        found = compiled.forward(plan, schedule, *rest, keep=keep)
+        if found is None:
+            return (yield from _stepwise(plan, schedule, *rest, keep=keep))
+        if not found.left:
+            return found
+        closest, converged, residuals = found.closest, found.converged, found.residuals
+        for runs in found.left:
+            whole = runs == slice(0, plan.runs)
+            part = plan if whole else plan.of(runs)
+            arrays = (tuple(array[:, runs] for array in each) for each in rest)
+            others = None if whole else partial(_stepwise, plan, schedule, *rest, keep=False)
+            again = yield from _stepwise(part, schedule, *arrays, keep=keep, others=others)
+            closest, converged[runs] = min(closest, again.closest), again.converged
+            residuals = _joined(residuals, again.residuals, runs, plan.runs)
+            if keep and not whole:
+                plan.put_runs(runs, part)
+        return Swept([], residuals, converged, closest)
+
+    @property
+    def status(self) -> Status:
+        """How the iterations of the sweep went."""
+        return Status.of(self.went.residuals, self.went.converged, self.plan.lead)
+
+
+class WholePass(Pass):
+    """A forward pass of which all beliefs are kept, as are the plan's linearisations; see `run`."""
+
+    def __init__(self, plan: ChainPlan, schedule: Filtering) -> None:
+        require_cost(schedule, (sensor.family for sensor in plan.sensors))
+        self.out = Forward.empty(plan)
+        super().__init__(plan, schedule, self.out.known, self.out.predicted, keep=True)
+
+    def result(self) -> tuple[Forward, Status]:
+        """The beliefs and the status, once all is swept."""
+        for family in self.plan.families:
+            family.settle()
+        return replace(self.out, closest=self.went.closest, far=self.went.far), self.status
+
+
+class BarePass(Pass):
+    """A forward pass of which the known beliefs are kept, without the predicted ones.
 
     Each CPD is linearised at its incoming belief; the plan keeps no linearisations. `room` has the
     arrays for means (T+1, runs, n) and covariances (T+1, runs, n, n) that are filled; None for new
     ones.
     """
-    require_cost(schedule, (sensor.family for sensor in plan.sensors))
-    size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)
-    mean, cov = room or (vacant(shape, (size,)), vacant(shape, (size, size)))
-    log_density = np.empty(shape)
-    went = _swept(plan, schedule, (mean, cov, log_density), keep=False)
-    # What the gates have decided stays.
-    again = replace(schedule, gate=None)
-    found = Filtered(plan, mean, cov, log_density, again, went.closest, went.far)
-    return found, Status.of(went.residuals, went.converged, plan.lead)
 
+    def __init__(self, plan: ChainPlan, schedule: Filtering, room: Room | None = None) -> None:
+        require_cost(schedule, (sensor.family for sensor in plan.sensors))
+        size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)
+        mean, cov = room or (vacant(shape, (size,)), vacant(shape, (size, size)))
+        super().__init__(plan, schedule, (mean, cov, np.empty(shape)), keep=False)
+        # What the gates have decided stays.
+        self.again = replace(schedule, gate=None)
 
-def _swept(
-    plan: ChainPlan,
-    schedule: Filtering | None,
-    known: Arrays,
-    predicted: Arrays = (),
-    *,
-    keep: bool,
-) -> Swept:
-    """Sweep into the arrays `known` and `predicted`, in machine code if it is used for the plan.
-
-    Runs that machine code gives up, and plans that it cannot sweep, are swept by NumPy. `known` has
-    means, covariances and log-densities, `predicted` means and covariances, or nothing if they are
-    not to be kept. Without a schedule the plan's linearisations are used; with one, `keep` says
-    whether the plan stores the new linearisations. The result tells how the sweep went: by run the
-    residual of each iteration and whether the iterations converged; the smallest share of a
-    variance that is left, be it given other components or after measurements; and whether a mean
-    may be 10⁸ standard deviations from zero.
-    """
-    rest = known, predicted
-    found = compiled.forward(plan, schedule, *rest, keep=keep)
-    if found is None:
-        return _stepwise(plan, schedule, *rest, keep=keep)
-    if not found.left:
-        return found
-    closest, converged, residuals = found.closest, found.converged, found.residuals
-    for runs in found.left:
-        whole = runs == slice(0, plan.runs)
-        part = plan if whole else plan.of(runs)
-        arrays = (
-            tuple(array[:, runs] for array in known),
-            tuple(array[:, runs] for array in predicted),
-        )
-        try:
-            again = _stepwise(part, schedule, *arrays, keep=keep)
-        except PgmError:
-            if not whole:  # the first error is of other runs maybe
-                _stepwise(plan, schedule, *rest, keep=False)
-            raise
-        closest, converged[runs] = min(closest, again.closest), again.converged
-        residuals = _joined(residuals, again.residuals, runs, plan.runs)
-        if keep and not whole:
-            plan.put_runs(runs, part)
-    return Swept([], residuals, converged, closest)
+    def result(self) -> tuple[Filtered, Status]:
+        """The beliefs and the status, once all is swept."""
+        (mean, cov, log_density), went = self.known, self.went
+        parts = mean, cov, log_density, self.again, went.closest, went.far
+        return Filtered(self.plan, *parts), self.status
 
 
 def _stepwise(
@@ -362,16 +424,13 @@ def _stepwise(
     predicted: Arrays,
     *,
     keep: bool,
-) -> Swept:
-    """Sweep by NumPy, not by machine code, into the arrays `known` and `predicted`.
+    others: Callable[[], Iterable[Part]] | None = None,
+) -> Generator[Part, None, Swept]:
+    """The parts of a pass that NumPy sweeps alone, without machine code, and how the sweep went.
 
-    `known` has means, covariances and log-densities, `predicted` means and covariances. All runs
-    are swept together, or, if `predicted` is empty, in parts of at most 10,000 runs, whose arrays
-    stay in the processor's cache. Without a schedule the plan's linearisations are used; with one,
-    `keep` says whether the plan stores the new ones. The result tells how the sweep went: by run
-    the residual of each iteration and whether the iterations converged, and the smallest share of a
-    variance that was left, be it given other components or after measurements. That share is looked
-    for if `predicted` is empty; else it is zero.
+    All runs are swept together, or, if `predicted` is empty, in parts of at most 10,000 runs, whose
+    arrays stay in the processor's cache. The smallest share of a variance is looked for if
+    `predicted` is empty; else it is zero. Arguments are as of `Pass` and `Part`.
     """
     parts, closest, converged = 1, 0.0 if predicted else 1.0, np.ones(plan.runs, dtype=bool)
     if not predicted:
@@ -382,8 +441,7 @@ def _stepwise(
         part = plan.of(runs) if parts > 1 else plan
         record = _Record(part, *(tuple(a[:, runs] for a in each) for each in (known, predicted)))
         chain = MomentChain(part, schedule, keep=keep, room=None if predicted else record.room)
-        with record.refusing(schedule):
-            sweep.forward(chain, part.steps, record)
+        yield Part(chain, record, others)
         closest, converged[runs] = min(closest, record.watch.closest), chain.converged
         residuals = _joined(residuals, chain.residuals, runs, plan.runs)
     return Swept([], residuals, converged, closest)

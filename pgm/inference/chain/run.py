@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -23,6 +23,7 @@ from pgm.errors import EvidenceError, GraphError, ModelError, NumericalError
 from pgm.evidence import BoundEvidence, Evidence, bind
 from pgm.evidence.rows import as_rows, require_finite
 from pgm.factors.scope import positions
+from pgm.inference import sweep
 from pgm.inference.belief_kind import FILTERED, SMOOTHED, Kind
 from pgm.inference.chain import (
     careful,
@@ -125,17 +126,20 @@ class FilterSolver(Solver):
 
     def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainOutcome:
         """The filtered posterior: step by step, or by a parallel scan on a balanced tree."""
-        ahead: Forward | Filtered
         if self.balanced:
             self._refuse_nonlinear(plan)
-            ahead = parallel.whole(parallel.run(plan))
             status = Status.of([], np.ones(plan.runs, dtype=bool), plan.lead)
-        elif plan.runs >= forward.MANY and not any(sensor.exact for sensor in plan.sensors):
+            return self._posterior(plan, FILTERED, parallel.whole(parallel.run(plan)), status)
+        ahead: forward.WholePass | forward.BarePass
+        if plan.runs >= forward.MANY and not any(sensor.exact for sensor in plan.sensors):
             # Of many runs only the beliefs, as long as nothing else is asked for.
-            ahead, status = forward.filtered(plan, self.schedule, room)
+            ahead = forward.BarePass(plan, self.schedule, room)
         else:
-            ahead, status = forward.run(plan, self.schedule)
-        return self._posterior(plan, FILTERED, ahead, status)
+            ahead = forward.WholePass(plan, self.schedule)
+        for part in ahead:  # as `forward.sweep_all` does, of which a user's traceback need not tell
+            with part.refusing():
+                sweep.forward(part.chain, plan.steps, part.record)
+        return self._posterior(plan, FILTERED, *ahead.result())
 
     def carefully(self, plan: ChainPlan, start: Array | None) -> ChainOutcome:
         """The filtered posterior step by step, each belief in pairs of float64."""
@@ -263,7 +267,6 @@ def bind_chain(
     return bind(*cpds, evidence, steps, model.lead, identities=identities, threads=threads)
 
 
-@quiet()
 def run(
     graph: DynamicGraph,
     bound: BoundEvidence,
@@ -290,40 +293,57 @@ def run(
             f"a start is for smoothing all at once, not {schedule!r}, which linearises at beliefs"
         )
     given = None if start is None else _start(graph.layout, bound, start)
-    return judged(partial(_solved, graph, bound, lineariser, schedule, solver, given, room))
+    for judge in judged():
+        found: ChainOutcome | None = None
+        with quiet(), judge:
+            plan = _plan(graph, bound, lineariser, schedule, judge)
+            if not certificate.is_flat(plan):
+                with suppress(NumericalError):  # with twice the digits there may be an answer
+                    swept = solver.solve(plan, given, room)
+                    found = _told(swept) if _suffices(swept) else None
+                if found is None:
+                    plan = _plan(graph, bound, lineariser, schedule, judge, probe=False)
+            if found is None:
+                found = _carefully(solver, plan, given)
+    assert found is not None
+    return found
 
 
-def _solved(
+def _plan(
     graph: DynamicGraph,
     bound: BoundEvidence,
     lineariser: Lineariser,
     schedule: Schedule,
-    solver: Solver,
-    given: Array | None,
-    room: Room | None,
     judge: Judge,
-) -> ChainOutcome:
-    """The posterior in float64, or, where that fails or loses too many digits, in pairs of float64.
+    *,
+    probe: bool = True,
+) -> ChainPlan:
+    """The plan of one pass over a chain, its gates prepared.
+
+    The `judge` compares the values of traces, which stand in for functions in this call, with those
+    of the functions. `probe` says whether functions are first called on trial.
+    """
+    plan = ChainPlan.make(graph, bound, lineariser, probe=probe, judge=judge)
+    gate.prepare(plan, getattr(schedule, "gate", None))  # a plain calibration has none
+    return plan
+
+
+def _suffices(posterior: ChainOutcome) -> bool:
+    """Whether float64 has left enough digits; NumericalError where it has left no numbers."""
+    _refuse_infinite(posterior)
+    smoothed = None if posterior._smoothed is None else posterior._smoothed.cov
+    # Windows that slide have each been looked at.
+    return bool(posterior._windows) or certificate.suffices(
+        posterior._planned, posterior._swept, smoothed
+    )
+
+
+def _carefully(solver: Solver, plan: ChainPlan, given: Array | None) -> ChainOutcome:
+    """The posterior in pairs of float64, where float64 fails or loses too many digits.
 
     `given` (T+1, runs, n) are the means of the slices at which to linearise first, None if the user
-    gave none. The `judge` compares the values of traces, which stand in for functions in this call,
-    with those of the functions.
+    gave none.
     """
-    plan = ChainPlan.make(graph, bound, lineariser, judge=judge)
-    gates = getattr(schedule, "gate", None)  # a plain calibration has none
-    gate.prepare(plan, gates)
-    if not certificate.is_flat(plan):
-        try:
-            found = solver.solve(plan, given, room)
-            _refuse_infinite(found)
-            smoothed = None if found._smoothed is None else found._smoothed.cov
-            # Windows that slide have each been looked at.
-            if found._windows or certificate.suffices(found._planned, found._swept, smoothed):
-                return _told(found)
-        except NumericalError:
-            pass  # with twice the digits there may be an answer; if not, the same is refused
-        plan = ChainPlan.make(graph, bound, lineariser, probe=False, judge=judge)
-        gate.prepare(plan, gates)
     if compiled.is_used(plan):
         plan.account.leave("float64 has too few digits, and twice as many are computed by NumPy")
     found = solver.carefully(plan, given)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -73,7 +72,9 @@ def run(
     loopy = isinstance(schedule, Loopy)
     again = not loopy and careful.work(plan.layout, bound.runs, linear) <= careful.MOST_WORK
     with quiet():
-        found = judged(partial(_solved, graph, plan, bound, schedule, lineariser, at, again))
+        for judge in judged():
+            with judge:
+                found = _solved(graph, plan, bound, schedule, lineariser, at, again, judge)
     found.status._warn()
     return found
 
