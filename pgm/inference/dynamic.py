@@ -30,9 +30,9 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from pgm.arguments import public
-from pgm.compile import Balanced, compile
+from pgm.compile import Balanced, DynamicGraph, compile
 from pgm.compile.machine import Choice
-from pgm.evidence import Evidence
+from pgm.evidence import BoundEvidence, Evidence
 from pgm.inference.argument_checks import require_lineariser
 from pgm.inference.belief_family import BeliefFamily
 from pgm.inference.chain.run import bind_chain
@@ -138,7 +138,9 @@ def filter(
     """
     schedule = Filtering(iterations, tolerance, damping, gate)
     call = Call(schedule, lineariser, None, keep, executor, None, impossible)
-    posterior = send_over_time(model, evidence, call, steps, None, belief, compiled, progress)
+    family, asked = over_time(model, evidence, call, steps, None, belief, compiled)
+    with reporting(progress):
+        posterior = Posterior(family.infer(*asked))
     return told(posterior, schedule)
 
 
@@ -234,11 +236,13 @@ def smooth(
     rest = iterations, tolerance, damping, gate
     schedule = Smoothing(*rest) if lag is None else FixedLag(lag, *rest)
     call = Call(schedule, lineariser, start, keep, executor, None, impossible)
-    posterior = send_over_time(model, evidence, call, steps, method, belief, compiled, progress)
+    family, asked = over_time(model, evidence, call, steps, method, belief, compiled)
+    with reporting(progress):
+        posterior = Posterior(family.infer(*asked))
     return told(posterior, schedule)
 
 
-def send_over_time(
+def over_time(
     model: DynamicBayesianNetwork,
     evidence: Evidence,
     call: Call,
@@ -246,11 +250,10 @@ def send_over_time(
     method: Balanced | None = None,
     belief: BeliefFamily[Any] | None = None,
     compiled: Choice = None,
-    progress: Progress = False,
-) -> Posterior[Any]:
-    """Compile a network and run a call's schedule on it; the other arguments are of `smooth`.
+) -> tuple[BeliefFamily[Any], tuple[DynamicGraph, BoundEvidence, Call]]:
+    """A network compiled and its evidence bound: the family of beliefs, and what its `infer` takes.
 
-    No `ConvergenceWarning` is given here: `filter` and `smooth` give it themselves.
+    `call` has the schedule, and with it the other options; the rest are arguments of `smooth`.
     """
     require_lineariser(call.lineariser)
     bound = bind_chain(model, evidence, steps, identities=True, compiled=compiled)
@@ -258,5 +261,4 @@ def send_over_time(
     family = family_of(graph.model, belief)
     call = call._replace(compiled=graph.layout.compiled or None)
     require(call.asked(graph), graph, OVER_TIME, family)
-    with reporting(progress):
-        return Posterior(family.infer(graph, bound, call))
+    return family, (graph, bound, call)

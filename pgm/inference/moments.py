@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from pgm.clustergraph import ClusterGraph
-from pgm.compile import DynamicGraph
-from pgm.evidence import BoundEvidence, Evidence
+from pgm.evidence import Evidence
 from pgm.factors import Gaussian
 from pgm.inference import gaussian
 from pgm.inference.belief_family import BeliefFamily
@@ -29,10 +28,8 @@ class Moments(BeliefFamily[Gaussian]):
     beliefs: ClassVar[str] = "Gaussian beliefs"
     spare: ClassVar[str] = "is not for Gaussian beliefs"
 
-    def infer(self, graph: DynamicGraph, bound: BoundEvidence, call: Call) -> Outcome[Gaussian]:
-        """The moments of all slices, or of the variables to keep."""
-        schedule, lineariser, start, keep, executor, *_ = call
-        return run(graph, bound, schedule, lineariser, start, keep, executor)
+    # The moments of all slices, or of the variables to keep.
+    infer = staticmethod(run)
 
     def infer_static(
         self, graph: ClusterGraph, evidence: Evidence, call: Call

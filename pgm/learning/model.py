@@ -16,9 +16,10 @@ from pgm.factors.scope import listed
 from pgm.inference import Smoothing
 from pgm.inference.chain.families import family_beliefs
 from pgm.inference.chain.run import bind_chain
-from pgm.inference.dynamic import send_over_time
+from pgm.inference.dynamic import over_time
 from pgm.inference.markov.counts import expected_counts
 from pgm.inference.options import Call
+from pgm.inference.posterior import Posterior
 from pgm.kernels.arrays import Array
 from pgm.learning.gaussian import GaussianStep
 from pgm.learning.steps import ParameterStep, TableStep
@@ -202,8 +203,8 @@ class Learner:
             schedule, lineariser = Smoothing(), TAYLOR
         for evidence, steps in zip(self.evidence(point), self.steps, strict=True):
             # Whether smoothers have settled is told at the end of the search, once.
-            call = Call(schedule, lineariser)
-            posteriors.append(send_over_time(point.model, evidence, call, steps))
+            family, asked = over_time(point.model, evidence, Call(schedule, lineariser), steps)
+            posteriors.append(Posterior(family.infer(*asked)))
         total = float(sum(np.sum(each.log_evidence) for each in posteriors))
         prior = sum(
             block.log_prior(cpd)

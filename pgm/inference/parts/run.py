@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from pgm.inference.chain.association import associated
 from pgm.inference.chain.kept_outcome import KeptOutcome
 from pgm.inference.chain.outcome import ChainOutcome
 from pgm.inference.chain.run import run as run_chain
+from pgm.inference.options import Call
 from pgm.inference.parts.join import joined, one_status, swept_once
 from pgm.inference.parts.shared_memory import Shape, address
 from pgm.inference.parts.split import Part, split
@@ -43,39 +44,27 @@ from pgm.progress import counted
 from pgm.resources import require_memory
 from pgm.variables import Variable
 
-if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
-
 Keep = Variable | Iterable[Variable]
 
 
-def run(
-    graph: DynamicGraph,
-    bound: BoundEvidence,
-    schedule: Schedule | None,
-    lineariser: Lineariser,
-    start: Start | None,
-    keep: Keep | None,
-    executor: Executor | None,
-) -> ChainOutcome | KeptOutcome:
-    """The posterior of a chain with Gaussian beliefs, given the evidence `bound`, by a schedule.
+def run(graph: DynamicGraph, bound: BoundEvidence, call: Call) -> ChainOutcome | KeptOutcome:
+    """The posterior of a chain with Gaussian beliefs, given the evidence `bound`, as a call asks.
 
     Measurements of unknown things are first associated with candidates. If digits are lost, one
     warning is given for all runs together.
 
-    start: Means by variable, at which CPDs are linearised first; None if the user gave none.
-    keep: Variables whose marginals alone are held, with the log-evidence, which bounds memory; None
-        for the whole posterior.
-    executor: Its workers share the runs; None for this process alone. With an executor, or with
-        `keep`, runs are worked through in parts.
+    Of its options `start` has the means by variable at which CPDs are linearised first. `keep` has
+    the variables whose marginals alone are held, with the log-evidence, which bounds memory.
+    Workers of `executor` share the runs. With an executor, or with `keep`, runs are worked through
+    in parts.
     """
+    schedule, lineariser, start, keep, executor, *_ = call
     model = graph.model
     require_gaussian((*model.prior, *model.transition, *model.observation), "Gaussian beliefs")
     if is_open(bound):
         gate = getattr(schedule, "gate", None)
         bound, found = associated(graph, bound, lineariser, gate)
-        posterior = run(graph, bound, schedule, lineariser, start, keep, executor)
+        posterior = run(graph, bound, call)
         return replace(posterior, associations=found)
     kept = None if keep is None else _hidden(graph.layout, keep)
     _require_memory(graph.layout, bound, schedule, kept)
