@@ -331,7 +331,7 @@ def _taken(
     one = BoundEvidence(0, bound.lead, (), readings, bound.first_run)
     plan = ChainPlan.make(graph, one, lineariser, first=step, prior=False, probe=False)
     chain = MomentChain(plan, Filtering(gate=gate), keep=False)
-    return chain.taken(chain.readings(0), step, belief)[0]
+    return chain.take(step, belief, chain.readings(0))[0]
 
 
 class _Pairs(NamedTuple):

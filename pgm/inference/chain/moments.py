@@ -24,6 +24,7 @@ from pgm.inference.chain import gate, readings, refusals
 from pgm.inference.chain.iterated_update import MomentUpdate, iterated
 from pgm.inference.chain.plan import ChainPlan, Link
 from pgm.inference.chain.readings import Moments, Reading, Room
+from pgm.inference.chain.vector import Measured
 from pgm.inference.iteration import Anchor
 from pgm.inference.linearisation_failures import require_finite
 from pgm.inference.rows import At
@@ -31,6 +32,7 @@ from pgm.inference.schedule import ONCE, Filtering
 from pgm.kernels import gaussian
 from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import Array, Mask, components_first, components_last, times, within
+from pgm.linearisers import Line
 
 _HALF_TURN = 0.5 * TURN
 
@@ -95,7 +97,9 @@ class MomentChain:
         size, places = plan.layout.state_size, plan.layout.state_places
         mean, cov = np.zeros((size, *plan.batch)), np.zeros((size, size, *plan.batch))
         for link in plan.prior:
-            self._extend(link, self._at(link, 0), 0, mean, cov)
+            at, parents = self._at(link, 0), mean[link.parents]
+            line = link.family.line(at, parents, within(cov, link.parents))
+            self._extend(link, at, 0, mean, cov, parents, line)
         if self.states is None:
             return Moments(mean, cov)
         width = plan.layout.slice_size
@@ -104,24 +108,6 @@ class MomentChain:
         where = np.arange(width)[places]
         spread[where[:, None], where] = cov
         return Moments(whole, spread)
-
-    def predict(self, step: int, belief: Moments) -> Moments:
-        """Moments of a step's slice, from those of the one before: m ← F m + b, P ← F P Fᵀ + Q.
-
-        F, b and the noise covariance Q are those of the linearised transition. `step`, 1..T, is
-        counted from the plan's first one, as in `take`, `motion` and `readings`.
-        """
-        return self.predicted(self.motion(step), self.plan.first + step, belief)
-
-    def take(self, step: int, belief: Moments) -> tuple[Moments, Array | float]:
-        """The belief given the measurements of a step, 0..T, and their log-density (*batch).
-
-        `belief` is the predicted one. An anchor is taken in, too, but is not in the log-density.
-        """
-        parts = self.readings(step)
-        if not parts and self.anchor is None:
-            return belief, 0.0
-        return self.taken(parts, self.plan.first + step, belief)
 
     def motion(self, step: int) -> list[At]:
         """The transition's CPDs with the evidence of a step bound, parents before children."""
@@ -136,18 +122,23 @@ class MomentChain:
                 found.append(Reading(sensor, *due, fixed=not self.linearises))
         return found
 
-    def predicted(self, ats: Sequence[At], step: int, belief: Moments) -> Moments:
-        """Moments of the slice at a step, predicted by the transition from the slice before.
+    def predict(self, step: int, belief: Moments, ats: Sequence[At] | None = None) -> Moments:
+        """Moments of a step's slice, from those of the one before: m ← F m + b, P ← F P Fᵀ + Q.
 
-        `ats` are the transition's CPDs with their evidence, as `motion` returns them; `step` is the
-        number that errors name, and `belief` has the moments of the slice before.
+        F, b and the noise covariance Q are those of the linearised transition. `step`, 1..T, is
+        counted from the plan's first one, as in `take`, `motion` and `readings`. With `ats`, the
+        transition's CPDs bound to other evidence than the plan's, `step` is the number that errors
+        name.
         """
+        if ats is None:
+            ats, step = self.motion(step), self.plan.first + step
         layout, (mean, cov, _) = self.plan.layout, belief
         if self.states is not None:
             mean, cov = mean[self.states], within(cov, self.states)
         if layout.single:
             link, at = self.plan.transition[0], ats[0]
-            matrix, value, noise, bare = self._linearised(link, at, mean, mean, cov)
+            line = link.family.line(at, mean, cov)
+            matrix, value, noise, bare = self._with_noise(link, at, mean, mean, line)
             after = gaussian.predict(cov, matrix, noise, bare)
             if self.check or (noise is not at.noise and not link.family.semidefinite):
                 refusals.prediction(link, step, after, finite=self.check)
@@ -158,18 +149,24 @@ class MomentChain:
         pair[:front] = mean
         spread[:front, :front] = cov
         for link, at in zip(self.plan.transition, ats, strict=True):
-            self._extend(link, at, step, pair, spread)
+            parents = pair[link.parents]
+            line = link.family.line(at, parents, within(spread, link.parents))
+            self._extend(link, at, step, pair, spread, parents, line)
         return Moments(pair[front:], spread[front:, front:])
 
-    def taken(
-        self, parts: Sequence[Reading], step: int, belief: Moments
+    def take(
+        self, step: int, belief: Moments, parts: Sequence[Reading] | None = None
     ) -> tuple[Moments, Array | float]:
-        """The belief given some measurements of its step, and their log-density (*batch).
+        """The belief given the measurements of a step, 0..T, and their log-density (*batch).
 
-        `parts` are the sightings by sensor, as `readings` returns them, and `belief` is the
-        predicted one. `step` is the number that errors name: the plan's first step has the number
-        `plan.first`.
+        `belief` is the predicted one. An anchor is taken in, too, but is not in the log-density.
+        With `parts`, sightings by sensor as `readings` returns them, these are taken in place of
+        the plan's, and `step` is the number that errors name.
         """
+        if parts is None:
+            parts, step = self.readings(step), self.plan.first + step
+            if not parts and self.anchor is None:
+                return belief, 0.0
         mean, cov, _ = belief
         schedule = self.schedule
         robust = self.plan.robust
@@ -177,7 +174,11 @@ class MomentChain:
             after, density = self._reweighed(parts, step, mean, cov, schedule)
         elif schedule is None or not self.iterates or self.plan.linear:
             several = len(parts) > 1
-            seen = [part.linearise(mean, cov, None, several) for part in parts]
+            seen: list[Measured] = []
+            for part in parts:
+                point, spread = part.below(mean, cov)
+                line = part.sensor.family.line(part.at, point, spread)
+                seen.append(part.measured(line, point, several))
             if self.check:
                 for part in parts:
                     part.require_finite()
@@ -240,31 +241,30 @@ class MomentChain:
             return link.family.at(row, row + 1)
         return link.family.stored_at(row, row + 1)
 
-    def _extend(self, link: Link, at: At, step: int, mean: Array, cov: Array) -> None:
+    def _extend(
+        self, link: Link, at: At, step: int, mean: Array, cov: Array, parents: Array, line: Line
+    ) -> None:
         """Write a CPD's child into the joint moments of what stands before it, in place.
 
         `mean` and `cov` are the moments of the vector in which `link` has its places. The parents'
         are there already; the child's mean, covariance, and covariances with all other components
-        are added. `step` is the number that errors name.
+        are added. `line` is the CPD's linearisation at the mean `parents`; `step` is the number
+        that errors name.
         """
-        parents = mean[link.parents]
-        matrix, value, noise, bare = self._linearised(
-            link, at, mean, parents, within(cov, link.parents)
-        )
+        matrix, value, noise, bare = self._with_noise(link, at, mean, parents, line)
         gaussian.extend(mean, cov, link.child, link.parents, matrix, value, noise, bare)
         if self.check or (noise is not at.noise and not link.family.semidefinite):
             own = cov[link.child, link.child]
             refusals.prediction(link, step, own, finite=self.check)
 
-    def _linearised(
-        self, link: Link, at: At, before: Array, mean: Array, cov: Array
+    def _with_noise(
+        self, link: Link, at: At, before: Array, mean: Array, line: Line
     ) -> tuple[Array, Array, Array, tuple[int, ...]]:
-        """A CPD linearised as y = F x + b + noise at a belief over its parents x.
+        """A CPD as y = F x + b + noise, by its linearisation at a mean of its parents x.
 
-        x has m components, the child y has d. The belief has the moments `mean` (m, *batch) and
-        `cov` (m, m, *batch). `before` is the vector with the states of the step before: an angle
-        that the function wraps is moved to within half a turn of its value there. Returns, in this
-        order:
+        x has m components, the child y has d; `mean` is (m, *batch). `before` is the vector with
+        the states of the step before: an angle that the function wraps is moved to within half a
+        turn of its value there. Returns, in this order:
 
         - F (d, m, *batch);
         - the child's mean, F `mean` + b, (d, *batch);
@@ -272,7 +272,6 @@ class MomentChain:
         - the numbers of the child's components that have no noise.
         """
         family, bare = link.family, link.family.bare
-        line = family.line(at, mean, cov)
         matrix, value, error = line
         if self.check and at.function is not None:
             require_finite(family, at.function, mean, line)

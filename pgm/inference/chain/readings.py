@@ -232,10 +232,23 @@ class Reading:
         the expected value. If `copy` is false, the slope H and the value may be arrays that the
         user's function uses again.
         """
+        mean, cov = self.below(mean, cov)
+        return self.measured(self.sensor.family.line(self.at, mean, cov), mean, copy, active)
+
+    def below(self, mean: Array, cov: Array) -> tuple[Array, Array]:
+        """The belief over the sensor's parents, from one over the slice, (n, *batch) and so on."""
+        sensor = self.sensor
+        if sensor.whole:
+            return mean, cov
+        return mean[sensor.parents], within(cov, sensor.parents)
+
+    def measured(self, line: Line, mean: Array, copy: bool, active: Mask | None = None) -> Measured:
+        """The sightings by a linearisation at a mean of the sensor's parents; see `linearise`.
+
+        `copy` and `active` are as there, and the result is stored as `seen`.
+        """
         sensor, at = self.sensor, self.at
-        if not sensor.whole:
-            mean, cov = mean[sensor.parents], within(cov, sensor.parents)
-        matrix, value, error = sensor.family.line(at, mean, cov)
+        matrix, value, error = line
         if copy:
             matrix, value = matrix.copy(), value.copy()
         noise = at.noise if self.weights is None else self._weighed(self.weights)
@@ -279,8 +292,7 @@ class Reading:
         """
         weights, sensor, seen = self.weights, self.sensor, self.seen
         assert weights is not None
-        if not sensor.whole:
-            mean, cov = mean[sensor.parents], within(cov, sensor.parents)
+        mean, cov = self.below(mean, cov)
         height, runs = sensor.height, weights.weight.shape[1]
         if self.taken is not None:  # a gate may have rejected some since
             weights.taken = by_sighting(self.taken, height, 0)
@@ -334,10 +346,7 @@ class Reading:
 
         The belief is (n, *batch) and (n, n, *batch); `seen` stays as it is.
         """
-        sensor = self.sensor
-        if not sensor.whole:
-            mean, cov = mean[sensor.parents], within(cov, sensor.parents)
-        return sensor.family.line(self.at, mean, cov).value
+        return self.sensor.family.line(self.at, *self.below(mean, cov)).value
 
     def require_finite(self) -> None:
         """Refuse a linearisation with values of NaN or infinity, with LinearisationError."""

@@ -289,7 +289,7 @@ class MomentSteps(InCode, Immutable):
             chain = trailing(chain.plan, ats)
         plan, known = chain.plan, moments_of(belief, chain.plan)
         try:
-            found = chain.predicted(ats, step, known)
+            found = chain.predict(step, known, ats)
         except NumericalError:
             look_again(plan, ats, step, known)
             raise
@@ -384,7 +384,7 @@ class MomentSteps(InCode, Immutable):
             chain, parts = laid
         plan, known = chain.plan, moments_of(belief, chain.plan)
         try:
-            found, log_density = chain.taken(parts, belief.step, known) if parts else (known, 0.0)
+            found, log_density = chain.take(belief.step, known, parts) if parts else (known, 0.0)
         except NumericalError:
             return None  # with twice the digits there may be an answer; if not, it is refused
         if not is_moderate(found, known):

@@ -406,4 +406,4 @@ def look_again(plan: ChainPlan, ats: Sequence[At], step: int, known: Moments) ->
     step before, `ats` the CPDs of the transition to `step`. The error is a `LinearisationError` or
     a `NumericalError`.
     """
-    MomentChain(plan, ONCE, keep=False, check=True).predicted(ats, step, known)
+    MomentChain(plan, ONCE, keep=False, check=True).predict(step, known, ats)
