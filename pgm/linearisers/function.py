@@ -125,7 +125,12 @@ class BoundFunction(NamedTuple):
             If the CPD's function fails or returns a wrong shape.
         """
         arguments, shape = self._arguments(x)
-        value = self._value(x, arguments, shape)
+        function, due = self.template.function, (*shape, self.template.height)
+        try:  # here, and not in `_call`, which a user's traceback need not tell of
+            value = function(*arguments)
+        except Exception as error:
+            raise self._told("function", x).failure(function, arguments, error, due) from error
+        value = self._fitting("function", function, x, arguments, value, due)
         return value if not self.lead else _along_runs(value, 1)
 
     def jacobian(self, x: Array, std: Array | None = None) -> Array:
@@ -173,7 +178,12 @@ class BoundFunction(NamedTuple):
             traced = self._traced(x, cov, arguments, shape)
             if traced is not None and len(template.missing) == template.size:
                 return traced
-            value, slopes = traced or (self._value(x, arguments, shape), None)
+            if traced is None:
+                due = *shape, template.height
+                value = self._call("function", template.function, x, arguments, due)
+                slopes = None
+            else:
+                value, slopes = traced
             std = None if slopes is not None else self._lengths(cov)
             return value, self._jacobian(x, std, arguments, shape, slopes)
         # Of a single hidden parent the derivative is all of the Jacobian.
@@ -201,11 +211,6 @@ class BoundFunction(NamedTuple):
         """The function of each sighting by itself: they are the first leading axis."""
         inputs = [None if v is None else np.moveaxis(v, self.lead, 0) for v in self.inputs]
         return self._replace(inputs=inputs, lead=self.lead + 1, group=None)
-
-    def _value(self, x: Array, arguments: list[Array], shape: tuple[int, ...]) -> Array:
-        template = self.template
-        value = self._call("function", template.function, x, arguments, (*shape, template.height))
-        return value if self.group is None else value.reshape(*x.shape[:-1], -1)
 
     def _traced(
         self,
@@ -247,10 +252,11 @@ class BoundFunction(NamedTuple):
         if answers is None or not finite:
             # Warnings and errors are the function's own; it may return an array that it uses again.
             followed = answers is not None or self._followed(program, x, std)
-            due = self._value(x, arguments, shape)
-            if answers is None and not (followed and _alike(due, value, self.angles)):
+            function, due = self.template.function, (*shape, self.template.height)
+            own = self._call("function", function, x, arguments, due)
+            if answers is None and not (followed and _alike(own, value, self.angles)):
                 return None
-            value = due
+            value = own
         if not finite:
             numerical = self._differences(x, self._lengths(cov))[..., list(self.template.missing)]
             slope = np.where(np.isfinite(slope), slope, numerical)
@@ -339,10 +345,7 @@ class BoundFunction(NamedTuple):
                 parts.append(slopes[..., place])
                 continue
             due = (*shape, template.height, width)
-            part = self._call(role, derivative, x, arguments, due)
-            if self.group is not None:
-                part = part.reshape(*x.shape[:-1], -1, width)
-            parts.append(part)
+            parts.append(self._call(role, derivative, x, arguments, due))
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
 
     def _arguments(self, x: Array) -> tuple[list[Array], tuple[int, ...]]:
@@ -375,9 +378,25 @@ class BoundFunction(NamedTuple):
             value = function(*arguments)
         except Exception as error:
             raise self._told(role, x).failure(function, arguments, error, due) from error
-        if type(value) is _ARRAY and value.dtype is _FLOAT and value.shape == due:
-            return value
-        return self._told(role, x).array(function, arguments, value, due)
+        return self._fitting(role, function, x, arguments, value, due)
+
+    def _fitting(
+        self,
+        role: str,
+        function: Function,
+        x: Array,
+        arguments: list[Array],
+        value: Any,
+        due: tuple[int, ...],
+    ) -> Array:
+        """What a function has returned, sightings stacked; refused if its shape is not `due`."""
+        found: Array = value
+        if not (type(value) is _ARRAY and value.dtype is _FLOAT and value.shape == due):
+            found = self._told(role, x).array(function, arguments, value, due)
+        if self.group is None:
+            return found
+        # Behind the leading axes of x are that of the sightings, and the components of each.
+        return found.reshape(*x.shape[:-1], -1, *due[x.ndim + 1 :])
 
     def _told(self, role: str, x: Array) -> Call:
         source = self.source

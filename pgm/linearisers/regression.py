@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import hypot, pi
 from operator import mul
@@ -159,10 +160,17 @@ class _Regression:
         lower = gaussian.root(cov) if shared else None
         if lower is None:
             line = self._generally(function, mean, cov, points)
-        elif mean.ndim > 1:
-            line = _fitted(function, mean, cov, points, lower)
         else:
-            line = _fitted_one(function, mean, cov, points, lower)
+            turning = function.turning
+            if turning and not points.centred:
+                s = points.with_centre  # about which values of angles are
+            if mean.ndim > 1:
+                x = _spread(s, mean, lower)
+                values = function(_runs_first(x))
+                line = _fitted(function, turning, x, values, mean, cov, points, lower)
+            else:
+                x = _spread_one(s, mean, lower)
+                line = _fitted_one(function, turning, x, function(x), mean, cov, points, lower)
         if function.group is None or function.joint:
             return line
         return line._replace(error=_within(line.error, function.group))
@@ -205,15 +213,25 @@ class _Regression:
         return Line(matrix, value, noise)
 
 
-def _fitted_one(
-    function: BoundFunction, mean: Array, cov: Array, points: Points, lower: Array
-) -> Line:
-    """The regression line of `_fitted` at one belief: mean (n,), cov and lower (n, n)."""
-    turning = function.turning
-    extra = int(bool(turning) and not points.centred)
-    x = (points.with_centre if extra else points.points).dot(lower.T)
+def _spread_one(s: Array, mean: Array, lower: Array) -> Array:
+    """The points x_i (N, n) of `_fitted` at one belief: mean (n,), lower (n, n)."""
+    x: Array = s.dot(lower.T)
     x += mean
-    values = function(x)
+    return x
+
+
+def _fitted_one(
+    function: BoundFunction,
+    turning: Sequence[int],
+    x: Array,
+    values: Array,
+    mean: Array,
+    cov: Array,
+    points: Points,
+    lower: Array,
+) -> Line:
+    """The regression line of `_fitted` at one belief: x (N, n), mean (n,), cov and lower (n, n)."""
+    extra = len(x) - len(points.points)
     reference = values[0]
     raw = (values[1:] if extra else values) - reference
     # Few numbers are compared more quickly one by one.
@@ -231,7 +249,31 @@ def _fitted_one(
     return Line(matrix, value, noise)
 
 
-def _fitted(function: BoundFunction, mean: Array, cov: Array, points: Points, lower: Array) -> Line:
+def _spread(s: Array, mean: Array, lower: Array) -> Array:
+    """The points x_i of `_fitted`, (n, N, *batch): mean (n, *batch), lower (n, n, *batch)."""
+    batch = mean.shape[1:]
+    if len(batch) > 1:
+        lower = lower.reshape(*lower.shape[:2], -1)
+    x: Array = np.matmul(s, lower).reshape(len(mean), len(s), *batch)
+    x += mean[:, None]
+    return x
+
+
+def _runs_first(x: Array) -> Array:
+    """Points (n, N, *batch) as functions take them, (*batch, N, n)."""
+    return x.transpose(*range(2, x.ndim), 1, 0)
+
+
+def _fitted(
+    function: BoundFunction,
+    turning: Sequence[int],
+    x: Array,
+    values: Array,
+    mean: Array,
+    cov: Array,
+    points: Points,
+    lower: Array,
+) -> Line:
     """The regression line of a function at beliefs N(μ, P) by a rule whose points all share.
 
     With P = L Lᵀ and the rule's points s_i (n,) the function is called at x_i = μ + L s_i; x_0 is
@@ -244,24 +286,25 @@ def _fitted(function: BoundFunction, mean: Array, cov: Array, points: Points, lo
     Components of f that are angles are first moved by whole turns to within π of the function's
     tangent at μ, where values differ by more than π.
 
-    `mean` is (n, *batch), `cov` and its root `lower` (n, n, *batch), the line's parts likewise.
+    The points `x` are (n, N, *batch), `values` those of the function, (*batch, N, d), whose
+    `turning` components are angles. `mean` is (n, *batch), `cov` and its root `lower` (n, n,
+    *batch), the line's parts likewise.
     """
     batch = mean.shape[1:]
+    values = values.transpose(-1, -2, *range(len(batch)))
     if len(batch) > 1:
         mean, lower = mean.reshape(len(mean), -1), lower.reshape(*lower.shape[:2], -1)
-    extra = int(bool(function.turning) and not points.centred)
-    x = np.matmul(points.with_centre if extra else points.points, lower)
-    x += mean[:, None]
-    values = _values(function, x, batch)
+        x, values = (part.reshape(*part.shape[:2], -1) for part in (x, values))
+    extra = x.shape[1] - len(points.points)
     reference = values[:, 0]
     # Functions interleave components: along rows of runs all that follows goes faster.
     raw = np.subtract(values[:, extra:], reference[:, None], order="C")
-    if any(np.abs(raw[k]).max(initial=0.0) > np.pi for k in function.turning):
+    if any(np.abs(raw[k]).max(initial=0.0) > np.pi for k in turning):
         at = components_last(mean.reshape(-1, *batch), 1)
         slopes = function.jacobian(at, components_last(gaussian.deviations(cov), 1))
         slopes = components_first(slopes, 2).reshape(-1, *mean.shape)
         offsets = x[:, extra:] - mean[:, None]
-        for k in function.turning:
+        for k in turning:
             line = np.einsum("ir,iNr->Nr", slopes[k], offsets)
             raw[k] = _about(raw[k], line, axis=0)
     rows, signs = points.fit
@@ -274,15 +317,6 @@ def _fitted(function: BoundFunction, mean: Array, cov: Array, points: Points, lo
     if len(batch) < 2:
         return Line(matrix, value, noise)
     return Line(*(part.reshape(*part.shape[:-1], *batch) for part in (matrix, value, noise)))
-
-
-def _values(function: BoundFunction, x: Array, batch: tuple[int, ...]) -> Array:
-    if len(batch) < 2:
-        return function(x.T).T
-    points = x.reshape(*x.shape[:2], *batch)
-    values = function(points.transpose(*range(2, points.ndim), 1, 0))
-    last = values.ndim - 1
-    return values.transpose(last, last - 1, *range(last - 1)).reshape(-1, *x.shape[1:])
 
 
 def _about(raw: Array, line: Array, axis: int) -> Array:

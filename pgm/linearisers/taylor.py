@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -41,7 +42,7 @@ class Taylor(ArrayLineariser):
         -------
         Prepared
         """
-        return _numerical if template.missing else _analytic
+        return partial(_expanded, bool(template.missing))
 
     @staticmethod
     def needs_cov(template: FunctionTemplate) -> bool:
@@ -58,26 +59,19 @@ class Taylor(ArrayLineariser):
         return bool(template.numerical)
 
 
-def _analytic(function: BoundFunction, mean: Array, cov: Array) -> Line:
+def _expanded(numerical: bool, function: BoundFunction, mean: Array, cov: Array) -> Line:
+    """The tangent at beliefs (n, *batch) and (n, n, *batch).
+
+    `numerical` says whether any derivative was not given: the deviations are then used.
+    """
     if mean.ndim == 1 and isinstance(function, BoundFunction):
-        value, slope = function.tangent(mean)
+        value, slope = function.tangent(mean, cov if numerical else None)
         return Line(slope, value, None)
-    return _tangent(function, mean, None)
-
-
-def _numerical(function: BoundFunction, mean: Array, cov: Array) -> Line:
-    if mean.ndim == 1 and isinstance(function, BoundFunction):
-        value, slope = function.tangent(mean, cov)
-        return Line(slope, value, None)
-    return _tangent(function, mean, cov)
-
-
-def _tangent(function: BoundFunction, mean: Array, cov: Array | None) -> Line:
     x = components_last(mean, 1)
     if isinstance(function, BoundFunction):
-        value, slope = function.tangent(x, None if cov is None else components_last(cov, 2))
+        value, slope = function.tangent(x, components_last(cov, 2) if numerical else None)
     else:  # one of the user's own, which stands in for it
-        std = None if cov is None else components_last(lengths(cov), 1)
+        std = components_last(lengths(cov), 1) if numerical else None
         value, slope = function(x), function.jacobian(x, std)
     if mean.ndim > 1:
         value = np.ascontiguousarray(components_first(value, 1))
