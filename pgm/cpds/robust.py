@@ -9,15 +9,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
-from functools import lru_cache
 from math import inf, log, pi
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from pgm.arguments import public
 from pgm.boundary import is_number
+from pgm.cpds.radius import Radius, kept
 from pgm.display import InCode
 from pgm.errors import ModelError
 from pgm.kernels.arrays import LOG_2PI, Array, inner
@@ -91,6 +91,8 @@ class RobustNoise(InCode, ABC):
     @abstractmethod
     def slope(self, square: Array, count: npt.ArrayLike) -> Array:
         """The weight 2 ρ′(s), 1 for a residual that counts as a Gaussian's; arguments as of `loss`.
+
+        It is finite, at a square of zero too: a residual of no length has no infinite weight.
 
         Parameters
         ----------
@@ -169,12 +171,24 @@ class RobustNoise(InCode, ABC):
                     f"{self!r}: {name}(square, count) failed: {type(error).__name__}: {error}; it "
                     "takes arrays of squares, which are read-only, and returns as many numbers"
                 ) from error
-            if found.shape != at.shape or not np.isfinite(found).all():
+            if found.shape != at.shape:
                 raise ModelError(
                     f"{self!r}: {name}(square, count) returns shape {found.shape} for squares of "
-                    f"shape {at.shape}, or numbers that are not finite"
+                    f"shape {at.shape}; a number each was due"
+                )
+            if not np.isfinite(found).all():
+                k = int(np.isfinite(found).argmin())
+                raise ModelError(
+                    f"{self!r}: the {name} of a square of {at[k]:.3g} is {found[k]}, which is not "
+                    "finite; bound it there"
                 )
             return found
+
+        lacking = [name for name in _STAGES if getattr(type(self), name) is _STAGES[name]]
+        if self.graduated and lacking:
+            raise ModelError(
+                f"{self!r} is graduated, approached by stages: define {', '.join(lacking)}"
+            )
 
         loss, slope = told("loss", squares), told("slope", squares)
         if abs(loss[0]) > 1e-9:
@@ -262,65 +276,7 @@ class _Positive(RobustNoise):
                 )
 
 
-class Radius(NamedTuple):
-    """The radius of draws from a robust density with covariance parameter I, by quadrature.
-
-    logs: Logarithms of radii r, (N,), evenly spaced.
-    within, beyond: The shares of the density within each, and beyond, (N,).
-    log_integral: ln ∫ e^{−ρ(rᵀr)} dr over all residuals r.
-    size: Their number of components, d.
-    """
-
-    logs: Array
-    within: Array
-    beyond: Array
-    log_integral: float
-    size: int
-
-    @classmethod
-    @lru_cache(maxsize=64)
-    def of(cls, noise: RobustNoise, size: int) -> Radius:
-        """The radius of a noise's residuals of `size` components.
-
-        The integrand over t = ln r is e^{−ρ(e^{2t}) + d t}, times the sphere's surface; it falls
-        off at both ends, so that sums at even steps converge faster than any power of the step.
-        """
-        from scipy.special import gammaln  # here, since it is slow to import
-
-        logs = np.linspace(-60.0 / size, 60.0, 2**14)
-        squares = np.exp(2.0 * logs)
-        with np.errstate(over="ignore"):
-            exponent = size * logs - noise.loss(squares, np.full(logs.shape, size))
-        top = float(exponent.max())
-        parts = np.exp(exponent - top)
-        if not np.isfinite(top) or parts[-1] > 1e-9 * parts.max():
-            raise ModelError(
-                f"{noise!r} of {size} components has no finite integral: let is_proper({size}) be "
-                "False"
-            )
-        surface = log(2.0) + 0.5 * size * log(pi) - float(gammaln(0.5 * size))
-        total = float(parts.sum())
-        parts /= total
-        within = np.cumsum(parts) - 0.5 * parts
-        beyond = np.cumsum(parts[::-1])[::-1] - 0.5 * parts
-        step = float(logs[1] - logs[0])
-        return cls(logs, within, beyond, surface + top + log(total * step), size)
-
-    def moved(self, radius: Array) -> Array:
-        """The radii (...) within which lies as much of the density as within those of a Gaussian.
-
-        The shares nearer to 1 than to 0 are compared by what lies beyond.
-        """
-        from scipy.special import chdtr, chdtrc  # here, since they are slow to import
-
-        beyond = chdtrc(self.size, radius**2)
-        near = np.interp(chdtr(self.size, radius**2), self.within, self.logs)
-        far = np.interp(-beyond, -self.beyond, self.logs)
-        found: Array = np.exp(np.where(beyond < 0.5, far, near))
-        return found
-
-
-@lru_cache(maxsize=256)
+@kept
 def _log_scale(noise: RobustNoise, size: int) -> float:
     """The value ln c, the normalising constant for this many components."""
     if not size:
@@ -623,6 +579,13 @@ class TruncatedLeastSquares(_Positive):
         soft = np.where(square <= mu / (mu + 1.0) * limit, 1.0, between)
         soft = np.where(square >= (mu + 1.0) / mu * limit, 0.0, soft)
         return _some(np.where(hard, self.slope(square, 1), soft), square)
+
+
+# What a graduated noise has to say for itself, as a noise that says nothing has it.
+_STAGES = {
+    name: getattr(RobustNoise, name)
+    for name in ("first_stage", "next_stage", "staged", "staged_loss")
+}
 
 
 def _some(weight: Array, square: Array) -> Array:
