@@ -21,7 +21,7 @@ from pgm.inference.chain.run import bind_chain
 from pgm.inference.convergence import told
 from pgm.inference.families import family_of
 from pgm.inference.impossible import RAISE
-from pgm.inference.options import OVER_TIME, STATIC, Call, require
+from pgm.inference.options import IDLE, OVER_TIME, STATIC, Call, require
 from pgm.inference.posterior import Posterior
 from pgm.inference.schedule import Filtering, FixedLag, Loopy, Schedule
 from pgm.inference.starting_points import Start
@@ -180,16 +180,11 @@ def send(
             return Posterior(family.infer(graph, bound, call))
     asked = call.asked(graph) if belief is None else {**call.asked(graph), "belief": belief}
     family = family_of(graph.network)
-    if graph.network.discrete:
-        # Tables are exact: linearising them, by any lineariser and ever so often, is the same.
-        asked = {name: each for name, each in asked.items() if name not in _OF_LINES}
-    require(asked, graph, STATIC, family)
+    require(asked, graph, STATIC)
+    require({n: v for n, v in asked.items() if n not in IDLE}, graph, family)
     _require_static(graph, schedule)
     with reporting(progress):
         return Posterior(family.infer_static(graph, evidence, call))
-
-
-_OF_LINES = frozenset({"iterations", "lineariser"})
 
 
 def _require_static(graph: ClusterGraph, schedule: Schedule | None) -> None:

@@ -9,11 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
+import numpy as np
+
+from pgm.boundary import is_number
 from pgm.compile import BalancedGraph
 from pgm.display import titled
 from pgm.errors import GraphError, ModelError, PgmError
 from pgm.inference.impossible import RAISE
-from pgm.inference.schedule import Loopy, Schedule
+from pgm.inference.schedule import ONCE, Loopy, Schedule
 from pgm.linearisers import TAYLOR
 
 if TYPE_CHECKING:
@@ -46,12 +49,12 @@ class Call(NamedTuple):
         """
         default = Call()._asdict()
         given = self._asdict()
-        found = {n: v for n, v in given.items() if n != "schedule" and not _is(v, default[n])}
+        found = {n: v for n, v in given.items() if n != "schedule" and not is_left(v, default[n])}
         if isinstance(graph, BalancedGraph):
             found["method"] = "Balanced"
         for name, left in OF_SCHEDULES.items():
             value = getattr(self.schedule, name, left)
-            if not isinstance(self.schedule, Loopy) and not _is(value, left):
+            if not isinstance(self.schedule, Loopy) and not is_left(value, left):
                 found[name] = value
         return found
 
@@ -59,6 +62,29 @@ class Call(NamedTuple):
 # The options of schedules of linearisations, whose other arguments say what is sent; and their
 # defaults. A schedule for graphs with loops has options of its own.
 OF_SCHEDULES: dict[str, Any] = {"iterations": 1, "damping": 0.0, "gate": None}
+# Options that are idle on a graph without time where nothing is nonlinear: no family refuses them.
+IDLE = frozenset({"iterations", "lineariser"})
+# The options of an online filter, and the values by which each is left out.
+_ONLINE: dict[str, tuple[Any, ...]] = {
+    "lineariser": (TAYLOR,),
+    "schedule": (None, ONCE),
+    "lag": (None,),
+    "gate": (None,),
+    "watch": (False, None, 0),
+    "compiled": (None, False, 0),
+}
+
+
+def asked_online(given: Mapping[str, Any]) -> dict[str, Any]:
+    """The options of an online filter that are not left out, the gate of a schedule among them.
+
+    `given` are all of them, by name.
+    """
+    found = {n: v for n, v in given.items() if not any(is_left(v, left) for left in _ONLINE[n])}
+    schedule = given["schedule"]
+    if getattr(schedule, "gate", None) is not None:
+        found.setdefault("gate", schedule)
+    return found
 
 
 class Party(Protocol):
@@ -173,8 +199,14 @@ def refused(
     return error(text.format(of=titled(of), beliefs=beliefs) + remedy)
 
 
-def _is(value: Any, default: Any) -> bool:
-    """Whether an option was left at its default."""
+def is_left(value: Any, default: Any) -> bool:
+    """Whether an option was left at its default, or given as a value that is the same.
+
+    A number is the same as another of any type, and as no bool: 0 is 0.0, and not False.
+    """
     if value is default:
         return True
+    if is_number(value) and is_number(default):
+        return float(value) == float(default)
+    value = bool(value) if isinstance(value, np.bool_) else value
     return default is not None and type(value) is type(default) and bool(value == default)

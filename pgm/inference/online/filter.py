@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from typing import Any
 
 from pgm.arguments import public
@@ -14,8 +13,8 @@ from pgm.immutable import Immutable
 from pgm.inference.belief_family import BeliefFamily
 from pgm.inference.families import family_of
 from pgm.inference.gates import Gate
-from pgm.inference.options import require
-from pgm.inference.schedule import ONCE, Filtering, FixedLag
+from pgm.inference.options import asked_online, require
+from pgm.inference.schedule import Filtering, FixedLag
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
@@ -78,8 +77,7 @@ class OnlineFilter(InCode, Immutable):
 
     model: DynamicBayesianNetwork
     belief: BeliefFamily[Any] | None
-    # Of the family: `initial`, `predict` and `update`, which stand in for the methods here, since
-    # a step takes microseconds.
+    # Of the family: its `initial`, `predict` and `update`.
     _steps: Any
 
     def __init__(
@@ -99,19 +97,14 @@ class OnlineFilter(InCode, Immutable):
         family = family_of(model, belief)
         options: dict[str, Any] = {"lineariser": lineariser, "schedule": schedule, "lag": lag}
         options |= {"gate": gate, "watch": watch, "compiled": compiled}
-        default = {"lineariser": TAYLOR, "schedule": ONCE}
-        asked = {n: v for n, v in options.items() if v not in (None, False, default.get(n))}
-        if "gate" not in asked and getattr(schedule, "gate", None) is not None:
-            asked["gate"] = schedule
-        require(asked, model, family)
+        require(asked_online(options), model, family)
         steps = family.online(model, {n: v for n, v in options.items() if n in family.takes})
         self._set(model=model, belief=belief, _steps=steps)
-        self._set(initial=steps.initial, predict=steps.predict, update=steps.update)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # What was prepared is not part of the value.
-        made = partial(OnlineFilter, belief=self.belief, **self._steps.options)
-        return made, (self.model,)
+        # What was prepared is not part of the value. All that is stands in the arguments, which are
+        # copied with the filter: a belief beside it is of the same copies.
+        return _made, (type(self), self.model, self.belief, dict(self._steps.options))
 
     def __repr__(self) -> str:
         return repr(self._steps)
@@ -212,3 +205,13 @@ class OnlineFilter(InCode, Immutable):
             If two or more iterations were asked for and end before they settle.
         """
         return self._steps.update(belief, readings)
+
+
+def _made(
+    kind: type[OnlineFilter],
+    model: DynamicBayesianNetwork,
+    belief: BeliefFamily[Any] | None,
+    options: Mapping[str, Any],
+) -> OnlineFilter:
+    """A filter of a class, a subclass of a user's own too, by its options."""
+    return kind(model, belief=belief, **options)

@@ -46,7 +46,7 @@ from pgm.inference.online.beliefs import (
 )
 from pgm.inference.online.compiled import CompiledSteps
 from pgm.inference.online.judged import of_update, of_window
-from pgm.inference.online.settings import require_settings
+from pgm.inference.online.settings import require_settings, require_watch
 from pgm.inference.online.slid import slid
 from pgm.inference.online.step_evidence import Layouts
 from pgm.inference.online.watch import Watch
@@ -86,7 +86,7 @@ class MomentSteps(InCode, Immutable):
         compiled: Choice = None,
     ) -> None:
         schedule = require_settings(model, lineariser, schedule, lag, gate)
-        self._set(model=model, lineariser=lineariser, schedule=schedule, watch=watch is True)
+        self._set(model=model, lineariser=lineariser, schedule=schedule, watch=require_watch(watch))
         self._set(compiled=bool(as_choice(compiled, "OnlineFilter(...)")))
         for cpd in (*model.transition, *model.observation):
             if isinstance(cpd, NonlinearGaussianCPD):

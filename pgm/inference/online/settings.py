@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.inference.argument_checks import require_gaussian, require_lineariser, require_plain
 from pgm.inference.chain.gate import require_sensors
 from pgm.inference.gates import Gate
+from pgm.inference.options import is_left
 from pgm.inference.schedule import ONCE, Filtering, FixedLag
 from pgm.networks import DynamicBayesianNetwork
 
@@ -49,3 +52,10 @@ def require_settings(
     for cpd in model.prior:
         cpd.require_proper("an online filter begins at a belief, which has moments")
     return schedule
+
+
+def require_watch(watch: Any) -> bool:
+    """Whether a filter watches; what says neither yes nor no is refused by a ModelError."""
+    if watch is None or isinstance(watch, bool | np.bool_) or is_left(watch, 0):
+        return bool(watch)
+    raise ModelError(f"OnlineFilter(...): watch is True or False, not {watch!r}")
