@@ -58,6 +58,10 @@ class EvidenceError(PgmError, ValueError):
     """Evidence that does not fit the model; a `ValueError` too."""
 
 
+class Unanswered(EvidenceError, AttributeError):
+    """What a family of beliefs has not; an `AttributeError` too, so that `hasattr` says False."""
+
+
 class LinearisationError(PgmError, ValueError):
     """A function or lineariser that gives values that cannot be used; a `ValueError` too."""
 

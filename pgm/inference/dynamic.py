@@ -112,12 +112,11 @@ def filter(
 
     Returns
     -------
-    ChainOutcome
-        ``posterior[x]`` has means (..., T+1, d) of a state, (..., T, d) of a hidden control; a
-        `KeptOutcome` with ``keep``. Of a network of tables a `StateOutcome`, whose
-        ``posterior[x]`` is a `Table` of probabilities (..., T+1, size). With ``belief`` a
-        `GridOutcome`, whose ``posterior[x]`` is a `GridBelief`, or a `ParticleOutcome` of
-        `ParticleBelief`s.
+    Posterior
+        ``posterior[x]`` is a `Gaussian` with means (..., T+1, d) of a state, (..., T, d) of a
+        hidden control; with ``keep``, of what was kept. Of a network of tables it is a `Table` of
+        probabilities (..., T+1, size); with ``belief`` a `GridBelief`, a `ParticleBelief`, or what
+        a family of your own shows.
 
     Warns
     -----
@@ -212,9 +211,9 @@ def smooth(
 
     Returns
     -------
-    ChainOutcome, or another
+    Posterior
         ``posterior[x]`` has the smoothed means (..., T+1, d) of a state, (..., T, d) of a hidden
-        control. For tables, and with ``keep`` or ``belief``, it is of another class; see `filter`.
+        control. For tables, and with ``belief``, it is another marginal; see `filter`.
 
     Warns
     -----

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from pgm.display import NoArray, Shown
-from pgm.errors import EvidenceError
+from pgm.errors import Unanswered
 from pgm.inference.belief_kind import Kind
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
@@ -101,7 +101,14 @@ class OnlineBelief(Shown, NoArray):
         """
         raise NotImplementedError
 
+    def _moments(self, variable: Variable) -> Any:
+        """The marginal of a variable, in a form that has moments, for summaries."""
+        return self[variable]
+
     def __getattr__(self, name: str) -> Any:
+        asked = getattr(type(self), name, None)
+        if asked is not None:  # a property that is unanswered, which tells why
+            return asked.__get__(self, type(self))
         if name in QUESTIONS:
-            raise EvidenceError(f"{QUESTIONS[name]}: {self.beliefs} have none online")
+            raise Unanswered(f"{QUESTIONS[name]}: {self.beliefs} have none online")
         raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")

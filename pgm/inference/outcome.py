@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Generic
 
 from pgm.display import Shown
-from pgm.errors import EvidenceError, GraphError, PgmError
+from pgm.errors import EvidenceError, GraphError, PgmError, Unanswered
 from pgm.evidence import Reading
 from pgm.factors.scope import Scope
 from pgm.inference.belief_kind import Kind
@@ -26,17 +26,17 @@ else:
 # What a posterior can be asked for beside marginals and joints: in words, and the error of a family
 # that has no answer.
 QUESTIONS: dict[str, tuple[str, type[PgmError]]] = {
-    "associations": ("associations of measurements", EvidenceError),
+    "associations": ("associations of measurements", Unanswered),
     "belief": ("beliefs of clusters", GraphError),
-    "filtered": ("the forward pass", EvidenceError),
-    "innovations": ("innovations", EvidenceError),
+    "filtered": ("the forward pass", Unanswered),
+    "innovations": ("innovations", Unanswered),
     "joint": ("joints", EvidenceError),
-    "lost": ("innovations, which tell where a belief was lost", EvidenceError),
+    "lost": ("innovations, which tell where a belief was lost", Unanswered),
     "message": ("messages", GraphError),
     "potential": ("potentials of clusters", GraphError),
-    "predicted": ("marginals given the measurements before each step", EvidenceError),
-    "rejected": ("rejections by gates", EvidenceError),
-    "weights": ("weights of measurements", EvidenceError),
+    "predicted": ("marginals given the measurements before each step", Unanswered),
+    "rejected": ("rejections by gates", Unanswered),
+    "weights": ("weights of measurements", Unanswered),
 }
 
 
@@ -88,6 +88,14 @@ class Outcome(Shown, ABC, Generic[B]):
     @abstractmethod
     def __getitem__(self, variable: Variable) -> B:
         """The marginal of a variable without evidence."""
+
+    def _moments(self, variable: Variable) -> Any:
+        """The marginal of a variable, in a form that has moments, if it has such.
+
+        Summaries, pages, data sets and comparisons ask for it. A family's own form without moments
+        is an EvidenceError.
+        """
+        return self[variable]
 
     @property
     @abstractmethod

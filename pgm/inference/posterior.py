@@ -294,18 +294,29 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
 
     def __getattr__(self, name: str) -> Any:
         # What a family alone has, such as the grid at the resolution that was used.
-        if name.startswith("_") or name in QUESTIONS:
+        if name.startswith("_"):
             raise AttributeError(name)
+        if name in QUESTIONS:  # which Python asks for again, after an AttributeError
+            return self._ask(name)
         try:
+            if name in _INSIDE:
+                raise AttributeError
             return getattr(self._outcome, name)
         except AttributeError:
             raise AttributeError(f"{type(self).__name__} has no attribute {name!r}") from None
+
+    def __dir__(self) -> list[str]:
+        more = (n for n in dir(self._outcome) if not n.startswith("_") and n not in _INSIDE)
+        return sorted({*super().__dir__(), *more})
 
     def _ask(self, question: str) -> Any:
         """The outcome's answer to one of `QUESTIONS`, or its refusal."""
         if not hasattr(type(self._outcome), question) and question not in vars(self._outcome):
             raise self._outcome.refusal(question)
         return getattr(self._outcome, question)
+
+    def _moments(self, variable: Variable) -> Any:
+        return self._outcome._moments(variable)
 
     @property
     def _hidden(self) -> Scope:
@@ -320,6 +331,10 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
 
     def _summary(self) -> Summary:
         return self._outcome._summary()
+
+
+# What every outcome has for pages and refusals, and is no answer to a user.
+_INSIDE = frozenset(n for n in dir(Outcome) if not n.startswith("_"))
 
 
 def require_variable(variable: Variable) -> Variable:

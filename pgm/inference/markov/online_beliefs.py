@@ -14,7 +14,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from pgm.display import Summary
-from pgm.errors import EvidenceError
+from pgm.errors import EvidenceError, Unanswered
 from pgm.factors import Table
 from pgm.factors.axes import discrete
 from pgm.factors.scope import namesake
@@ -161,7 +161,7 @@ class OnlineStates(OnlineBelief, Immutable):
         belief of a filter without a lag raises `EvidenceError`.
         """
         if self._lag is None:
-            raise EvidenceError(
+            raise Unanswered(
                 f"{self._title} is of a filter without a lag; make it with OnlineFilter(model, "
                 "lag=5)",
                 step=self.step,

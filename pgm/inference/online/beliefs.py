@@ -29,7 +29,7 @@ import numpy as np
 
 from pgm.compile import SliceLayout
 from pgm.display import Summary, titled
-from pgm.errors import EvidenceError, ModelError, NumericalError
+from pgm.errors import EvidenceError, ModelError, NumericalError, Unanswered
 from pgm.factors import Gaussian
 from pgm.factors.scope import namesake
 from pgm.immutable import Immutable, set_writeable
@@ -256,7 +256,7 @@ class MomentBelief(_Kept, OnlineBelief, Immutable):
         A filter made without ``watch=True`` has none, which raises an `EvidenceError`.
         """
         if self.watch is None:
-            raise EvidenceError(
+            raise Unanswered(
                 f"{self._title} was not watched, whether it is lost: make the filter with "
                 "OnlineFilter(model, watch=True)",
                 step=self.step,
@@ -280,7 +280,7 @@ class MomentBelief(_Kept, OnlineBelief, Immutable):
             If float64 has too few digits to go back.
         """
         if self.behind is None:
-            raise EvidenceError(
+            raise Unanswered(
                 f"{self._title} is of a filter without a lag; make it with OnlineFilter(model, "
                 "lag=5)",
                 step=self.step,

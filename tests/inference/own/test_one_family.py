@@ -1,6 +1,7 @@
 """What was written for each kind of belief is written once, and asks the family, never the kind."""
 
 import ast
+import copy
 import inspect
 import pickle
 import re
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 import pgm
-from pgm.examples import walk, x, z
+from pgm.examples import b, pair, walk, x, z
 from pgm.inference import belief_family, families, options
 from tests.inference.own.ensemble import EnsembleKalman
 
@@ -163,3 +164,85 @@ def test_online_filters_are_values(name):
     assert robot.compilation == "by NumPy"
     with pytest.raises(AttributeError, match="OnlineFilter has no attribute 'speed'"):
         robot.speed  # noqa: B018
+
+
+class Counting(pgm.OnlineFilter):
+    """A user's filter, which counts its steps."""
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+        self._set(steps=[])
+
+    def predict(self, belief, inputs=None):
+        self.steps.append(belief.step)
+        return super().predict(belief, inputs)
+
+
+OPTIONS = {"plain": {}, "lag": {"lag": 2}, "gate": {"gate": 0.9}, "compiled": {"compiled": True}}
+FILTERS = {
+    **{name: (walk, options) for name, options in OPTIONS.items()},
+    **{name: (model, {"belief": belief}) for name, (model, belief, _) in ONLINE.items()},
+}
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_an_online_filter_is_subclassed_patched_and_copied(name, monkeypatch):
+    model, options = FILTERS[name]
+    robot = Counting(model, **options)
+    belief = robot.predict(robot.predict(robot.initial()))
+    assert robot.steps == [0, 1]
+    for again in (robot.renewed(), pickle.loads(pickle.dumps(robot)), copy.deepcopy(robot)):
+        assert type(again) is Counting
+        assert repr(again) == repr(robot)
+        assert again.steps == []
+    for copied in (copy.deepcopy, lambda pair: pickle.loads(pickle.dumps(pair))):
+        again, same = copied((robot, belief))
+        assert again.predict(same).step == 3
+    monkeypatch.setattr(pgm.OnlineFilter, "predict", lambda self, belief, inputs=None: "patched")
+    assert robot.predict(belief) == pgm.OnlineFilter(model, **options).predict(belief) == "patched"
+
+
+HMM = ONLINE["tables"][0]
+ANSWERS = {
+    "moments": lambda: pgm.filter(walk, {z: [[4.0]]}),
+    "kept": lambda: pgm.smooth(walk, {z: [[4.0]]}, keep=x),
+    "grid": lambda: pgm.filter(walk, {z: [[4.0]]}, belief=ONLINE["grid"][1]),
+    "particles": lambda: pgm.smooth(walk, {z: [[4.0]]}, belief=pgm.Particles(500, seed=0)),
+    "ensemble": lambda: pgm.smooth(walk, {z: [[4.0]]}, belief=ONLINE["ensemble"][1]),
+    "tables": lambda: pgm.filter(HMM, {}, steps=2),
+    "static": lambda: pgm.infer(pgm.compile(pair), {b: [2.0]}),
+    **{f"online {name}": lambda name=name: _at_step_1(*FILTERS[name]) for name in FILTERS},
+}
+PROPERTIES = ("associations", "filtered", "innovations", "lost", "predicted", "rejected", "weights")
+PROPERTIES += ("lagged", "lost_since")
+
+
+def _at_step_1(model, options):
+    robot = pgm.OnlineFilter(model, **options)
+    return robot.predict(robot.initial())
+
+
+@pytest.mark.parametrize("name", ANSWERS)
+def test_what_a_result_has_not_it_has_not_for_hasattr_too(name):
+    found = ANSWERS[name]()
+    for asked in PROPERTIES:
+        if not hasattr(found, asked):
+            assert getattr(found, asked, "none") == "none"
+            with pytest.raises(AttributeError) as told:
+                getattr(found, asked)
+            assert isinstance(told.value, pgm.EvidenceError) or "has no attribute" in str(
+                told.value
+            )
+    inspect.getmembers(found)
+    assert not hasattr(found, "speed")
+
+
+@pytest.mark.parametrize("name", ["moments", "grid", "particles", "ensemble", "tables", "static"])
+def test_a_result_has_its_familys_own_attributes_and_nothing_from_inside(name):
+    found = ANSWERS[name]()
+    for inside in ("form", "called", "silent", "moving", "beliefs", "readings", "refusal"):
+        assert not hasattr(found, inside)
+        assert inside not in dir(found)
+    if name == "ensemble":
+        assert found.family is ONLINE["ensemble"][1]
+        assert "family" in dir(found)
