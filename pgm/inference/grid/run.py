@@ -23,6 +23,7 @@ from pgm.inference.grid.outcome import GridOutcome
 from pgm.inference.grid.settings import GridSettings
 from pgm.inference.grid.slices import GridModel, GridSlices, Worst
 from pgm.inference.markov.chain import StateChain
+from pgm.inference.posterior import Posterior
 from pgm.inference.schedule import Schedule, kind_of
 from pgm.inference.status import Status
 from pgm.kernels.arrays import Array
@@ -94,7 +95,7 @@ def _figure(grid: GridSettings, found: GridOutcome) -> Array:
     if not callable(grid.refine):
         return found.log_evidence
     try:
-        figure = np.asarray(grid.refine(found), dtype=np.float64)
+        figure = np.asarray(grid.refine(Posterior(found)), dtype=np.float64)
     except Exception as error:
         raise ModelError(
             f"the function of refine= failed on {found!r}: {type(error).__name__}: {error}"

@@ -49,7 +49,7 @@ def convergence(
     Raises
     ------
     ModelError
-        If `status` is none, or the tolerance is negative.
+        If `status` is none, or of beliefs that are not iterated, or the tolerance is negative.
 
     Examples
     --------
@@ -61,6 +61,8 @@ def convergence(
         raise ModelError(
             f"convergence draws a Status, like posterior.status, not {type(status).__name__}"
         )
+    if status._figures is not None:
+        raise ModelError(f"{status!r} is of beliefs that are not iterated, and has no residuals")
     if tolerance is not None and not 0.0 <= tolerance < np.inf:
         raise ModelError(f"tolerance must be 0 or more, not {tolerance!r}")
     residuals = np.asarray(status.residuals, dtype=float)

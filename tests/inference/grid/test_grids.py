@@ -169,6 +169,8 @@ def test_refining_until_a_figure_stays():
     assert all(each.seconds > 0.0 for each in found.status.refinements)
 
     def spread(posterior):
+        assert isinstance(posterior, pgm.Posterior)
+        assert posterior.to_xarray()["mean"].shape == (3, 1)
         return posterior[place].std
 
     with pytest.warns(pgm.GridWarning, match="still changes"):

@@ -4,6 +4,7 @@ import pytest
 
 import pgm
 import pgm.plot
+from pgm.examples import walk, z
 
 
 def status(residuals, iterations=None):
@@ -142,3 +143,14 @@ def test_wrong_arguments_are_refused(wrong, match):
     with pytest.raises(pgm.ModelError, match=match):
         pgm.plot.convergence(**({"status": status([1.0])} | wrong))
     assert not plt.get_fignums()
+
+
+@pytest.mark.parametrize(
+    "belief",
+    [pgm.Grid({"x": (-8.0, 12.0, 200)}), pgm.Particles(500, seed=0)],
+    ids=["grid", "draws"],
+)
+def test_beliefs_that_are_not_iterated_have_no_residuals(belief):
+    posterior = pgm.filter(walk, {z: [[4.0]]}, belief=belief)
+    with pytest.raises(pgm.ModelError, match=r"Status\(.* not iterated, and has no residuals"):
+        pgm.plot.convergence(posterior.status)
