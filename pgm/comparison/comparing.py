@@ -15,7 +15,7 @@ from pgm.comparison.row import FAILURES, Name, Row, failed, judge
 from pgm.comparison.table import Comparison
 from pgm.compile import compile
 from pgm.display import titled
-from pgm.errors import ModelError, PgmError
+from pgm.errors import EvidenceError, ModelError, PgmError
 from pgm.evidence import Evidence
 from pgm.factors import Gaussian
 from pgm.factors.scope import as_scope, labels, listed
@@ -168,7 +168,8 @@ def _run(
     failures: tuple[type[PgmError], ...] = FAILURES
     if isinstance(method, BeliefFamily):
         family, call = method, Call(schedule)
-        failures = (*FAILURES, ModelError)  # one that only filters is a row beside the others
+        # One that only filters, or has no moments, is a row beside the others.
+        failures = (*FAILURES, ModelError, EvidenceError)
     else:
         call = call._replace(lineariser=method)
     began = time.perf_counter()
@@ -197,11 +198,11 @@ def _run(
         reference = found.get((kind, state))
         oracle = None if reference is None else reference.gaussian
         try:
-            belief = posterior[state]
+            belief = posterior._moments(state)
             if not isinstance(belief, Gaussian):
                 belief = belief.gaussian()
             rows.append(judge(name, belief, oracle, truth.get(state), **rest))
-        except FAILURES as error:
+        except failures as error:
             rows.append(failed(name, count, truth.get(state), error, **rest))
     return rows
 

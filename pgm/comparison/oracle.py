@@ -118,7 +118,8 @@ def references(
         name = str(getattr(posterior, "log_evidence_kind", ""))
         status = posterior.status._title if hasattr(posterior, "grid") else ""
         for state in compared.states:
-            gaussian, apart = _gaussian(posterior[state], state, compared)
+            belief = getattr(posterior, "_moments", posterior.__getitem__)(state)
+            gaussian, apart = _gaussian(belief, state, compared)
             found[kind, state] = Reference(gaussian, apart, seconds, mean, name, status)
     return found
 

@@ -62,4 +62,10 @@ class NoArray:
             held = np.empty((), dtype=object)
             held[()] = self
             return held
-        raise ArrayError(f"a {type(self).__name__} is no array; take its {self._arrays}")
+        raise ArrayError(f"{articled(self)} is no array; take its {self._arrays}")
+
+
+def articled(value: object) -> str:
+    """The name of a value's class with its article, "an OnlineBelief"."""
+    name = type(value).__name__
+    return f"{'an' if name[0] in 'AEIOUaeiou' else 'a'} {name}"

@@ -7,7 +7,8 @@ update.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Generic
+from reprlib import recursive_repr
+from typing import Any, ClassVar, Generic
 
 from pgm.arguments import public
 from pgm.clustergraph import ClusterGraph
@@ -18,14 +19,12 @@ from pgm.evidence import BoundEvidence, Evidence
 from pgm.inference.figures import Threshold
 from pgm.inference.options import Call, refused
 from pgm.inference.outcome import B, Outcome
+from pgm.inference.own.marginals import Asked
 from pgm.inference.own.online import OwnSteps
 from pgm.inference.own.run import run
 from pgm.inference.own.slices import Slice
-from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.arrays import Array
 from pgm.networks import DynamicBayesianNetwork
-
-if TYPE_CHECKING:
-    from pgm.factors.scope import Scope
 
 
 @public
@@ -84,6 +83,7 @@ class BeliefFamily(Generic[B]):
     spare: ClassVar[str] = "is for beliefs that are Gaussian, and not for a family of your own"
     more: ClassVar[Mapping[str, str]] = {}
 
+    @recursive_repr()
     def __repr__(self) -> str:
         given = ", ".join(f"{name}={value!r}" for name, value in vars(self).items())
         return f"{type(self).__name__}({given})"
@@ -212,22 +212,25 @@ class BeliefFamily(Generic[B]):
         """
         return None
 
-    def marginal(self, beliefs: Sequence[Any], scope: Scope, columns: Integers) -> Any:
+    def marginal(self, beliefs: Sequence[Any], asked: Asked) -> Any:
         """The marginal of some variables in a form of its own; None, as here, for the usual ones.
 
         Parameters
         ----------
         beliefs : sequence of object
-            One a step.
-        scope : tuple of Variable
-        columns : ndarray
-            The indices of the variables' components among the d of a slice.
+            One a step, of all runs; at least one.
+        asked : Asked
+            The ``scope`` of the marginal, and the ``columns`` of its components among the d of a
+            slice; the user's axes of runs, ``lead``; and the numbers of the ``steps``, None where
+            one step is asked for.
 
         Returns
         -------
         object or None
-            What ``posterior[x]`` is to be. It is shown in summaries and plots where it has a
-            ``mean`` and a ``cov``, (*runs, steps, ...).
+            What ``posterior[x]`` is to be, as it is. If it has a ``mean`` (*runs, steps, k) and a
+            ``cov`` (*runs, steps, k, k), without the axis of steps where one is asked for,
+            summaries, pages, data sets and comparisons show these; they leave it out, or refuse it,
+            if it has none.
         """
         return None
 

@@ -104,10 +104,23 @@ class OwnFigures(Figures):
         """Each figure, from its least to its largest."""
         return [f"{name} {_spread(each)}" for name, each in self._numbers.items()]
 
-    def warn(self, whose: str) -> None:
-        """Give a `BeliefWarning` for each figure beyond its threshold; `whose` begins its text."""
-        for name, threshold in self._warns.items():
-            if name in self._numbers and threshold.passed(self._numbers[name]).any():
+    def passed(self) -> list[str]:
+        """The names of the figures that are beyond their thresholds."""
+        return [
+            name
+            for name, threshold in self._warns.items()
+            if name in self._numbers and threshold.passed(self._numbers[name]).any()
+        ]
+
+    def warn(self, whose: str, before: Any = None) -> None:
+        """Give a `BeliefWarning` for each figure beyond its threshold; `whose` begins its text.
+
+        Not of those of which the figures `before` have given one: of a smoother's forward pass.
+        """
+        told = () if before is None else before.passed()
+        for name in self.passed():
+            if name not in told:
+                threshold = self._warns[name]
                 worst = threshold.worst(self._numbers[name])
                 message = f"{whose}: {name} is {worst:.3g} at its worst (status.{name}), "
                 message += f"{threshold}: {threshold.remedy}"

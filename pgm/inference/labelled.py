@@ -45,7 +45,7 @@ class Labelled:
         """
         xarray = optional("xarray", f"{type(self).__name__}.to_xarray()", FRAMES)
         runs = run_names(np.ndim(self.log_evidence))
-        marginals = {variable: self[variable] for variable in self._hidden}
+        marginals = {variable: self._moments(variable) for variable in self._hidden}
         steps = self.graph.steps if isinstance(self.graph, DynamicGraph) else None
         coords = {} if steps is None else {"step": np.arange(steps + 1)}
         dims = [*runs, *coords]

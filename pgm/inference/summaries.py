@@ -1,8 +1,9 @@
 """Summaries of posteriors: log-evidence, status, and beliefs, over time at first and last steps.
 
 Arguments `runs` are the shape of the user's leading axes of runs; `last` is T, the last step;
-``beliefs[x.at(t)]`` is the belief of a variable x at step t, of all runs. A *place* is an index of
-a run or, with a step after it, of a run and a step. A *listing* is a table of text.
+``beliefs[x.at(t)]`` is the belief of a variable x at step t, of all runs; ``_moments`` has it in
+a form with a mean and a covariance, where a family's own form may have none. A *place* is an index
+of a run or, with a step after it, of a run and a step. A *listing* is a table of text.
 """
 
 from __future__ import annotations
@@ -84,11 +85,13 @@ def ends(
     """
     shown = variables[:VARIABLES]
     most = max(ROWS // max(len(shown), 1) - (len(shown) > 1), ENDS)
-    parts: list[str | Listing] = [
-        _ends(beliefs, variable, 0 if variable in states else 1, runs, last, most)
-        for variable in shown
-        if all(runs)
-    ]
+    parts: list[str | Listing] = []
+    for variable in shown if all(runs) else ():
+        first = 0 if variable in states else 1
+        try:
+            parts.append(_ends(beliefs, variable, first, runs, last, most))
+        except PgmError as error:
+            parts.append(f"{variable!r}: none: {error}")
     if len(variables) > len(shown):
         parts.append(f"... {len(variables)} variables in all")
     return parts
@@ -127,7 +130,7 @@ def by_variable(
             rows.append(None)
             continue
         try:
-            found = posterior[variables[k]]
+            found = _marginal(posterior, variables[k])
         except PgmError as error:
             rows.append([repr(variables[k]), f"none: {error}", *[""] * (len(picked) - 1)])
             continue
@@ -180,6 +183,11 @@ def spread(values: Array, digits: int = 6) -> str:
     return number(low, digits) if low == high else f"{number(low, 4)} to {number(high, 4)}"
 
 
+def _marginal(beliefs: Any, variable: Variable) -> Any:
+    """The marginal of a variable, in a form with moments where there are several forms."""
+    return getattr(beliefs, "_moments", beliefs.__getitem__)(variable)
+
+
 def _ends(
     beliefs: Any, variable: Variable, first: int, runs: tuple[int, ...], last: int, most: int
 ) -> Listing:
@@ -192,7 +200,7 @@ def _ends(
         """The belief of the variable, for all runs, at the step of a place."""
         step = steps[place[-1]]
         if step not in kept:
-            kept[step] = beliefs[variable.at(step)]
+            kept[step] = _marginal(beliefs, variable.at(step))
         return kept[step]
 
     if isinstance(variable, Discrete):

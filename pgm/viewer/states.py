@@ -134,8 +134,8 @@ def marginal_page(
     graph, beliefs = posterior.graph, {}
     for variable in graph.layout.slice:
         try:
-            belief = posterior[variable]
-        except EvidenceError:  # of a hidden control, or of a variable that was not kept
+            belief = posterior._moments(variable)
+        except EvidenceError:  # of a hidden control, of one not kept, or of a form without moments
             continue
         if not isinstance(variable, Discrete):
             beliefs[variable] = belief

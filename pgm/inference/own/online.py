@@ -11,10 +11,11 @@ import numpy as np
 from pgm.display import Summary
 from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence
+from pgm.factors.scope import Scope
 from pgm.inference.belief_kind import FILTERED, PREDICTED, Kind
 from pgm.inference.grid.online import PointFilter
 from pgm.inference.online_belief import OnlineBelief
-from pgm.inference.own.marginals import shown
+from pgm.inference.own.marginals import Asked, shown, with_moments
 from pgm.inference.own.outcome import Hidden
 from pgm.inference.own.run import OwnChain
 from pgm.inference.own.status import status_of
@@ -54,8 +55,13 @@ class OnlineOwnBelief(OnlineBelief):
     value: Any
     _family: BeliefFamily[Any]
     _hidden: Hidden
+    # How many updates of its step it knows.
+    _updates: int = 0
     # A window of steps behind it, of which there is none.
     behind: ClassVar[None] = None
+
+    def __post_init__(self) -> None:
+        self.log_evidence.flags.writeable = False
 
     @property
     def beliefs(self) -> str:  # type: ignore[override]
@@ -69,18 +75,28 @@ class OnlineOwnBelief(OnlineBelief):
 
     def __getitem__(self, variable: Variable) -> Any:
         """The marginal of a hidden variable at the belief's step, its leading axes runs."""
+        return shown(self._family, [self.value], self._asked(variable))
+
+    def _moments(self, variable: Variable) -> Any:
+        asked = self._asked(variable)
+        return with_moments(self._family, shown(self._family, [self.value], asked), asked)
+
+    def _asked(self, variable: Variable) -> Asked:
+        """What is asked of the belief, by a hidden variable, which has to be of its step."""
         variable = self._hidden.require(variable)
         scope = (variable.template,)
-        if variable.step not in (None, self.step) or self.step < self._hidden.first(scope):
+        if variable.step not in (None, self.step) or scope[0] not in self._over:
             raise EvidenceError(
-                f"the belief at step {self.step} is over {list(self._hidden.places)}, not "
-                f"{variable!r}",
+                f"the belief at step {self.step} is over {list(self._over)}, not {variable!r}",
                 variable=variable,
                 step=self.step,
             )
-        columns = self._hidden.columns(scope)
-        size = self._hidden.size
-        return shown(self._family, [self.value], scope, columns, self.lead, None, size)
+        return self._hidden.asked(scope, self.lead, None)
+
+    @property
+    def _over(self) -> Scope:
+        """The hidden variables that stand at its step."""
+        return tuple(v for v in self._hidden.places if self.step >= self._hidden.first((v,)))
 
     @property
     def _title(self) -> str:
@@ -88,8 +104,7 @@ class OnlineOwnBelief(OnlineBelief):
         return f"OnlineBelief({self.kind}, step {self.step}, {self._family!r}{runs})"
 
     def _summary(self) -> Summary:
-        hidden = tuple(v for v in self._hidden.places if self.step >= self._hidden.first((v,)))
-        return at_a_step(self._title, self, hidden, self.lead)
+        return at_a_step(self._title, self, self._over, self.lead)
 
 
 class OwnSteps(PointFilter[OnlineOwnBelief]):
@@ -123,10 +138,10 @@ class OwnSteps(PointFilter[OnlineOwnBelief]):
     def _updated(self, belief: OnlineOwnBelief, bound: BoundEvidence) -> OnlineOwnBelief:
         """The belief given the measurements of its step."""
         belief = self._of_runs(belief, bound)
-        chain = self._chain(bound, belief.step)
+        chain = self._chain(bound, belief.step, belief._updates)
         value, log_density = chain.take(belief.step, belief.value)
-        total = belief.log_evidence.reshape(-1) + log_density
-        return self._belief(belief.step, FILTERED, value, chain, bound, total)
+        total, updates = belief.log_evidence.reshape(-1) + log_density, belief._updates + 1
+        return self._belief(belief.step, FILTERED, value, chain, bound, total, updates)
 
     def _of_runs(self, belief: OnlineOwnBelief, bound: BoundEvidence) -> OnlineOwnBelief:
         """The belief with the runs of the evidence: a prior is made anew, others have to fit."""
@@ -140,9 +155,10 @@ class OwnSteps(PointFilter[OnlineOwnBelief]):
             step=belief.step,
         )
 
-    def _chain(self, bound: BoundEvidence, first: int) -> OwnChain:
+    def _chain(self, bound: BoundEvidence, first: int, updates: int = 0) -> OwnChain:
         """The family along a chain whose inputs begin at step `first` + 1."""
-        return OwnChain(self.belief, ParticleModel(self.model, bound, np.float64, first))
+        model = ParticleModel(self.model, bound, np.float64, first, weighed=False)
+        return OwnChain(self.belief, model, updates)
 
     def _owns(self, belief: Any) -> bool:
         mine = isinstance(belief, OnlineOwnBelief) and belief._hidden.model is self.model
@@ -156,10 +172,12 @@ class OwnSteps(PointFilter[OnlineOwnBelief]):
         chain: OwnChain,
         bound: BoundEvidence,
         log_evidence: Array,
+        updates: int = 0,
     ) -> OnlineOwnBelief:
         """The user's belief at a step; `log_evidence` is of all measurements so far."""
         status = status_of(self.belief, [value], bound.lead)
         places: Mapping[Variable, slice] = dict(chain.model.places)
         total = np.array(log_evidence).reshape(bound.lead)
         hidden = Hidden(self.model, places)
-        return OnlineOwnBelief(step, total, status, kind, value, self.belief, hidden)
+        told = step, total, status, kind, value, self.belief, hidden
+        return OnlineOwnBelief(*told, updates)

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from pgm.compile import DynamicGraph
-from pgm.display import Summary
+from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError
 from pgm.factors.scope import Scope, as_scope, listed, namesake
-from pgm.inference.belief_kind import FILTERED, PREDICTED, Kind
+from pgm.inference.belief_kind import Kind
 from pgm.inference.grid.belief import require_step
 from pgm.inference.outcome import Outcome
-from pgm.inference.own.marginals import OverTime, shown
+from pgm.inference.own.marginals import Asked, shown, with_moments
 from pgm.inference.posterior import require_variable
 from pgm.inference.status import Status
-from pgm.inference.summaries import over_time
+from pgm.inference.summaries import ends, over_time
 from pgm.kernels.arrays import Array, Integers
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
@@ -58,11 +58,73 @@ class Hidden(NamedTuple):
             )
         return variable
 
-    def columns(self, scope: Scope) -> Integers:
-        """The indices of a scope's components among the d of a point."""
+    def asked(self, scope: Scope, lead: tuple[int, ...], steps: Integers | None) -> Asked:
+        """What is asked of beliefs, by the scope of a marginal, the axes of runs, and the steps."""
         each = [np.arange(p.start, p.stop) for p in (self.places[v.template] for v in scope)]
-        found: Integers = np.concatenate(each)
-        return found
+        return Asked(scope, np.concatenate(each), lead, steps, self.size)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class OwnMarginals(Shown, NoArray):
+    """The marginals of hidden variables over all steps, by variable, of a user's own family.
+
+    Attributes
+    ----------
+    kind : Kind
+        Which measurements they know: predicted, filtered, fixed-lag or smoothed.
+    """
+
+    kind: Kind
+    # The family and its beliefs of all steps, T + 1 of them; the user's axes of runs.
+    _family: BeliefFamily[Any]
+    _hidden_ones: Hidden
+    _each: Sequence[Any]
+    _lead: tuple[int, ...]
+
+    def __getitem__(self, variable: Variable) -> Any:
+        """The marginal of a hidden variable, at all steps or at one."""
+        return self._joint(require_variable(variable))
+
+    def _joint(self, *variables: Variable) -> Any:
+        """The joint of some hidden variables of one step, or of all steps."""
+        return shown(self._family, *self._asked(variables))
+
+    def _moments(self, variable: Variable) -> Any:
+        """The marginal of a variable, in a form that has moments."""
+        beliefs, asked = self._asked((variable,))
+        return with_moments(self._family, shown(self._family, beliefs, asked), asked)
+
+    def _asked(self, variables: Sequence[Variable]) -> tuple[Sequence[Any], Asked]:
+        """The beliefs of the steps that are asked for, and what is asked of them."""
+        if not variables:
+            raise EvidenceError("joint takes variables of the network, like x.at(3), m.at(3)")
+        hidden, last = self._hidden_ones, len(self._each) - 1
+        scope = as_scope(variables, "a joint")
+        for variable in scope:
+            hidden.require(variable)
+        steps = {require_step(variable, last) for variable in scope}
+        if len(steps) != 1:
+            raise EvidenceError(
+                f"{self._family.beliefs} have joints of variables of one step, not of "
+                f"{listed(scope)}",
+                variable=scope[0],
+            )
+        (step,) = steps
+        first = hidden.first(scope)
+        if step is not None and step < first:
+            raise EvidenceError(f"{scope[0]!r}: controls begin at step 1", step=step)
+        some = self._each[first:] if step is None else [self._each[step]]
+        at = None if step is not None else np.arange(first, last + 1)
+        return some, hidden.asked(scope, self._lead, at)
+
+    @property
+    def _title(self) -> str:
+        runs = f", runs {self._lead}" if self._lead else ""
+        return f"Marginals({self.kind}, {self._family!r}, steps 0..{len(self._each) - 1}{runs})"
+
+    def _summary(self) -> Summary:
+        places, states = tuple(self._hidden_ones.places), self._hidden_ones.model.states
+        return Summary(self._title, ends(self, places, states, self._lead, len(self._each) - 1))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -70,23 +132,25 @@ class OwnOutcome(Outcome[Any]):
     """The beliefs of a user's own family over the steps of a chain.
 
     family: The user's value.
-    known: The beliefs given the measurements up to each step, T + 1 of them.
-    predicted: Those before the measurements of each step.
-    smoothed: Those that know later measurements as well, by `kind`; None of a filter.
+    predicted: The marginals before the measurements of each step.
     """
 
     graph: DynamicGraph
     family: BeliefFamily[Any]
-    kind: Kind
     log_evidence: Array
     status: Status
-    _hidden_ones: Hidden
-    _known: Sequence[Any]
-    _predicted: Sequence[Any]
-    _smoothed: Sequence[Any] | None = None
+    predicted: OwnMarginals
+    _marginals: OwnMarginals
+    # The forward pass of a smoother; None of a filter, which is one.
+    _forward: OwnOutcome | None = None
 
     moving: ClassVar[bool] = True
     called: ClassVar[str] = "chain"
+
+    @property
+    def kind(self) -> Kind:
+        """Which measurements the beliefs know."""
+        return self._marginals.kind
 
     @property
     def beliefs(self) -> str:  # type: ignore[override]
@@ -95,7 +159,7 @@ class OwnOutcome(Outcome[Any]):
 
     @property
     def _hidden(self) -> Scope:
-        return tuple(self._hidden_ones.places)
+        return tuple(self._marginals._hidden_ones.places)
 
     @property
     def log_evidence_kind(self) -> str:
@@ -104,43 +168,19 @@ class OwnOutcome(Outcome[Any]):
 
     def __getitem__(self, variable: Variable) -> Any:
         """The marginal of a hidden variable, at all steps or at one."""
-        return self.joint(require_variable(variable))
+        return self._marginals[variable]
+
+    def _moments(self, variable: Variable) -> Any:
+        return self._marginals._moments(variable)
 
     @property
     def filtered(self) -> OwnOutcome:
-        """The beliefs of the forward pass; of a filter, the same."""
-        if self._smoothed is None:
-            return self
-        return replace(self, kind=FILTERED, _smoothed=None)
-
-    @property
-    def predicted(self) -> OverTime:
-        """Marginals given the measurements before each step."""
-        return OverTime(replace(self, kind=PREDICTED, _smoothed=self._predicted))
+        """The beliefs of the forward pass, with its status; of a filter, the same."""
+        return self if self._forward is None else self._forward
 
     def joint(self, *variables: Variable) -> Any:
         """The joint of some hidden variables of one step, or of all steps."""
-        if not variables:
-            raise EvidenceError("joint takes variables of the network, like x.at(3), m.at(3)")
-        scope = as_scope(variables, "a joint")
-        for variable in scope:
-            self._hidden_ones.require(variable)
-        steps = {require_step(variable, self.graph.steps) for variable in scope}
-        if len(steps) != 1:
-            raise EvidenceError(
-                f"{self.beliefs} have joints of variables of one step, not of {listed(scope)}",
-                variable=scope[0],
-            )
-        (step,) = steps
-        first = self._hidden_ones.first(scope)
-        every = self._known if self._smoothed is None else self._smoothed
-        if step is not None and step < first:
-            raise EvidenceError(f"{scope[0]!r}: controls begin at step 1", step=step)
-        some = every[first:] if step is None else [every[step]]
-        at = None if step is not None else np.arange(first, len(every))
-        columns = self._hidden_ones.columns(scope)
-        lead, size = self.log_evidence.shape, self._hidden_ones.size
-        return shown(self.family, some, scope, columns, lead, at, size)
+        return self._marginals._joint(*variables)
 
     @property
     def _title(self) -> str:

@@ -13,15 +13,15 @@ from pgm.evidence import BoundEvidence
 from pgm.factors.scope import listed
 from pgm.inference import sweep
 from pgm.inference.associations import by_density
-from pgm.inference.belief_kind import FILTERED, SMOOTHED, Kind
+from pgm.inference.belief_kind import FILTERED, PREDICTED, SMOOTHED, Kind
 from pgm.inference.own.marginals import pair
-from pgm.inference.own.outcome import Hidden, OwnOutcome
+from pgm.inference.own.outcome import Hidden, OwnMarginals, OwnOutcome
 from pgm.inference.own.sealed import sealed
 from pgm.inference.own.slices import BACK, TAKEN, Slice
 from pgm.inference.own.status import status_of
 from pgm.inference.particles.model import ParticleModel
 from pgm.inference.schedule import kind_of
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, frozen
 from pgm.progress import counted
 
 if TYPE_CHECKING:
@@ -32,12 +32,13 @@ if TYPE_CHECKING:
 class OwnChain:
     """A user's family along a chain, with the methods of a forward sweep, and its record.
 
+    update: Online, how many updates of the step came before, so that each draws anew.
     predicted, known: The beliefs before and after the measurements of each step so far.
     log_density: By step, the log-density of its measurements, (runs,).
     """
 
-    def __init__(self, family: BeliefFamily[Any], model: ParticleModel) -> None:
-        self.family, self.model = family, model
+    def __init__(self, family: BeliefFamily[Any], model: ParticleModel, update: int = 0) -> None:
+        self.family, self.model, self.update = family, model, update
         self.predicted: list[Any] = []
         self.known: list[Any] = []
         self.log_density: list[Array] = []
@@ -56,7 +57,7 @@ class OwnChain:
         Nothing is asked where nothing was measured. A log-density that is NaN, plus infinity or of
         a wrong shape is refused.
         """
-        at = Slice(self.model, step, TAKEN)
+        at = Slice(self.model, step, TAKEN, self.update)
         if not at.measurements:
             return belief, np.zeros(at.runs)
         found = self.family.take(at, belief)
@@ -121,14 +122,22 @@ def run(
             f"{family!r} says not how its beliefs flow back, so that they can be filtered alone: "
             "use pgm.filter, or define back(at, known, predicted, later)"
         )
-    model = ParticleModel(graph.model, by_density(bound), np.float64)
+    model = ParticleModel(graph.model, by_density(bound), np.float64, weighed=False)
     chain = OwnChain(family, model)
     sweep.forward(chain, bound.steps, chain)
-    smoothed = None if kind == FILTERED else chain.smoothed(kind)
-    shown = chain.known if smoothed is None else smoothed
-    lead = bound.lead
-    log_evidence = np.sum(chain.log_density, axis=0).reshape(lead)
-    status = status_of(family, shown, lead)
-    hidden = Hidden(graph.model, dict(model.places))
-    told = kind, log_evidence, status, hidden
-    return OwnOutcome(graph, family, *told, chain.known, chain.predicted, smoothed)
+    hidden, lead = Hidden(graph.model, dict(model.places)), bound.lead
+    log_evidence = frozen(np.sum(chain.log_density, axis=0).reshape(lead))
+
+    def marginals(kind: Kind, beliefs: list[Any]) -> OwnMarginals:
+        return OwnMarginals(kind, family, hidden, beliefs, lead)
+
+    before, known = marginals(PREDICTED, chain.predicted), marginals(FILTERED, chain.known)
+    which = "" if kind == FILTERED else ", in the forward pass (posterior.filtered)"
+    status = status_of(family, chain.known, lead, of=which)
+    filtered = OwnOutcome(graph, family, log_evidence, status, before, known)
+    if kind == FILTERED:
+        return filtered
+    beliefs = chain.smoothed(kind)
+    status = status_of(family, beliefs, lead, filtered.status)
+    later = marginals(kind, beliefs)
+    return OwnOutcome(graph, family, log_evidence, status, before, later, filtered)

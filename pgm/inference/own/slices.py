@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from pgm.cpds import CPD
-from pgm.display import InCode
+from pgm.cpds import CPD, ConditionalGaussian
+from pgm.display import InCode, titled
 from pgm.errors import ModelError
 from pgm.inference.particles.laws import Drawing, GaussianLaw, Law, Some
 from pgm.inference.particles.model import ParticleModel, Sensor
@@ -24,10 +24,8 @@ from pgm.kernels.arrays import Array, Mask
 from pgm.variables import Variable
 
 Generators = Sequence[np.random.Generator]
-# The purposes of a slice's random numbers, beside that of a prediction; see `streams`.
-TAKEN, BACK = 101, 102
-# Calls of `Slice.generators` in one method have purposes so far apart.
-_CALLS = 1000
+# What a slice is handed out for, which are the purposes of its random numbers, too; see `streams`.
+MOVED, TAKEN, BACK = 0, 101, 102
 
 
 class Slice(InCode):
@@ -52,15 +50,18 @@ class Slice(InCode):
     inputs : mapping of Variable to ndarray
         The values of the inputs of `cpds`, (runs or 1, k) each.
     measurements : tuple of Measurement
-        The measurements of the step, of each sensor in turn, of which some run took any.
+        The measurements of the step, of each sensor in turn, of which some run took any; not of a
+        prediction, which knows none.
 
     Examples
     --------
     See `BeliefFamily`.
     """
 
-    def __init__(self, model: ParticleModel, step: int, purpose: int = 0) -> None:
-        self._model, self._purpose, self._asked = model, purpose, 0
+    def __init__(
+        self, model: ParticleModel, step: int, purpose: int = MOVED, update: int = 0
+    ) -> None:
+        self._model, self._purpose, self._update, self._asked = model, purpose, update, 0
         self.step, self.runs = step, model.bound.runs
         self.places: Mapping[Variable, slice] = MappingProxyType(model.places)
         self.angles = model.angles
@@ -72,7 +73,8 @@ class Slice(InCode):
         """Random generators, one for each run, of this step, method and call alone.
 
         They depend on the seed, the number of the run and the step, so that a run's draws are the
-        same whichever runs it is worked with. Another call gives others.
+        same whichever runs it is worked with. Another call gives others, and so does a further
+        update of one step online.
 
         Parameters
         ----------
@@ -82,13 +84,19 @@ class Slice(InCode):
         -------
         list of numpy.random.Generator
         """
-        first, purpose = self._model.bound.first_run, self._purpose + _CALLS * self._asked
+        first, call = self._model.bound.first_run, (self._purpose, self._update, self._asked)
         self._asked += 1
-        return [stream(seed, first + run, self.step, purpose) for run in range(self.runs)]
+        return [stream(seed, first + run, self.step, *call) for run in range(self.runs)]
 
     @cached_property
     def cpds(self) -> tuple[ConditionalAt, ...]:
         """The CPDs that lead to the slice, parents first."""
+        if self.step and len(self._model.bound.transition) < len(self._model.model.transition):
+            raise ModelError(
+                f"{self!r}: an update has no inputs of the transition that led to its step, nor "
+                "what depends on them (cpds, inputs, moved, mean, log_density); ask for these in "
+                "predict, and keep in the belief what the update needs"
+            )
         laws = self._model.transition if self.step else self._model.prior
         row = self._model.row(self.step) if self.step else 0
         return tuple(ConditionalAt(law, row, self) for law in laws)
@@ -115,7 +123,7 @@ class Slice(InCode):
         """
         if self.step:
             raise ModelError(f"{self!r}: the prior is of step 0; moved(points) leads to others")
-        return self.moved(np.zeros((self.runs, count, self._model.size)), generators)
+        return self._drawn(np.zeros((self.runs, count, self._model.size)), generators)
 
     def moved(self, before: Array, generators: Generators) -> Array:
         """Draws from the transition, one from each point of the step before.
@@ -132,11 +140,19 @@ class Slice(InCode):
         ndarray
             (runs, n, d).
         """
-        now, drawing = self._none(before), _drawing(before, generators)
-        some = self._some(now, before)
+        if not self.step:
+            raise ModelError(
+                f"{self!r}: no transition leads to step 0; prior(n, generators) draws its points"
+            )
+        return self._drawn(before, generators)
+
+    def _drawn(self, before: Array, generators: Generators) -> Array:
+        """Draws of the slice, (runs, n, d), one from each point of the step before."""
+        now = self._none(before)
+        drawing, some = _drawing(now, generators), self._some(now, before)
         for cpd in self.cpds:
             some.now[self.places[cpd.variable]] = cpd._law.draw(cpd._row, some, drawing)
-        return _apart(some.now, before)
+        return _apart(some.now, now)
 
     def mean(self, before: Array) -> Array:
         """The points expected after points of the step before, without noise.
@@ -174,7 +190,8 @@ class Slice(InCode):
         ndarray
             (runs, n). At step 0 it is the prior's, whatever `before`.
         """
-        found: Array = np.zeros(now.shape[:2])
+        now = np.asarray(now)
+        found: Array = np.zeros(self._none(now).shape[:2])
         for cpd in self.cpds:
             found = found + cpd.log_density(now[..., self.places[cpd.variable]], now, before)
         return found
@@ -182,6 +199,11 @@ class Slice(InCode):
     @cached_property
     def measurements(self) -> tuple[Measurement, ...]:
         """The measurements of the step, of each sensor in turn, of which some run took any."""
+        if self._purpose == MOVED:
+            raise ModelError(
+                f"{self!r}: begin and predict come before the measurements of their step, which "
+                "online are not known yet: take them in take(at, belief)"
+            )
         return tuple(
             Measurement(sensor, row, self)
             for sensor in self._model.sensors
@@ -247,14 +269,22 @@ class ConditionalAt(InCode):
         Raises
         ------
         ModelError
-            If the CPD is not Gaussian.
+            If the CPD is not Gaussian, or its noise robust.
         """
+        if isinstance(self.cpd, ConditionalGaussian) and self.cpd.noise is not None:
+            raise ModelError(
+                f"{self.cpd!r} has robust noise, {self.cpd.noise!r}, whose covariance is another "
+                "than its cov=; draw(...), log_density(...), and the noise itself, .cpd.noise, are "
+                "there",
+                variable=self.variable,
+                cpd=self.cpd,
+            )
         lower = self._gaussian().root(self._row, self._at.step).lower
         found: Array = lower @ lower.swapaxes(-1, -2)
         return found
 
     def mean(self, points: Array, before: Array | None = None) -> Array:
-        """The child expected at points, without noise.
+        """The child expected at points, without noise; of robust noise, its centre.
 
         Parameters
         ----------
@@ -275,6 +305,7 @@ class ConditionalAt(InCode):
         LinearisationError
             If the CPD's function is not finite there.
         """
+        points = np.asarray(points)
         some = self._at._some(points, before)
         found = self._gaussian().mean(self._row, some)
         return _apart(np.broadcast_to(found, (len(self.angles), some.size)), points)
@@ -296,6 +327,7 @@ class ConditionalAt(InCode):
         ndarray
             (runs, n, k).
         """
+        points = np.asarray(points)
         some = self._at._some(points, before)
         return _apart(self._law.draw(self._row, some, _drawing(points, generators)), points)
 
@@ -316,6 +348,7 @@ class ConditionalAt(InCode):
         ndarray
             (runs, n).
         """
+        points = np.asarray(points)
         some = self._at._some(points, before)
         child = np.ascontiguousarray(np.reshape(value, (-1, len(self.angles))).T, dtype=float)
         return self._law.log_density(self._row, some, child).reshape(points.shape[:2])
@@ -325,15 +358,18 @@ class ConditionalAt(InCode):
         return difference(np.asarray(a, dtype=np.float64), np.asarray(b), self.angles)
 
     def _gaussian(self) -> GaussianLaw:
-        """The law of a Gaussian CPD; any other is refused by a ModelError."""
-        if not isinstance(self._law, GaussianLaw):
+        """The law of a Gaussian CPD, of robust noise as of any; others are refused."""
+        law = self._law
+        if isinstance(self.cpd, ConditionalGaussian) and not isinstance(law, GaussianLaw):
+            law = GaussianLaw(self.cpd, law.inputs, law.places, law.dtype, law.first_run)
+        if not isinstance(law, GaussianLaw):
             raise ModelError(
                 f"{self.cpd!r} is no Gaussian CPD, whose mean and covariance are known; draw(...) "
                 "and log_density(...) are there",
                 variable=self.variable,
                 cpd=self.cpd,
             )
-        return self._law
+        return law
 
 
 class Measurement(ConditionalAt):
@@ -369,8 +405,15 @@ class Measurement(ConditionalAt):
         -------
         ndarray
             (runs, n).
+
+        Raises
+        ------
+        ModelError
+            If the sensor has no noise in a component, or its noise no density.
         """
+        points = np.asarray(points)
         some = self._at._some(points)
+        self._sensor.require_noise()
         found = np.zeros(some.size)
         self._sensor.add(self._row, some, found)
         return found.reshape(points.shape[:2])
@@ -379,6 +422,11 @@ class Measurement(ConditionalAt):
 def _drawing(points: Array, generators: Generators) -> Drawing:
     """The drawing for points (runs, n, d) laid out run by run, from a generator for each run."""
     runs, count = points.shape[:2]
+    if not isinstance(generators, Sequence):
+        raise ModelError(
+            f"generators are a sequence of {runs}, one a run, as of Slice.generators(seed), not "
+            f"{titled(generators)}"
+        )
     if len(generators) != runs:
         raise ModelError(
             f"{len(generators)} generators for {runs} runs; Slice.generators(seed) makes one each"

@@ -17,10 +17,18 @@ if TYPE_CHECKING:
     from pgm.inference.belief_family import BeliefFamily
 
 
-def status_of(family: BeliefFamily[Any], beliefs: Sequence[Any], lead: tuple[int, ...]) -> Status:
+def status_of(
+    family: BeliefFamily[Any],
+    beliefs: Sequence[Any],
+    lead: tuple[int, ...],
+    forward: Status | None = None,
+    of: str = "",
+) -> Status:
     """The status of beliefs of all steps, with the family's numbers, (*lead, steps) each.
 
-    A number beyond its threshold in `family.warns` gives a BeliefWarning.
+    A number beyond its threshold in `family.warns` gives a BeliefWarning, unless that of a
+    smoother's `forward` pass has given it. `of` says which beliefs they are, where that is not
+    clear.
     """
     runs, numbers = int(np.prod(lead)), {}
     each = [family.numbers(belief) for belief in beliefs]
@@ -42,7 +50,7 @@ def status_of(family: BeliefFamily[Any], beliefs: Sequence[Any], lead: tuple[int
                 "to pgm.Threshold(...)"
             )
     figures = OwnFigures(numbers, family.warns)
-    figures.warn(repr(family))
+    figures.warn(f"{family!r}{of}", None if forward is None else forward._figures)
     return Status.of_figures(figures, lead)
 
 

@@ -91,12 +91,13 @@ def law(
     places: Mapping[Variable, slice],
     dtype: Any,
     first_run: int,
+    weighed: bool = True,
 ) -> Law:
     """The law of a CPD with its inputs, of the class that its kind asks for.
 
     It is a `GaussianLaw` of Gaussian noise, a `MixtureLaw` of a mixture, and otherwise, robust
     noise included, a plain `Law`. Robust noise whose density has an infinite integral is refused by
-    a ModelError.
+    a ModelError, where particles are `weighed` by densities.
 
     inputs: By observed parent, its values (rows, runs or 1, d).
     places: By hidden variable, where its components stand on the first axis of arrays of states,
@@ -106,9 +107,10 @@ def law(
     """
     rows = {v: np.asarray(a, dtype=dtype) for v, a in inputs.items()}
     about = rows, places, dtype, first_run
-    require_density([cpd] if isinstance(cpd, ConditionalGaussian) else [], "particles")
+    if weighed and isinstance(cpd, ConditionalGaussian):
+        require_density([cpd], "particles")
     if isinstance(cpd, ConditionalGaussian) and cpd.noise is None:
         return GaussianLaw(cpd, *about)
     if isinstance(cpd, MixtureCPD):
-        return MixtureLaw(cpd, *about, tuple(law(part, *about) for part in cpd.parts))
+        return MixtureLaw(cpd, *about, tuple(law(part, *about, weighed) for part in cpd.parts))
     return Law(cpd, *about)

@@ -37,15 +37,23 @@ class ParticleModel:
     model, bound: The network, and its evidence.
     dtype: The type of the states, float64 or float32.
     first: The step before that of the first row of the transition's inputs.
+    weighed: Whether points are weighed by the densities of sensors, which all have to have one. A
+        family of one's own may do without, and is refused where it asks for one that there is not.
 
     places: For each state and hidden control, the slice of its rows in arrays of states.
     size: The number of components of the slice, d.
     """
 
     def __init__(
-        self, model: DynamicBayesianNetwork, bound: BoundEvidence, dtype: Any, first: int = 0
+        self,
+        model: DynamicBayesianNetwork,
+        bound: BoundEvidence,
+        dtype: Any,
+        first: int = 0,
+        weighed: bool = True,
     ) -> None:
         self.model, self.bound, self.dtype, self.first = model, bound, dtype, first
+        self.weighed = weighed
         self.places: dict[Variable, slice] = {}
         end = 0
         for variable in (*model.states, *model.controls):
@@ -82,11 +90,13 @@ class ParticleModel:
         for reading in self.bound.readings:
             cpd = by_run(reading.cpd, self.bound.lead)
             found.append(Sensor(self._law(cpd, reading.inputs), replace(reading, cpd=cpd)))
+            if self.weighed:
+                found[-1].require_noise()
         return found
 
     def _law(self, cpd: CPD, inputs: Mapping[Variable, Any]) -> Law:
         """The law of a CPD; `inputs` are its observed parents' values (rows, runs or 1, d)."""
-        return law(cpd, inputs, self.places, self.dtype, self.bound.first_run)
+        return law(cpd, inputs, self.places, self.dtype, self.bound.first_run, self.weighed)
 
     def row(self, step: int) -> int:
         """The row of a step in the transition's inputs."""
@@ -129,7 +139,7 @@ class ParticleModel:
 
 
 class Sensor:
-    """A sensor's law with its measurements; singular noise is refused by a ModelError.
+    """A sensor's law with its measurements.
 
     law: The sensor's CPD with the values of its observed parents.
     reading: The measurements and their steps, a row for each measurement.
@@ -141,7 +151,10 @@ class Sensor:
         self.law, self.reading = law, reading
         with np.errstate(over="ignore"):  # what float32 does not hold is infinitely far
             self.values = np.asarray(reading.values, dtype=law.dtype)
-        law.require_noise(reading.step)
+
+    def require_noise(self) -> None:
+        """Refuse singular noise by a ModelError, where points are weighed by its density."""
+        self.law.require_noise(self.reading.step)
 
     def rows(self, step: int) -> range:
         """The rows of the measurements of a step."""

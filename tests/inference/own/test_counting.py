@@ -163,7 +163,7 @@ def test_a_method_that_is_missing_is_named(missing):
 
 def test_points_of_a_wrong_shape_are_refused():
     class Flat(Gamma):
-        def begin(self, at):
+        def predict(self, at, belief):
             return at.moved(np.zeros((3, 1)), at.generators(0))
 
     with pytest.raises(pgm.ModelError, match=r"have shape \(3, 1\); \(1, n, 1\) was due"):
