@@ -275,6 +275,8 @@ class BeliefFamily(Generic[B]):
     def online(self, model: DynamicBayesianNetwork, options: dict[str, Any]) -> Any:
         """The steps of an online filter: `initial`, `predict` and `update` of its beliefs.
 
+        And ``options``, by name, with which the same steps are made, and which the filter shows.
+
         Parameters
         ----------
         model : DynamicBayesianNetwork

@@ -99,7 +99,9 @@ class OnlineFilter(InCode, Immutable):
         options |= {"gate": gate, "watch": watch, "compiled": compiled}
         require(asked_online(options), model, family)
         steps = family.online(model, {n: v for n, v in options.items() if n in family.takes})
-        self._set(model=model, belief=belief, _steps=steps)
+        # The options by which the steps are made, as attributes: a class with a __getattr__ looks
+        # up all of its attributes slowly, and a step takes microseconds.
+        self._set(model=model, belief=belief, _steps=steps, **steps.options)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # What was prepared is not part of the value. All that is stands in the arguments, which are
@@ -108,15 +110,6 @@ class OnlineFilter(InCode, Immutable):
 
     def __repr__(self) -> str:
         return repr(self._steps)
-
-    def __getattr__(self, name: str) -> Any:
-        # The options by which the steps were made, and what a family alone has.
-        if name.startswith("_") or "_steps" not in self.__dict__:
-            raise AttributeError(name)
-        try:
-            return getattr(self._steps, name)
-        except AttributeError:
-            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}") from None
 
     @property
     def compilation(self) -> str:

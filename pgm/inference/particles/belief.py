@@ -10,6 +10,7 @@ an array (rows, particles), with a row for each component of its variables. A be
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
@@ -88,36 +89,35 @@ class ParticleBelief(PointMassBelief):
     @cached_property
     def number(self) -> Integers:
         """The number of particles of each belief, (...)."""
-        return self._by_lead(np.stack([cloud.counts for cloud in self._clouds], axis=-1))
+        return self._stacked([cloud.counts for cloud in self._clouds])
 
     @cached_property
     def effective(self) -> Array:
         """The effective number of particles of each belief, 1 / Σ w², (...)."""
-        return self._by_lead(np.stack([cloud.effective for cloud in self._clouds], axis=-1))
+        return self._stacked([cloud.effective for cloud in self._clouds])
 
     @cached_property
     def states(self) -> npt.NDArray[Any]:
         """The particles, (..., n, d); a ModelError is raised if beliefs differ in n."""
         self._require_equal("states")
         rows = self._rows
-        found = np.stack([cloud.states[rows] for cloud in self._clouds], axis=0)
-        found = found.reshape(*found.shape[:2], self._count, -1)
-        return self._by_lead(found.transpose(2, 0, 3, 1).swapaxes(0, 1), first=True)
+        each = [cloud.states[rows].reshape(len(rows), cloud.runs, -1) for cloud in self._clouds]
+        return self._stacked([points.transpose(1, 2, 0) for points in each], 0, len(rows))
 
     @cached_property
     def weights(self) -> Array:
         """The weights, (..., n), of sum one; a ModelError is raised if beliefs differ in n."""
         self._require_equal("weights")
-        found = np.stack([cloud.weights for cloud in self._clouds], axis=0)
-        return self._by_lead(found.reshape(len(found), self._count, -1), first=True)
+        return self._stacked([cloud.weights.reshape(cloud.runs, -1) for cloud in self._clouds], 0)
 
     def _mean(self) -> Array:
         """The weighted means, (..., d)."""
-        return self._by_lead(np.stack([mean for mean, _ in self._moments], axis=0), first=True)
+        return self._stacked([mean for mean, _ in self._moments], len(self._parts))
 
     def _cov(self) -> Array:
         """The weighted covariances, (..., d, d)."""
-        return self._by_lead(np.stack([cov for _, cov in self._moments], axis=0), first=True)
+        wide = len(self._parts)
+        return self._stacked([cov for _, cov in self._moments], wide, wide)
 
     def _over(self, places: tuple[int, ...]) -> ParticleBelief:
         """The belief over the components at the indices `places`, in that order."""
@@ -175,7 +175,7 @@ class ParticleBelief(PointMassBelief):
     def _drawn(self, count: int, rng: np.random.Generator) -> Array:
         """Draws with replacement by the weights, (count, *lead, d)."""
         rows = self._rows
-        found = np.empty((len(self._clouds), self._clouds[0].runs, count, len(rows)))
+        found = np.empty((len(self._clouds), math.prod(self._runs), count, len(rows)))
         for step, cloud in enumerate(self._clouds):
             for run in np.arange(cloud.runs).tolist():
                 place = cloud.of(run)
@@ -183,7 +183,7 @@ class ParticleBelief(PointMassBelief):
                 level = rng.random(count) * total[-1]
                 chosen = np.minimum(np.searchsorted(total, level, side="right"), len(total) - 1)
                 found[step, run] = cloud.states[rows][:, place][:, chosen].T
-        return np.moveaxis(self._by_lead(found, first=True), -2, 0)
+        return np.moveaxis(self._by_lead(found), -2, 0)
 
     def _at(self, index: Any, chosen: Integers) -> ParticleBelief:
         """The belief at the user's `index` of the leading axes.
@@ -194,6 +194,8 @@ class ParticleBelief(PointMassBelief):
         An index may choose steps, and the same runs at each of them. One that chooses other runs at
         one step than at another, or no belief at all, is refused by a ModelError.
         """
+        if not self._clouds and chosen.ndim:  # of no steps, as of a control without a step 1
+            return ParticleBelief(self._parts, (), chosen.shape[:-1], self.steps)
         if not chosen.size:
             raise ModelError(f"a belief with the leading axes {self.lead} has none at {index!r}")
         run, step = np.divmod(chosen, len(self._clouds))
@@ -225,11 +227,6 @@ class ParticleBelief(PointMassBelief):
     def _rows(self) -> list[int]:
         """The row of each of the belief's components in the states of its clouds."""
         return [part.row for part in self._parts]
-
-    @property
-    def _count(self) -> int:
-        """How many runs a cloud has, over all of the user's axes of runs."""
-        return self._clouds[0].runs
 
     @cached_property
     def _moments(self) -> list[tuple[Array, Array]]:
@@ -271,15 +268,18 @@ class ParticleBelief(PointMassBelief):
                 cov[i, j] = cov[j, i] = cloud.summed(weighted * apart[j])
         return mean.T, cov.transpose(2, 0, 1)
 
-    def _by_lead(self, values: npt.NDArray[Any], first: bool = False) -> npt.NDArray[Any]:
-        """Values (runs, steps, ...) as a read-only array (*lead, ...).
+    def _stacked(self, each: Sequence[npt.NDArray[Any]], *wide: int) -> npt.NDArray[Any]:
+        """Arrays (runs, ...), one a cloud, as (*lead, ...), of no clouds (*lead, *wide)."""
+        if not each:
+            return closed(np.zeros((*self.lead, *wide)))
+        return self._by_lead(np.stack(each, axis=0))
+
+    def _by_lead(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Values (steps, runs, ...) as a read-only array (*lead, ...).
 
         Where the belief has no axis of steps, that of the values is of length one.
-
-        first: Whether the values are given as (steps, runs, ...) instead.
         """
-        if first:
-            values = values.swapaxes(0, 1)
+        values = values.swapaxes(0, 1)
         return closed(np.ascontiguousarray(values).reshape((*self.lead, *values.shape[2:])))
 
     def _require_equal(self, what: str) -> None:
@@ -307,11 +307,15 @@ class ParticleBelief(PointMassBelief):
 
     @property
     def _title(self) -> str:
-        least, most = int(self.number.min()), int(self.number.max())
+        lead, counts = axes(self.lead, self.steps), self.number
+        if not counts.size:
+            return f"ParticleBelief({listed(self.components)}{lead})"
+        least, most = int(counts.min()), int(counts.max())
         count = f"{most:,}" if least == most else f"{least:,} to {most:,}"
-        lead = axes(self.lead, self.steps)
         return f"ParticleBelief({listed(self.components)}: {count} particles{lead})"
 
     def _summary(self) -> Summary:
+        if not self.number.size:
+            return Summary(self._title)
         effective = f"effective {spread(self.effective, 4)}"
         return Summary(self._title, [effective, moments_of(self)])

@@ -162,7 +162,7 @@ def test_online_filters_are_values(name):
     assert repr(again) == repr(robot)
     assert robot.renewed().predict(robot.initial()).step == 1
     assert robot.compilation == "by NumPy"
-    with pytest.raises(AttributeError, match="OnlineFilter has no attribute 'speed'"):
+    with pytest.raises(AttributeError, match="'OnlineFilter' object has no attribute 'speed'"):
         robot.speed  # noqa: B018
 
 
