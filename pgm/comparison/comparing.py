@@ -25,6 +25,7 @@ from pgm.inference.belief_family import BeliefFamily, require_family
 from pgm.inference.chain.run import bind_chain
 from pgm.inference.engine import send
 from pgm.inference.options import Call
+from pgm.inference.outcome import marginal
 from pgm.kernels.arrays import Array
 from pgm.linearisers import Cubature, Lineariser, Taylor, Unscented
 from pgm.networks import DynamicBayesianNetwork
@@ -198,7 +199,7 @@ def _run(
         reference = found.get((kind, state))
         oracle = None if reference is None else reference.gaussian
         try:
-            belief = posterior._moments(state)
+            belief = marginal(posterior, state)
             if not isinstance(belief, Gaussian):
                 belief = belief.gaussian()
             rows.append(judge(name, belief, oracle, truth.get(state), **rest))

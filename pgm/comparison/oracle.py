@@ -22,6 +22,7 @@ from pgm.inference import (
 )
 from pgm.inference.belief_family import BeliefFamily
 from pgm.inference.belief_kind import FILTERED, SMOOTHED
+from pgm.inference.outcome import marginal
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
 
@@ -118,8 +119,7 @@ def references(
         name = str(getattr(posterior, "log_evidence_kind", ""))
         status = posterior.status._title if hasattr(posterior, "grid") else ""
         for state in compared.states:
-            belief = getattr(posterior, "_moments", posterior.__getitem__)(state)
-            gaussian, apart = _gaussian(belief, state, compared)
+            gaussian, apart = _gaussian(marginal(posterior, state), state, compared)
             found[kind, state] = Reference(gaussian, apart, seconds, mean, name, status)
     return found
 

@@ -141,7 +141,7 @@ def _window(noise: RobustNoise, size: int, apart: float) -> tuple[float, float]:
     exponent = _exponent(noise, size, logs)
     top = float(exponent.max())
     within: Mask = exponent > top - _LEFT_OUT
-    if not np.isfinite(top) or max(exponent[0], exponent[-1]) > top - _ENDS:
+    if not np.isfinite(top) or max(exponent[0], exponent[-1]) >= top - _ENDS:
         raise ModelError(
             f"{noise!r} of {size} components: no finite integral of its density was found, between "
             f"radii of {np.exp(-_FURTHEST):.0e} and {np.exp(_FURTHEST):.0e} standard deviations; "
@@ -155,7 +155,7 @@ def _window(noise: RobustNoise, size: int, apart: float) -> tuple[float, float]:
 def _exponent(noise: RobustNoise, size: int, logs: Array) -> Array:
     """The exponents g(t) = d t − ρ(e^{2t}) at logarithms of radii, (N,)."""
     with np.errstate(all="ignore"):  # a loss too large for float64 is infinite
-        loss = np.asarray(noise.loss(np.exp(2.0 * logs), np.full(logs.shape, size)))
+        loss = np.asarray(noise.loss(np.exp(2.0 * logs), np.full(logs.shape, size)), float)
     bad = np.isnan(loss)
     if loss.shape != logs.shape or bad.any():
         what = f"of shape {loss.shape}"

@@ -229,8 +229,8 @@ class BeliefFamily(Generic[B]):
         object or None
             What ``posterior[x]`` is to be, as it is. If it has a ``mean`` (*runs, steps, k) and a
             ``cov`` (*runs, steps, k, k), without the axis of steps where one is asked for,
-            summaries, pages, data sets and comparisons show these; they leave it out, or refuse it,
-            if it has none.
+            summaries, pages, data sets, comparisons and animations show these; they leave it out,
+            or refuse it, if it has none.
         """
         return None
 

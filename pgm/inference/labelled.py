@@ -12,6 +12,7 @@ from pgm.compile import DynamicGraph
 from pgm.factors import Table
 from pgm.factors.listing import run_names
 from pgm.factors.scope import dimension, distinct_labels
+from pgm.inference.outcome import marginal
 from pgm.kernels.arrays import Array
 from pgm.resources import FRAMES, optional, require_memory
 from pgm.variables import Variable
@@ -45,7 +46,7 @@ class Labelled:
         """
         xarray = optional("xarray", f"{type(self).__name__}.to_xarray()", FRAMES)
         runs = run_names(np.ndim(self.log_evidence))
-        marginals = {variable: self._moments(variable) for variable in self._hidden}
+        marginals = {variable: marginal(self, variable) for variable in self._hidden}
         steps = self.graph.steps if isinstance(self.graph, DynamicGraph) else None
         coords = {} if steps is None else {"step": np.arange(steps + 1)}
         dims = [*runs, *coords]

@@ -115,3 +115,11 @@ class Outcome(Shown, ABC, Generic[B]):
     def _why_unsettled(self) -> str:
         """Why messages round loops have not settled, as a sentence; empty if it is not known."""
         return ""
+
+
+def marginal(beliefs: Any, variable: Variable) -> Any:
+    """The marginal of a variable in a form with moments, if a family's own form may have none.
+
+    `beliefs` are a posterior, marginals over time, or an online belief.
+    """
+    return getattr(beliefs, "_moments", beliefs.__getitem__)(variable)

@@ -1,8 +1,7 @@
 """Summaries of posteriors: log-evidence, status, and beliefs, over time at first and last steps.
 
 Arguments `runs` are the shape of the user's leading axes of runs; `last` is T, the last step;
-``beliefs[x.at(t)]`` is the belief of a variable x at step t, of all runs; ``_moments`` has it in
-a form with a mean and a covariance, where a family's own form may have none. A *place* is an index
+``beliefs[x.at(t)]`` is the belief of a variable x at step t, of all runs. A *place* is an index
 of a run or, with a step after it, of a run and a step. A *listing* is a table of text.
 """
 
@@ -34,6 +33,7 @@ from pgm.errors import PgmError
 from pgm.factors import Table
 from pgm.factors.listing import DIGITS, STATES, states_of
 from pgm.factors.scope import components
+from pgm.inference.outcome import marginal
 from pgm.kernels.arrays import Array
 from pgm.variables import Discrete, Variable
 
@@ -130,7 +130,7 @@ def by_variable(
             rows.append(None)
             continue
         try:
-            found = _marginal(posterior, variables[k])
+            found = marginal(posterior, variables[k])
         except PgmError as error:
             rows.append([repr(variables[k]), f"none: {error}", *[""] * (len(picked) - 1)])
             continue
@@ -183,11 +183,6 @@ def spread(values: Array, digits: int = 6) -> str:
     return number(low, digits) if low == high else f"{number(low, 4)} to {number(high, 4)}"
 
 
-def _marginal(beliefs: Any, variable: Variable) -> Any:
-    """The marginal of a variable, in a form with moments where there are several forms."""
-    return getattr(beliefs, "_moments", beliefs.__getitem__)(variable)
-
-
 def _ends(
     beliefs: Any, variable: Variable, first: int, runs: tuple[int, ...], last: int, most: int
 ) -> Listing:
@@ -200,7 +195,7 @@ def _ends(
         """The belief of the variable, for all runs, at the step of a place."""
         step = steps[place[-1]]
         if step not in kept:
-            kept[step] = _marginal(beliefs, variable.at(step))
+            kept[step] = marginal(beliefs, variable.at(step))
         return kept[step]
 
     if isinstance(variable, Discrete):

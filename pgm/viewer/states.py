@@ -10,6 +10,7 @@ from pgm.factors import Gaussian
 from pgm.inference.belief_kind import FILTERED, SMOOTHED
 from pgm.inference.markov.joints import potential
 from pgm.inference.markov.outcome import StateOutcome
+from pgm.inference.outcome import marginal
 from pgm.kernels.arrays import Array
 from pgm.variables import Discrete, Variable
 from pgm.viewer.chain import head, readings, sighted
@@ -134,7 +135,7 @@ def marginal_page(
     graph, beliefs = posterior.graph, {}
     for variable in graph.layout.slice:
         try:
-            belief = posterior._moments(variable)
+            belief = marginal(posterior, variable)
         except EvidenceError:  # of a hidden control, of one not kept, or of a form without moments
             continue
         if not isinstance(variable, Discrete):

@@ -212,6 +212,10 @@ def test_an_integral_that_was_not_found_is_told_as_that():
         Scaled(1e305).log_scale(1)  # whose mass lies below them
     with pytest.raises(pgm.ModelError, match=r"the loss of .* squares .* is NaN at a square of 1"):
         changed(loss=lambda n, s, k: np.where(s < 1.0, 0.0, np.nan)).log_scale(1)
+    with pytest.raises(pgm.ModelError, match=r"of 1 components: no finite integral"):
+        changed(loss=lambda n, s, k: -s).log_scale(1)
+    with pytest.raises(pgm.ModelError, match=r"is of shape \(\)"):
+        changed(loss=lambda n, s, k: None).log_scale(1)
     with pytest.raises(pgm.ModelError, match=r"is of shape \(\)"):
         changed(loss=lambda n, s, k: 3.0).log_scale(1)
 

@@ -33,7 +33,8 @@ def status_of(
     runs, numbers = int(np.prod(lead)), {}
     each = [family.numbers(belief) for belief in beliefs]
     for found in each:
-        if not isinstance(found, Mapping) or set(found) != set(each[0]):
+        named = isinstance(found, Mapping) and all(isinstance(name, str) for name in found)
+        if not named or set(found) != set(each[0]):
             raise ModelError(
                 f"{family!r}: numbers(belief) returns a mapping of the same names for each belief, "
                 f"not {found!r}"

@@ -20,6 +20,7 @@ from pgm.factors import Gaussian
 from pgm.factors.scope import Scope, labels
 from pgm.inference import Posterior
 from pgm.inference.belief_kind import SMOOTHED
+from pgm.inference.outcome import marginal
 from pgm.kernels.arrays import Array
 from pgm.plot.axes import Unit
 from pgm.plot.beliefs.plane import as_landmarks, name_plane
@@ -117,7 +118,7 @@ def animate(
         if value is not None and (not is_whole(value) or value < 1):
             raise ModelError(f"{name} is a whole number, 1 or more, not {value!r}")
     state = _state(posterior, variable)
-    filtered, known = (_one(each[state], run) for each in (posterior.filtered, posterior))
+    filtered, known = (_one(marginal(each, state), run) for each in (posterior.filtered, posterior))
     pair = _pair(filtered, components, confidence)
     places = component_places(filtered, pair)
     line = None if truth is None else _truth(filtered, truth, places)

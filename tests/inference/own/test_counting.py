@@ -140,6 +140,7 @@ class Faulty(Gamma):
         ("numbers", 3.0, pgm.ModelError, "a mapping of the same names"),
         ("numbers", {"size": np.zeros(4)}, pgm.ModelError, r"size of numbers\(belief\) has shape"),
         ("numbers", {"size": "much"}, pgm.ModelError, "size of numbers"),
+        ("numbers", {1: 2.0}, pgm.ModelError, "a mapping of the same names"),
         ("numbers", {"converged": 1.0}, pgm.ModelError, "'converged', which every status has"),
         ("warns", {"much": 1.5}, pgm.ModelError, "maps names of numbers"),
         ("warns", {"much": pgm.Threshold(1.0)}, pgm.ModelError, "maps names of numbers"),

@@ -10,6 +10,7 @@ import pgm
 from pgm.examples import walk, x, z
 from tests.inference.own.ensemble import EnsembleKalman
 from tests.inference.own.kalman import Kalman
+from tests.inference.own.robot import ROBOT, driven
 
 ONE = {z: [[4.0], [3.0], [np.nan], [5.0]]}
 RUNS = {z: np.random.default_rng(0).normal(size=(2, 3, 4, 1))}
@@ -107,6 +108,31 @@ def test_moments_of_another_shape_are_refused(axes):
     with pytest.raises(pgm.ModelError, match=r"\(5, 1\) and \(5, 1, 1\) were due: runs, steps"):
         found.to_xarray()
     assert "x: none: Odd(): the marginal of x[0] has a mean of shape" in repr(found)
+
+
+class Crowd(EnsembleKalman):
+    """Whose marginals are means and covariances of its members."""
+
+    def marginal(self, beliefs, asked):
+        each = np.stack([belief[..., asked.columns] for belief in beliefs], axis=1)
+        off = each - each.mean(axis=2, keepdims=True)
+        cov = off.swapaxes(-1, -2) @ off / off.shape[2]
+        shape = each.mean(axis=2).reshape(*asked.axes, -1).shape
+        return Table(each.mean(axis=2).reshape(shape), cov.reshape(*shape, shape[-1]), None)
+
+
+def test_they_are_animated(tmp_path):
+    evidence = driven().evidence
+    found = pgm.smooth(ROBOT, evidence, belief=Crowd(60))
+    assert pgm.plot.animate(found, tmp_path / "crowd.gif").exists()
+
+    class Mute(Crowd):
+        def marginal(self, beliefs, asked):
+            return list(beliefs)
+
+    found = pgm.filter(ROBOT, evidence, belief=Mute(60))
+    with pytest.raises(pgm.EvidenceError, match=r"shows s as a list, which has no .mean and .cov"):
+        pgm.plot.animate(found, tmp_path / "mute.gif")
 
 
 X, U, Z = pgm.variables("x u z")
