@@ -110,7 +110,7 @@ REFUSALS = [
     refusal(
         "the filter of what was kept",
         lambda: pgm.smooth(ROBOT, sighted(), lag=2, keep=x).filtered,
-        pgm.EvidenceError,
+        pgm.errors.Unanswered,
         "keep= keeps fixed-lag (2) marginals",
     ),
 ]

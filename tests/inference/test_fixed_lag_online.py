@@ -352,7 +352,7 @@ REFUSALS = [
     refusal(
         "a filter without a lag",
         lambda: made(pgm.Filtering())[1].lagged,
-        pgm.EvidenceError,
+        pgm.errors.Unanswered,
         "OnlineBelief(filtered, step 3, over [x]) is of a filter without a lag",
         "OnlineFilter(model, lag=5)",
         step=3,
