@@ -169,7 +169,7 @@ def test_refining_until_a_figure_stays():
     assert all(each.seconds > 0.0 for each in found.status.refinements)
 
     def spread(posterior):
-        assert isinstance(posterior, pgm.Posterior)
+        assert isinstance(posterior, pgm.results.Posterior)
         assert posterior.to_xarray()["mean"].shape == (3, 1)
         return posterior[place].std
 
