@@ -20,7 +20,7 @@ import pgm.plot
 from experiments.record import Out, Record
 from models import networks
 from models.networks import compass, move, pose
-from pgm.plot.colours import INK, PALETTE
+from pgm.plot.drawing.colours import INK, PALETTE
 
 DISTANCE, TURN = 1.0, 1.6  # m, rad
 READING = 2.0  # rad

@@ -23,7 +23,7 @@ from experiments.run_errors import run_errors
 from models import networks, simulation
 from models.networks import pose
 from pgm import consistency
-from pgm.plot.colours import INK, MUTED, PALETTE
+from pgm.plot.drawing.colours import INK, MUTED, PALETTE
 
 LINEARISERS: dict[str, pgm.Lineariser] = {
     "Taylor": pgm.Taylor(),

@@ -111,8 +111,8 @@ if TYPE_CHECKING:
     from pgm.io.poses import Poses
     from pgm.io.tum import read_tum, write_tum
     from pgm.learning import fit
-    from pgm.recordings.recording import Recording
-    from pgm.viewer import view
+    from pgm.recordings.drives.recording import Recording
+    from pgm.viewer.view import view
 
 __version__ = "0.1.0"
 
@@ -142,7 +142,7 @@ _LATER = {
     "pgm.io.poses": ("Poses",),
     "pgm.io.tum": ("read_tum", "write_tum"),
     "pgm.learning": ("fit",),
-    "pgm.recordings.recording": ("Recording",),
+    "pgm.recordings.drives.recording": ("Recording",),
     "pgm.viewer": ("view",),
 }
 

@@ -15,14 +15,14 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import pgm
-from pgm.inference import sweep
-from tests.inference.test_sweep_families import Tables
+from pgm.schedules import sweep
+from tests.schedules.test_sweep_families import Tables
 from tests.test_imports import LAYERS
 
 ROOT = Path(__file__).parent.parent
 PACKAGE = Path(pgm.__file__).parent
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-CHAIN = "inference/chain/"
+CHAIN = "beliefs/moments/"
 T = 12
 
 x = pgm.Variable("x", components=("east", "north", "heading"), angles=("heading",))
@@ -79,7 +79,7 @@ def model(called=lambda name: None):
 
 def test_files_that_are_named_exist():
     named = set(re.findall(r"`([\w/]+(?:\.py|/))`", PAGE))
-    assert {"kernels/gaussian.py", "inference/sweep.py", "inference/gaussian/"} <= named
+    assert {"kernels/gaussian.py", "schedules/sweep.py", "beliefs/gaussian/"} <= named
     for path in named:
         places = [ROOT / path, PACKAGE / path, PACKAGE / CHAIN / path]
         assert any(place.exists() for place in places), path
@@ -87,7 +87,7 @@ def test_files_that_are_named_exist():
 
 def test_names_of_code_exist():
     text = "\n".join(path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py"))
-    text += (ROOT / "tests" / "inference" / "zoo.py").read_text(encoding="utf-8")
+    text += (ROOT / "tests" / "beliefs" / "moments" / "zoo.py").read_text(encoding="utf-8")
     for name in re.findall(r"`(?:\w+\.)?([A-Za-z_]\w{2,})`", PAGE):
         assert re.search(rf"\b{name}\b", text), name
 
@@ -183,7 +183,7 @@ def test_the_files_shown_are_those_that_run(monkeypatch):
             running.add(path.relative_to(PACKAGE).as_posix())
     table = PAGE.partition("| part | files |")[2].partition("\n\n")[0]
     shown = {
-        path if "/" in path or path == "variables.py" else CHAIN + path
+        path if (PACKAGE / path).exists() else CHAIN + path
         for path in re.findall(r"`([\w/]+\.py)`", table)
     }
     assert shown == running

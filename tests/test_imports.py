@@ -11,20 +11,39 @@ PACKAGE = Path(__file__).parents[1] / "pgm"
 LAYERS = [
     {
         *("arguments", "boundary", "display", "errors", "immutable", "progress", "resources"),
-        *("variables", "kernels"),
+        *("variables", "workers", "kernels"),
     },
     {"factors", "tracing"},
     {"linearisers"},
     {"cpds", "maps"},
+    {"linearisation"},
     {"evidence"},
     {"networks"},
     {"clustergraph"},
     {"compile"},
+    {"posteriors"},
+    {"schedules", "elimination"},
+    {"beliefs"},
     {"inference"},
     {"learning"},
     {"io", "consistency", "comparison", "plot", "recordings", "results", "viewer", "examples"},
 ]
 HEIGHT = {name: height for height, layer in enumerate(LAYERS) for name in layer}
+
+
+# The folders of a folder, each of which imports from those before it; files beside them are above.
+ROOMS = {
+    "pgm.beliefs": (
+        *("points", "own", "gaussian", "moments", "discrete", "markov", "grid", "particles"),
+    ),
+    "pgm.beliefs.moments": (
+        *("steps", "compiled", "passes", "digits", "smoothers"),
+        *("association", "outcomes", "solvers", "parts", "online"),
+    ),
+    "pgm.inference": ("audit", "query"),
+    "pgm.plot": ("drawing", "beliefs", "diagrams", "moving", "statistics"),
+    "pgm.recordings": ("drives", "readers"),
+}
 
 
 MODULE = re.compile(r"pgm(\.[A-Za-z_]\w*)+")
@@ -108,8 +127,8 @@ def test_imports_point_one_way():
     assert not found, "\n".join(found)
 
 
-def circles(sources):
-    """List the modules that import each other, of texts by name, lazily too."""
+def importing(sources):
+    """The graph of the modules that import each other, of texts by name, lazily too."""
     graph = nx.DiGraph()
     for name, source in sources.items():
         for node in ast.walk(running(ast.parse(source))):
@@ -121,7 +140,24 @@ def circles(sources):
             else:
                 continue
             graph.add_edges_from((name, other) for other in found if other in sources)
+    return graph
+
+
+def circles(graph):
+    """List the modules, or folders, that import each other."""
     return [sorted(circle) for circle in nx.strongly_connected_components(graph) if len(circle) > 1]
+
+
+def folded(graph, sources):
+    """The graph of folders; a package is in its own, and modules of pgm itself are one each."""
+    packages = {name.rpartition(".")[0] for name in sources} - {"pgm"}
+
+    def room(name):
+        above = name.rpartition(".")[0]
+        return name if name in packages or above == "pgm" else above
+
+    pairs = ((room(name), room(other)) for name, other in graph.edges)
+    return nx.DiGraph([pair for pair in pairs if pair[0] != pair[1]])
 
 
 def running(tree):
@@ -132,9 +168,36 @@ def running(tree):
     return tree
 
 
+def whole():
+    """The texts of all modules by name."""
+    return {name.removesuffix(".__init__"): path.read_text() for path, name in modules()}
+
+
 def test_no_module_imports_one_that_imports_it():
-    texts = {name.removesuffix(".__init__"): path.read_text() for path, name in modules()}
-    assert not circles(texts)
+    assert not circles(importing(whole()))
+
+
+def test_no_folder_imports_one_that_imports_it():
+    texts = whole()
+    assert not circles(folded(importing(texts), texts))
+
+
+@pytest.mark.parametrize("parent", ROOMS)
+def test_folders_import_those_before_them(parent):
+    rooms, texts = ROOMS[parent], whole()
+    inside = [name for name in texts if name.startswith(f"{parent}.")]
+    place = {}
+    for name in inside:
+        room, *rest = name.removeprefix(f"{parent}.").split(".")
+        if rest or (PACKAGE.parent / name.replace(".", "/") / "__init__.py").exists():
+            assert room in rooms, f"{name} is in a folder without a place"
+            place[name] = rooms.index(room)
+    found = [
+        f"{name} imports {other}, from a folder above"
+        for name, other in importing(texts).edges
+        if name in place and other in inside and place.get(other, len(rooms)) > place[name]
+    ]
+    assert not found, "\n".join(found)
 
 
 @pytest.mark.parametrize(
@@ -148,7 +211,22 @@ def test_no_module_imports_one_that_imports_it():
     ],
 )
 def test_the_check_finds_circles(source, found):
-    assert circles({"pgm.a": "from pgm.b import y", "pgm.b": source}) == found
+    assert circles(importing({"pgm.a": "from pgm.b import y", "pgm.b": source})) == found
+
+
+@pytest.mark.parametrize(
+    ("texts", "found"),
+    [
+        ({"pgm.a": "from pgm.a.b.c import x", "pgm.a.b.c": "from pgm.a.d import y"}, 1),
+        ({"pgm.a.b": "from pgm.e.f import x", "pgm.e.g": "import pgm.a.c", "pgm.a.c": ""}, 1),
+        ({"pgm.a": "from pgm.a.b.c import x", "pgm.a.b.c": "from pgm.d import y"}, 0),
+    ],
+)
+def test_the_check_finds_circles_of_folders(texts, found):
+    texts = {"pgm.a.d": "", "pgm.d": "", "pgm.e.f": "", "pgm.a.b": "", **texts}
+    graph = importing(texts)
+    assert not circles(graph)
+    assert len(circles(folded(graph, texts))) == found
 
 
 def test_every_module_has_a_layer():

@@ -8,7 +8,7 @@ import pgm
 from benchmarks.timing import Contender
 from benchmarks.work import rooms
 from benchmarks.work.robots import Array, Robots, pose
-from pgm.inference.schedule import Schedule
+from pgm.schedules.schedule import Schedule
 
 SCHEDULES: dict[str, Schedule] = {"filter": pgm.Filtering(), "smoother": pgm.Smoothing()}
 

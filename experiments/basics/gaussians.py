@@ -12,7 +12,7 @@ from scipy.stats import chi2
 
 import pgm
 import pgm.plot
-from pgm.plot.colours import INK, MUTED, PALETTE
+from pgm.plot.drawing.colours import INK, MUTED, PALETTE
 
 Array = npt.NDArray[np.float64]
 

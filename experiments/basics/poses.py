@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Circle, FancyArrowPatch
 
 from models.motion import Velocity
-from pgm.plot.colours import CLUSTER, INK, MUTED, PALETTE
+from pgm.plot.drawing.colours import CLUSTER, INK, MUTED, PALETTE
 
 Array = npt.NDArray[np.float64]
 

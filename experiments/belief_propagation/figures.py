@@ -17,7 +17,7 @@ from experiments.belief_propagation.loops import Case, Numbers, titled
 from experiments.kinds import as_gaussian
 from experiments.side_by_side import side_by_side
 from models.networks import landmark, pose
-from pgm.plot.colours import DASHES, PALETTE
+from pgm.plot.drawing.colours import DASHES, PALETTE
 
 Sweep = Mapping[str, Mapping[str, Sequence[Numbers]]]  # by network and schedule
 Methods = Mapping[str, Mapping[str, Numbers]]  # by network and method

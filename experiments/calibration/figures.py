@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 import pgm
 from experiments.recordings.drives import Drive
 from models.networks import pose
-from pgm.plot.colours import INK, PALETTE
+from pgm.plot.drawing.colours import INK, PALETTE
 
 Array = npt.NDArray[np.float64]
 LEAST = 1e-3  # nats, the least shortfall that is drawn

@@ -14,7 +14,7 @@ from experiments.differential_drive.errors import at_steps
 from experiments.differential_drive.figures import MOTION, READING
 from experiments.differential_drive.problems import DT, LANDMARK, MOTIONS
 from experiments.differential_drive.results import Drive
-from pgm.plot.colours import INK, MUTED
+from pgm.plot.drawing.colours import INK, MUTED
 from pgm.plot.moving.movies import GifWriter
 
 # Motions from a picture to the next. Odd numbers of half seconds: pictures are by turns of a motion

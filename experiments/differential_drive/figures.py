@@ -20,7 +20,7 @@ from experiments.differential_drive.errors import at_steps
 from experiments.differential_drive.problems import DT, LANDMARK, MOTIONS
 from experiments.differential_drive.results import Drive
 from pgm import consistency
-from pgm.plot.colours import INK, MUTED, PALETTE
+from pgm.plot.drawing.colours import INK, MUTED, PALETTE
 
 Array = npt.NDArray[np.float64]
 

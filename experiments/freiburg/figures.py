@@ -14,7 +14,7 @@ import pgm.plot
 from experiments.freiburg.log import Log
 from experiments.freiburg.particles import Particles
 from models.networks import pose
-from pgm.plot.colours import PALETTE
+from pgm.plot.drawing.colours import PALETTE
 
 Array = npt.NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from experiments.global_localisation.places import NEAR, Share, off, right
 from experiments.global_localisation.shown import Shown
 from experiments.global_localisation.world import Array
-from pgm.plot.colours import MUTED, PALETTE
+from pgm.plot.drawing.colours import MUTED, PALETTE
 
 
 def success(found: Mapping[str, Share]) -> Figure:

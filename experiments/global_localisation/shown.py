@@ -15,7 +15,7 @@ from experiments.global_localisation.filters import Way, beliefs, online, unwarn
 from experiments.global_localisation.ways import BOUNDS
 from experiments.global_localisation.world import Array, Drives, World
 from models.networks import pose
-from pgm.plot.colours import PALETTE
+from pgm.plot.drawing.colours import PALETTE
 from pgm.plot.moving.movies import GifWriter
 
 _RATE = 2  # pictures a second

@@ -13,7 +13,7 @@ import pgm
 import pgm.plot
 from models.networks import pose
 from models.simulation import Drive
-from pgm.plot.colours import MUTED, PALETTE
+from pgm.plot.drawing.colours import MUTED, PALETTE
 
 # What the maps show of the plane [m].
 SHOWN = (-6.5, 12.5)

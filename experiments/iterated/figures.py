@@ -15,7 +15,7 @@ from experiments.iterated import chain
 from experiments.iterated.case import Case
 from experiments.iterated.methods import KINDS, TITLES, Array, Grid, Outcome
 from experiments.iterated.published import GROWTH
-from pgm.plot.colours import INK, MUTED, PALETTE
+from pgm.plot.drawing.colours import INK, MUTED, PALETTE
 
 COLOURS = dict(zip(TITLES, PALETTE, strict=False))
 _STYLES = {"Unscented": "-", "Taylor": "--"}

@@ -13,7 +13,7 @@ from experiments.global_localisation.filters import Way, beliefs, online, unwarn
 from experiments.global_localisation.shown import draw_particles
 from experiments.global_localisation.world import Array, Drives, World
 from models.networks import pose
-from pgm.plot.colours import MUTED, PALETTE
+from pgm.plot.drawing.colours import MUTED, PALETTE
 
 
 def injected(shares: Mapping[str, Array], event: int) -> Figure:

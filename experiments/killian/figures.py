@@ -17,7 +17,7 @@ from experiments.killian.drive import Drive
 from experiments.killian.graph import differing
 from experiments.killian.localise import LOST, SHOWN, Followed, Gridded, Stray
 from models.networks import pose
-from pgm.plot.colours import INK, MUTED, PALETTE
+from pgm.plot.drawing.colours import INK, MUTED, PALETTE
 
 Array = npt.NDArray[np.float64]
 

@@ -20,7 +20,7 @@ import pgm
 from experiments.learning.problems import START, Problem, problems
 from experiments.record import Out, Record, Seed, progress
 from experiments.unsettled import unsettled
-from pgm.plot.colours import INK, PALETTE
+from pgm.plot.drawing.colours import INK, PALETTE
 
 QUICK: dict[str, Any] = {"runs": 2, "steps": 40}
 LINEARISERS: dict[str, pgm.Lineariser] = {

@@ -17,7 +17,7 @@ from experiments.linearisers import accuracy, timing
 from experiments.linearisers.accuracy import Outcome, Trial
 from experiments.linearisers.timing import Cost, Line
 from models.networks import pose, velocity
-from pgm.plot.colours import MUTED
+from pgm.plot.drawing.colours import MUTED
 
 TRUTH = "#D7191C"
 COLOURS = {"MC100": "#0072B2", "MC10": "#009E73", "Taylor": "#CC79A7", "Unscented": "#E69F00"}

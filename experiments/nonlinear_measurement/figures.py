@@ -15,7 +15,7 @@ import pgm.plot
 from experiments.nonlinear_measurement.cases import HEADINGS, SENSORS
 from experiments.nonlinear_measurement.study import EXACT, Solved, Study
 from experiments.nonlinear_measurement.truth import draw
-from pgm.plot.colours import INK, MUTED, PALETTE
+from pgm.plot.drawing.colours import INK, MUTED, PALETTE
 
 # A colour and a marker for each rule, and a factor that puts rules of equal cost side by side.
 STYLES = {

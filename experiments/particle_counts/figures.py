@@ -19,7 +19,7 @@ from experiments.differential_drive.problems import DT, LANDMARK, SCALE, Problem
 from experiments.particle_counts.choices import Adapted, Drawn
 from experiments.particle_counts.study import KALMAN, Study, label
 from models.sensors import range_bearing
-from pgm.plot.colours import INK, MUTED, PALETTE
+from pgm.plot.drawing.colours import INK, MUTED, PALETTE
 
 Array = npt.NDArray[np.float64]
 

@@ -13,7 +13,7 @@ import pgm
 import pgm.plot
 from experiments.plaza.log import Log
 from models.networks import pose
-from pgm.plot.colours import INK, MUTED, PALETTE
+from pgm.plot.drawing.colours import INK, MUTED, PALETTE
 
 Array = npt.NDArray[np.float64]
 

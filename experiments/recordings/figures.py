@@ -12,7 +12,7 @@ import pgm.plot
 from experiments.recordings.drives import Drive
 from models.networks import pose
 from pgm.consistency import Ranking
-from pgm.plot.colours import INK, MUTED, PALETTE
+from pgm.plot.drawing.colours import INK, MUTED, PALETTE
 
 Array = npt.NDArray[np.float64]
 # The methods that are drawn.

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from scipy import stats
 
 from models.pose_graphs import PoseGraphNetwork
-from pgm.plot.colours import INK, MUTED, PALETTE
+from pgm.plot.drawing.colours import INK, MUTED, PALETTE
 
 Array = npt.NDArray[np.float64]
 # So many of the poses have their ellipse.

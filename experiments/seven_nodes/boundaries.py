@@ -7,8 +7,8 @@ from matplotlib.patches import Circle, Rectangle
 
 import pgm
 from experiments.seven_nodes.formulas import factor, size, write
-from pgm.plot.colours import PALETTE
 from pgm.plot.diagrams.canvas import Box, Canvas, Point, open_canvas
+from pgm.plot.drawing.colours import PALETTE
 
 _RADIUS = 14.0
 _ROW = 62.0

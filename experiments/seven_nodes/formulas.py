@@ -9,8 +9,8 @@ from matplotlib.textpath import text_to_path
 
 import pgm
 from pgm.cpds import CPD
-from pgm.plot.colours import INK
 from pgm.plot.diagrams.canvas import FONT, Canvas, Point, Size
+from pgm.plot.drawing.colours import INK
 
 _LINE = 1.45 * FONT
 _NOTHING = 1e-12  # a precision below is rounding

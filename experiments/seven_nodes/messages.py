@@ -11,8 +11,8 @@ from matplotlib.patches import Ellipse, Rectangle
 import pgm
 from experiments.kinds import as_form
 from experiments.seven_nodes.formulas import message, potential, size, write
-from pgm.plot.colours import CLUSTER, SEPSET
 from pgm.plot.diagrams.canvas import Box, Size, open_canvas, text_size
+from pgm.plot.drawing.colours import CLUSTER, SEPSET
 
 _GAP = 12.0
 _AWAY = 9.0  # from a sepset to its arrows

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from experiments.studies.settings import Value
 from experiments.studies.table import Row, Table
-from pgm.plot.colours import DASHES, PALETTE
+from pgm.plot.drawing.colours import DASHES, PALETTE
 
 COLUMNS = 3
 # Series that colours and dashes tell apart.

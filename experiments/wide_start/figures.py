@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from experiments.recordings.drives import Drive
-from pgm.plot.colours import INK, PALETTE
+from pgm.plot.drawing.colours import INK, PALETTE
 
 Array = npt.NDArray[np.float64]
 

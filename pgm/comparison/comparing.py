@@ -9,6 +9,7 @@ import numpy as np
 
 from pgm import consistency
 from pgm.arguments import public
+from pgm.beliefs.own.family import BeliefFamily, require_family
 from pgm.boundary import as_floats, as_tuple
 from pgm.comparison.oracle import Compared, Oracle, Reference, references, require_oracle
 from pgm.comparison.row import FAILURES, Name, Row, failed, judge
@@ -20,16 +21,15 @@ from pgm.evidence import Evidence
 from pgm.factors import Gaussian
 from pgm.factors.scope import as_scope, labels, listed
 from pgm.inference import Filtering, FixedLag, Kind, Smoothing
-from pgm.inference.argument_checks import require_lineariser
-from pgm.inference.belief_family import BeliefFamily, require_family
-from pgm.inference.chain.run import bind_chain
 from pgm.inference.engine import send
-from pgm.inference.options import Call
-from pgm.inference.outcome import marginal
 from pgm.kernels.arrays import Array
 from pgm.linearisers import Cubature, Lineariser, Taylor, Unscented
 from pgm.networks import DynamicBayesianNetwork
+from pgm.posteriors.outcome import marginal
 from pgm.progress import Progress, counted, reporting
+from pgm.schedules.argument_checks import require_lineariser
+from pgm.schedules.binding import bind_chain
+from pgm.schedules.options import Call
 from pgm.variables import Variable
 
 OverTime = Filtering | FixedLag | Smoothing

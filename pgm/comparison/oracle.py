@@ -6,6 +6,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
+from pgm.beliefs.own.family import BeliefFamily
 from pgm.compile import DynamicGraph
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
@@ -20,10 +21,9 @@ from pgm.inference import (
     Smoothing,
     infer,
 )
-from pgm.inference.belief_family import BeliefFamily
-from pgm.inference.belief_kind import FILTERED, SMOOTHED
-from pgm.inference.outcome import marginal
 from pgm.kernels.arrays import Array
+from pgm.posteriors.belief_kind import FILTERED, SMOOTHED
+from pgm.posteriors.outcome import marginal
 from pgm.variables import Variable
 
 

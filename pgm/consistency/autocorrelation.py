@@ -11,8 +11,8 @@ from pgm.consistency.regions import chi_squared, normal
 from pgm.display import Shown, Summary, count, number, table
 from pgm.errors import ModelError
 from pgm.inference import Innovations
-from pgm.inference.chain.innovations import autocorrelation, whitened
 from pgm.kernels.arrays import Array, Integers
+from pgm.posteriors.innovations import autocorrelation, whitened
 
 
 @dataclass(frozen=True, eq=False, repr=False)

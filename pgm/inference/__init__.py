@@ -7,33 +7,34 @@ networks, `audit` estimates how far a Gaussian posterior is from the exact one, 
 `OnlineFilter` takes one step at a time in a robot's loop.
 """
 
-from pgm.inference.associations import Associations
+from pgm.beliefs.grid.belief import GridBelief
+from pgm.beliefs.grid.family import Grid
+from pgm.beliefs.grid.figures import GridFigures
+from pgm.beliefs.moments.outcomes.marginals import Marginals
+from pgm.beliefs.own.family import BeliefFamily
+from pgm.beliefs.particles.cell_proposal import CellProposal
+from pgm.beliefs.particles.family import Particles
+from pgm.beliefs.particles.figures import ParticleFigures
+from pgm.beliefs.particles.number import KLDSampling, LikelihoodSampling
+from pgm.beliefs.particles.settings import Injection
+from pgm.beliefs.points.particle_belief import ParticleBelief
 from pgm.inference.audit import Audit, audit
-from pgm.inference.belief_family import BeliefFamily
-from pgm.inference.belief_kind import Kind
-from pgm.inference.chain.innovations import Innovations
-from pgm.inference.chain.marginals import Marginals
-from pgm.inference.damping import LevenbergMarquardt
-from pgm.inference.discrete.maximum import MostProbable, most_probable
 from pgm.inference.dynamic import filter, smooth
 from pgm.inference.engine import infer
-from pgm.inference.figures import Threshold
-from pgm.inference.grid.belief import GridBelief
-from pgm.inference.grid.family import Grid
-from pgm.inference.grid.figures import GridFigures
-from pgm.inference.lost import Lost
-from pgm.inference.online.filter import OnlineFilter
-from pgm.inference.online_belief import OnlineBelief
-from pgm.inference.particles.belief import ParticleBelief
-from pgm.inference.particles.cell_proposal import CellProposal
-from pgm.inference.particles.family import Particles
-from pgm.inference.particles.figures import ParticleFigures
-from pgm.inference.particles.number import KLDSampling, LikelihoodSampling
-from pgm.inference.particles.settings import Injection
-from pgm.inference.posterior import Posterior
+from pgm.inference.online import OnlineFilter
 from pgm.inference.query import query
-from pgm.inference.rejections import Rejections
-from pgm.inference.schedule import (
+from pgm.inference.query.most_probable import MostProbable, most_probable
+from pgm.posteriors.associations import Associations
+from pgm.posteriors.belief_kind import Kind
+from pgm.posteriors.figures import Threshold
+from pgm.posteriors.innovations import Innovations
+from pgm.posteriors.lost import Lost
+from pgm.posteriors.online_belief import OnlineBelief
+from pgm.posteriors.posterior import Posterior
+from pgm.posteriors.rejections import Rejections
+from pgm.posteriors.status import Status
+from pgm.schedules.damping import LevenbergMarquardt
+from pgm.schedules.schedule import (
     Calibration,
     Filtering,
     FixedLag,
@@ -43,7 +44,6 @@ from pgm.inference.schedule import (
     Sequential,
     Smoothing,
 )
-from pgm.inference.status import Status
 
 __all__ = [
     "Associations",

@@ -30,24 +30,24 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from pgm.arguments import public
+from pgm.beliefs.own.family import BeliefFamily
 from pgm.compile import Balanced, DynamicGraph, compile
 from pgm.compile.machine import Choice
 from pgm.evidence import BoundEvidence, Evidence
-from pgm.inference.argument_checks import require_lineariser
-from pgm.inference.belief_family import BeliefFamily
-from pgm.inference.chain.run import bind_chain
-from pgm.inference.convergence import told
-from pgm.inference.damping import Damping
 from pgm.inference.families import family_of
-from pgm.inference.gates import Gate
-from pgm.inference.impossible import RAISE
-from pgm.inference.options import OVER_TIME, Call, require
-from pgm.inference.posterior import Posterior
-from pgm.inference.schedule import TOLERANCE, Filtering, FixedLag, Smoothing
-from pgm.inference.starting_points import Start
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
+from pgm.posteriors.posterior import Posterior
 from pgm.progress import Progress, reporting
+from pgm.schedules.argument_checks import require_lineariser
+from pgm.schedules.binding import bind_chain
+from pgm.schedules.convergence import told
+from pgm.schedules.damping import Damping
+from pgm.schedules.gates import Gate
+from pgm.schedules.impossible import RAISE
+from pgm.schedules.options import OVER_TIME, Call, require
+from pgm.schedules.schedule import TOLERANCE, Filtering, FixedLag, Smoothing
+from pgm.schedules.starting_points import Start
 from pgm.variables import Variable
 
 if TYPE_CHECKING:

@@ -10,23 +10,23 @@ from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from pgm.arguments import public
+from pgm.beliefs.own.family import BeliefFamily
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
 from pgm.display import titled
 from pgm.errors import EvidenceError, GraphError, ModelError
 from pgm.evidence import Evidence
-from pgm.inference.argument_checks import require_lineariser
-from pgm.inference.belief_family import BeliefFamily
-from pgm.inference.chain.run import bind_chain
-from pgm.inference.convergence import told
 from pgm.inference.families import family_of
-from pgm.inference.impossible import RAISE
-from pgm.inference.options import IDLE, OVER_TIME, STATIC, Call, require
-from pgm.inference.posterior import Posterior
-from pgm.inference.schedule import Filtering, FixedLag, Loopy, Schedule
-from pgm.inference.starting_points import Start
 from pgm.linearisers import TAYLOR, Lineariser
+from pgm.posteriors.posterior import Posterior
 from pgm.progress import Progress, reporting
+from pgm.schedules.argument_checks import require_lineariser
+from pgm.schedules.binding import bind_chain
+from pgm.schedules.convergence import told
+from pgm.schedules.impossible import RAISE
+from pgm.schedules.options import IDLE, OVER_TIME, STATIC, Call, require
+from pgm.schedules.schedule import Filtering, FixedLag, Loopy, Schedule
+from pgm.schedules.starting_points import Start
 from pgm.variables import Variable
 
 if TYPE_CHECKING:

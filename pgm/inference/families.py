@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from pgm.inference.belief_family import BeliefFamily, require_family
-from pgm.inference.markov.family import TABLES
-from pgm.inference.moments import MOMENTS
+from pgm.beliefs.markov.family import TABLES
+from pgm.beliefs.moments.family import MOMENTS
+from pgm.beliefs.own.family import BeliefFamily, require_family
 
 
 def family_of(model: Any, belief: Any = None) -> BeliefFamily[Any]:

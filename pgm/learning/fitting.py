@@ -14,13 +14,13 @@ from pgm.display import titled
 from pgm.errors import ConvergenceWarning, EvidenceError, ModelError, PgmError, levels_to_user
 from pgm.evidence import Evidence
 from pgm.inference import Smoothing
-from pgm.inference.argument_checks import require_lineariser
 from pgm.kernels.arrays import Array
 from pgm.learning.model import Expected, Learner, Point
 from pgm.learning.values import Fit, FitStatus, Learn
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.progress import Progress, counted, reporting
+from pgm.schedules.argument_checks import require_lineariser
 
 # The least cosine between a move and the change of the gradient that tells a curvature.
 _TOLD = 1e-14

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from pgm.beliefs.moments.outcomes.families import FamilyBelief
 from pgm.cpds import AffineCPD, ConditionalGaussian, GaussianCPD, LinearGaussianCPD, Noise
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope, listed, namesake
-from pgm.inference.chain.families import FamilyBelief
 from pgm.kernels.arrays import Array, Mask, transpose
 from pgm.learning.residuals import Known, Residuals, residuals
 from pgm.learning.steps import CovarianceStep

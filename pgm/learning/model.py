@@ -8,18 +8,15 @@ from typing import Any
 
 import numpy as np
 
+from pgm.beliefs.markov.counts import expected_counts
+from pgm.beliefs.moments.outcomes.families import family_beliefs
 from pgm.cpds import CPD, ConditionalGaussian, TableCPD
 from pgm.display import titled
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import Evidence, constant
 from pgm.factors.scope import listed
 from pgm.inference import Smoothing
-from pgm.inference.chain.families import family_beliefs
-from pgm.inference.chain.run import bind_chain
 from pgm.inference.dynamic import over_time
-from pgm.inference.markov.counts import expected_counts
-from pgm.inference.options import Call
-from pgm.inference.posterior import Posterior
 from pgm.kernels.arrays import Array
 from pgm.learning.gaussian import GaussianStep
 from pgm.learning.steps import ParameterStep, TableStep
@@ -36,6 +33,9 @@ from pgm.learning.values import (
 )
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
+from pgm.posteriors.posterior import Posterior
+from pgm.schedules.binding import bind_chain
+from pgm.schedules.options import Call
 from pgm.variables import Variable
 
 ROLES = ("prior", "transition", "observation")

@@ -22,11 +22,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pgm.beliefs.moments.outcomes.families import FamilyBelief
 from pgm.cpds import AffineCPD
-from pgm.inference.chain.families import FamilyBelief
-from pgm.inference.family import Family
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, Mask, components_last, quiet, symmetric, transpose
+from pgm.linearisation.family import Family
 from pgm.variables import Variable
 
 Known = Mapping[Variable, Array]

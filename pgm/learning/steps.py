@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from pgm.beliefs.moments.outcomes.families import FamilyBelief
 from pgm.boundary import as_floats
 from pgm.cpds import ConditionalGaussian, Noise, TableCPD
 from pgm.display import called, number
 from pgm.errors import ModelError
 from pgm.factors.scope import as_value
-from pgm.inference.chain.families import FamilyBelief
 from pgm.kernels.arrays import Array, symmetric
 from pgm.learning.residuals import Known, residuals
 from pgm.learning.values import Covariance, Parameter, Table

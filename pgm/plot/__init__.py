@@ -1,6 +1,5 @@
 """Pictures of networks, cluster graphs and beliefs; those that draw take and return axes."""
 
-from pgm.plot.beliefs.animation import animate_beliefs
 from pgm.plot.beliefs.cells import belief_map, grid_map, occupancy_map
 from pgm.plot.beliefs.cloud import particles
 from pgm.plot.beliefs.plane import ellipses, trajectory
@@ -8,6 +7,7 @@ from pgm.plot.beliefs.stacks import beliefs_over_time
 from pgm.plot.diagrams.clusters import cluster_graph
 from pgm.plot.diagrams.graphviz import dot
 from pgm.plot.diagrams.networks import markov_network, network
+from pgm.plot.moving.animation import animate_beliefs
 from pgm.plot.moving.run import animate
 from pgm.plot.statistics.compared import comparison, ranking
 from pgm.plot.statistics.consistency import coverage, nees, nis, whiteness

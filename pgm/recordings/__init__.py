@@ -1,7 +1,10 @@
 """Recorded drives: readers of many kinds of files, all of which yield a `Recording`."""
 
 from pgm.io.dropped import Dropped
-from pgm.recordings.pose_graph import Edges, PoseGraph
+from pgm.recordings.drives.pose_graph import Edges, PoseGraph
+from pgm.recordings.drives.recording import Recording
+from pgm.recordings.drives.scans import Scans
+from pgm.recordings.drives.stream import Stream
 from pgm.recordings.readers.bags import read_bag
 from pgm.recordings.readers.barfoot import read_barfoot
 from pgm.recordings.readers.freiburg import read_freiburg
@@ -10,9 +13,6 @@ from pgm.recordings.readers.mrclam import read_mrclam
 from pgm.recordings.readers.plaza import read_plaza
 from pgm.recordings.readers.pose_graphs import read_pose_graph
 from pgm.recordings.readers.tables import read_csv
-from pgm.recordings.recording import Recording
-from pgm.recordings.scans import Scans
-from pgm.recordings.stream import Stream
 
 __all__ = [
     "Dropped",

@@ -5,17 +5,17 @@ from typing import Any
 
 import numpy as np
 
+from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
+from pgm.beliefs.moments.passes.backward import Beliefs, Reverse, pairs
+from pgm.beliefs.moments.passes.forward import Filtered, Forward
+from pgm.beliefs.moments.passes.messages import first_potential
 from pgm.compile import DynamicGraph
 from pgm.errors import NumericalError
 from pgm.evidence import Reading
-from pgm.inference.belief_kind import FILTERED, SMOOTHED, Kind
-from pgm.inference.chain.backward import Beliefs, Reverse, pairs
-from pgm.inference.chain.forward import Filtered, Forward
-from pgm.inference.chain.messages import first_potential
-from pgm.inference.chain.outcome import ChainOutcome
 from pgm.kernels.arrays import Array, Integers, block, cut, quiet
 from pgm.kernels.canonical import Canonical
 from pgm.kernels.moments import Conditional
+from pgm.posteriors.belief_kind import FILTERED, SMOOTHED, Kind
 from pgm.variables import Variable
 from pgm.viewer.numbers import (
     EXACT,

@@ -13,7 +13,7 @@ from pgm.compile import BalancedGraph, DynamicGraph
 from pgm.errors import GraphError, NumericalError
 from pgm.factors import CanonicalForm, Gaussian, Table
 from pgm.factors.scope import Scope
-from pgm.inference.outcome import NETWORK, TABLES
+from pgm.posteriors.outcome import NETWORK, TABLES
 from pgm.variables import Variable
 from pgm.viewer.numbers import (
     SHOWN,

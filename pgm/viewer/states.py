@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 
+from pgm.beliefs.markov.joints import potential
+from pgm.beliefs.markov.outcome import StateOutcome
 from pgm.errors import EvidenceError
 from pgm.factors import Gaussian
-from pgm.inference.belief_kind import FILTERED, SMOOTHED
-from pgm.inference.markov.joints import potential
-from pgm.inference.markov.outcome import StateOutcome
-from pgm.inference.outcome import marginal
 from pgm.kernels.arrays import Array
+from pgm.posteriors.belief_kind import FILTERED, SMOOTHED
+from pgm.posteriors.outcome import marginal
 from pgm.variables import Discrete, Variable
 from pgm.viewer.chain import head, readings, sighted
 from pgm.viewer.numbers import SHOWN, Limits, Numbers, Run, lower, number, went

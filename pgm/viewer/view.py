@@ -16,7 +16,7 @@ from pgm.arguments import public
 from pgm.compile import DynamicGraph
 from pgm.errors import GraphError
 from pgm.inference import Posterior
-from pgm.inference.outcome import CHAIN, MARGINALS, SLICES
+from pgm.posteriors.outcome import CHAIN, MARGINALS, SLICES
 from pgm.viewer import chain, graph, states
 from pgm.viewer.numbers import CELL, FILE, Limits, Numbers, Run, chosen_runs, chosen_steps
 from pgm.viewer.scripts import script

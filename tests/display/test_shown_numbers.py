@@ -154,7 +154,7 @@ class Asked:
 
 
 def test_only_the_beliefs_shown_are_computed():
-    from pgm.inference.summaries import over_time
+    from pgm.posteriors.summaries import over_time
 
     long = {U: np.tile([1.0, 0.1, 0.5], (3000, 1))}
     for found, variable in (

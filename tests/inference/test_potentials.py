@@ -5,7 +5,7 @@ import pytest
 from viewer import posteriors
 
 import pgm
-from pgm.inference.chain import messages
+from pgm.beliefs.moments.passes import messages
 
 
 def product(posterior, cluster):
@@ -101,5 +101,5 @@ def test_the_largest_change_along_an_edge_is_the_residual(schedule):
 
 
 def test_changes_along_edges_are_kept_as_long_as_they_take_little_room(monkeypatch):
-    monkeypatch.setattr("pgm.inference.loopy._KEPT", 20)
+    monkeypatch.setattr("pgm.schedules.loopy._KEPT", 20)
     assert posteriors.lattice(3).status.edge_residuals is None

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from pgm.errors import EvidenceError, FileError
 from pgm.recordings import read_bag
-from pgm.recordings.earth import local
+from pgm.recordings.drives.earth import local
 
 rosbags = pytest.importorskip("rosbags")
 from rosbags.rosbag1 import Writer as Writer1  # noqa: E402

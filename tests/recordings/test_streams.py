@@ -10,7 +10,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import pgm
 from pgm.errors import ArrayError, EvidenceError
-from pgm.recordings import Recording, Scans, Stream, mending
+from pgm.recordings import Recording, Scans, Stream
+from pgm.recordings.drives import mending
 
 u = pgm.Variable("u", components=("distance", "turn", "dt"))
 exact = pgm.Variable("w", components=("forward", "left", "turn"))

@@ -22,6 +22,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
+from pgm.beliefs.moments.passes import backward
+from pgm.beliefs.moments.passes.backward import Beliefs, Reverse
+from pgm.beliefs.moments.steps.plan import ChainPlan
+from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.compile import SliceLayout
 from pgm.errors import NumericalError
 from pgm.factors.scope import positions
@@ -32,15 +37,10 @@ from pgm.inference.audit.draws import Draws, Strand
 from pgm.inference.audit.excursions import PREDICTED, Excursions
 from pgm.inference.audit.modes import MOST, Modes
 from pgm.inference.audit.proposal import Path, Proposal
-from pgm.inference.belief_kind import SMOOTHED
-from pgm.inference.chain import backward
-from pgm.inference.chain.backward import Beliefs, Reverse
-from pgm.inference.chain.outcome import ChainOutcome
-from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.chain.sensor import Sensor
 from pgm.kernels import moments
 from pgm.kernels.arrays import Array, Mask, block, symmetric, transpose
 from pgm.kernels.moments import Conditional
+from pgm.posteriors.belief_kind import SMOOTHED
 
 
 @dataclass(frozen=True, eq=False)

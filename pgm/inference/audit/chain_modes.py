@@ -19,19 +19,19 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pgm.beliefs.moments.passes.backward import Beliefs
+from pgm.beliefs.moments.smoothers import parallel, smoother
+from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.errors import ModelError, PgmError
 from pgm.factors.scope import angle_mask
 from pgm.inference.audit.drives import starts
 from pgm.inference.audit.modes import MOST, FixedPoints, Modes, choose
 from pgm.inference.audit.proposal import Path
 from pgm.inference.audit.repeated import repeated
-from pgm.inference.chain import parallel, smoother
-from pgm.inference.chain.backward import Beliefs
-from pgm.inference.chain.plan import ChainPlan
-from pgm.inference.damping import LevenbergMarquardt
-from pgm.inference.schedule import Smoothing
 from pgm.kernels.arrays import Array, deviation, quiet
 from pgm.kernels.moments import Conditional
+from pgm.schedules.damping import LevenbergMarquardt
+from pgm.schedules.schedule import Smoothing
 
 # A short smoother: linearisations, standard deviations within which it has arrived, tries of a step
 # that raises the cost, and, where no cost can control it, the share of the old point that is kept.

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.inference.audit.density import Term
 from pgm.inference.audit.starts import images, white_points
-from pgm.inference.chain.plan import ChainPlan
 from pgm.kernels.arrays import Array, Integers
 
 # Numbers of drives from points of the prior, without the motion's noise and with it.

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.display import Shown
-from pgm.inference.chain.innovations import Innovations, autocorrelation, whitened
 from pgm.kernels.arrays import Array, frozen
+from pgm.posteriors.innovations import Innovations, autocorrelation, whitened
 from pgm.variables import Variable
 
 # Standard deviations of a normal within which it is with a probability of 99 %.

@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from pgm.inference.chain.plan import ChainPlan, Link
-from pgm.inference.family import Family
+from pgm.beliefs.moments.steps.plan import ChainPlan, Link
 from pgm.kernels.arrays import Kind
+from pgm.linearisation.family import Family
 from pgm.linearisers import TAYLOR
 
 

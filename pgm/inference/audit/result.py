@@ -14,8 +14,8 @@ from pgm.inference.audit.corrected import Compared
 from pgm.inference.audit.innovation_checks import InnovationCheck
 from pgm.inference.audit.mixture import Mixture
 from pgm.inference.audit.modes import Modes
-from pgm.inference.summaries import spread
 from pgm.kernels.arrays import Array, Integers, Mask, frozen
+from pgm.posteriors.summaries import spread
 from pgm.variables import Variable
 
 # Above this Pareto shape of the weights' tail no estimate made of them is to be trusted.

@@ -15,10 +15,10 @@ from pgm.inference.audit.chain import ChainDraws
 from pgm.inference.audit.innovation_checks import checks
 from pgm.inference.audit.result import Audit
 from pgm.inference.audit.tree import TreeDraws
-from pgm.inference.limits import require_runs
-from pgm.inference.outcome import BALANCED, CHAIN, NETWORK, SLICES, TABLES
-from pgm.inference.posterior import Posterior
+from pgm.posteriors.outcome import BALANCED, CHAIN, NETWORK, SLICES, TABLES
+from pgm.posteriors.posterior import Posterior
 from pgm.progress import Progress, reporting
+from pgm.schedules.limits import require_runs
 
 # The draws from beliefs of each form.
 _DRAWS: dict[str, Any] = {CHAIN: ChainDraws, BALANCED: ChainDraws, NETWORK: TreeDraws}

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pgm.beliefs.gaussian.outcome import GaussianOutcome
 from pgm.errors import GraphError
 from pgm.inference.audit import tree_modes
 from pgm.inference.audit.corrected import Sums
@@ -25,7 +26,6 @@ from pgm.inference.audit.excursions import PREDICTED, Excursions
 from pgm.inference.audit.modes import MOST, Modes
 from pgm.inference.audit.proposal import Path, Proposal
 from pgm.inference.audit.tree_density import TreeDensity
-from pgm.inference.gaussian.outcome import GaussianOutcome
 from pgm.kernels.arrays import Array, block
 from pgm.kernels.moments import Conditional
 

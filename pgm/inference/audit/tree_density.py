@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pgm.beliefs.gaussian.model import Model
 from pgm.inference.audit.density import Afresh, Term
-from pgm.inference.gaussian.model import Model
 from pgm.kernels.arrays import Array, Mask
 
 

@@ -13,6 +13,12 @@ from functools import partial
 
 import numpy as np
 
+from pgm.beliefs.gaussian.beliefs import Calibrated
+from pgm.beliefs.gaussian.joints import joint_moments
+from pgm.beliefs.gaussian.model import LinearisedAt, Model
+from pgm.beliefs.gaussian.prior import prior_predictive
+from pgm.beliefs.gaussian.row_buffer import Buffer
+from pgm.beliefs.gaussian.tree import TreePlan, calibrate
 from pgm.errors import PgmError
 from pgm.factors.scope import angle_mask
 from pgm.inference.audit.modes import MOST, FixedPoints, Modes, choose
@@ -20,12 +26,6 @@ from pgm.inference.audit.proposal import Path
 from pgm.inference.audit.repeated import of_family, tiled
 from pgm.inference.audit.starts import images, white_points
 from pgm.inference.audit.tree_density import TreeDensity
-from pgm.inference.gaussian.beliefs import Calibrated
-from pgm.inference.gaussian.joints import joint_moments
-from pgm.inference.gaussian.model import LinearisedAt, Model
-from pgm.inference.gaussian.prior import prior_predictive
-from pgm.inference.gaussian.row_buffer import Buffer
-from pgm.inference.gaussian.tree import TreePlan, calibrate
 from pgm.kernels.arrays import Array, deviation, quiet
 
 # Points of the prior; linearisations at the most, the parts of a step that are tried in each, and

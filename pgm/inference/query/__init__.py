@@ -3,6 +3,7 @@
 It finds the part of the network that the joint depends on (`requisite`), plans an order of the
 other variables of that part (`plan`) and sums them out in this order (`elimination`). Whether the
 evidence on the rest of the network is possible is examined separately (`left_out`).
+`most_probable` has the likeliest values of all hidden variables.
 """
 
 from pgm.inference.query.question import query

@@ -12,20 +12,20 @@ from types import MappingProxyType
 
 import numpy as np
 
+from pgm import elimination
+from pgm.beliefs.discrete.entered_evidence import one_hot
+from pgm.beliefs.discrete.impossible import ADVICE
+from pgm.beliefs.discrete.run_pieces import some_runs
 from pgm.cpds import TableCPD
+from pgm.elimination import TableAlgebra
 from pgm.evidence import Evidence
 from pgm.evidence.static import BoundStates
 from pgm.factors.axes import States
 from pgm.factors.scope import in_run, listed, names
-from pgm.inference import elimination
-from pgm.inference.discrete.entered_evidence import one_hot
-from pgm.inference.discrete.impossible import ADVICE
-from pgm.inference.discrete.run_pieces import some_runs
-from pgm.inference.elimination import TableAlgebra
-from pgm.inference.impossible import OF_RUNS, ImpossibleEvidence
 from pgm.inference.query.plan import QueryPlan
 from pgm.kernels.arrays import Array, Mask
 from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
+from pgm.schedules.impossible import OF_RUNS, ImpossibleEvidence
 from pgm.variables import Discrete
 
 

@@ -23,18 +23,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pgm.beliefs.discrete.impossible import ADVICE
+from pgm.beliefs.discrete.run_pieces import pieces
 from pgm.cpds import TableCPD
 from pgm.evidence.static import BoundStates
 from pgm.factors.axes import States, discrete, sizes
 from pgm.factors.scope import in_run, names
-from pgm.inference import limits
-from pgm.inference.discrete.impossible import ADVICE
-from pgm.inference.discrete.run_pieces import pieces
-from pgm.inference.impossible import OF_RUNS, ImpossibleEvidence
 from pgm.inference.query.elimination import eliminate, lost_runs, refusal
 from pgm.inference.query.plan import QueryPlan
 from pgm.inference.query.requisite import Requisite, evidence_of
 from pgm.kernels.arrays import Integers, Mask
+from pgm.schedules import limits
+from pgm.schedules.impossible import OF_RUNS, ImpossibleEvidence
 from pgm.variables import Discrete
 
 # A CPD and those of its variables whose state is not known.

@@ -11,13 +11,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from pgm.elimination import Plan, by_fill
 from pgm.errors import GraphError
 from pgm.factors.axes import States
 from pgm.factors.scope import listed
-from pgm.inference import limits
-from pgm.inference.elimination import Plan, by_fill
 from pgm.inference.query.requisite import Requisite
 from pgm.resources import gibibytes
+from pgm.schedules import limits
 
 
 @dataclass(frozen=True, eq=False)

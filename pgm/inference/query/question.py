@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 
 from pgm.arguments import public
+from pgm.beliefs.discrete.run import of_tree
+from pgm.beliefs.discrete.run_pieces import pieces
 from pgm.boundary import as_tuple, is_unordered
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
@@ -24,16 +26,14 @@ from pgm.evidence.static import BoundStates, bind_discrete
 from pgm.factors import Table
 from pgm.factors.axes import States, as_states, sizes
 from pgm.factors.scope import names, unknown_name
-from pgm.inference import limits
-from pgm.inference.discrete.run import of_tree
-from pgm.inference.discrete.run_pieces import pieces
-from pgm.inference.impossible import RAISE, ImpossibleEvidence, allows
 from pgm.inference.query.elimination import NOTHING, eliminate, require_possible
 from pgm.inference.query.left_out import Contradiction, contradictions
 from pgm.inference.query.plan import QueryPlan
 from pgm.inference.query.requisite import Requisite, certain
 from pgm.kernels.arrays import Array
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
+from pgm.schedules import limits
+from pgm.schedules.impossible import RAISE, ImpossibleEvidence, allows
 from pgm.variables import Variable
 
 # Times, in units of that for an entry of an elimination's tables: for each entry of a tree's tables

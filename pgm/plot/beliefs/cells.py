@@ -19,10 +19,10 @@ from pgm.factors import Table
 from pgm.inference import GridBelief
 from pgm.kernels.arrays import Array
 from pgm.maps import OccupancyMap
-from pgm.plot.axes import Unit, equal_aspect, given_or_new, name_axes
 from pgm.plot.beliefs.plane import as_landmarks, as_truth, finish, plane_of
 from pgm.plot.beliefs.stacks import as_index, as_places, chances, name_states
-from pgm.plot.colours import CHANCE, INK, MUTED, PALETTE, readable_on
+from pgm.plot.drawing.axes import Unit, equal_aspect, given_or_new, name_axes
+from pgm.plot.drawing.colours import CHANCE, INK, MUTED, PALETTE, readable_on
 
 # Numbers in more cells than this are too many to read, and lines between more hide the cells.
 _WRITTEN = 30

@@ -11,9 +11,9 @@ from pgm.boundary import is_whole
 from pgm.errors import ModelError
 from pgm.inference import ParticleBelief
 from pgm.kernels.arrays import Array
-from pgm.plot.axes import Unit, given_or_new
 from pgm.plot.beliefs.plane import as_landmarks, as_truth, finish, plane_of
-from pgm.plot.colours import look_of
+from pgm.plot.drawing.axes import Unit, given_or_new
+from pgm.plot.drawing.colours import look_of
 
 # The area of a particle of mean weight [pt²], and how many times that one is drawn at the most.
 _AREA, _LARGEST = 7.0, 25.0

@@ -20,7 +20,7 @@ from pgm.factors import Gaussian
 from pgm.factors.scope import labels
 from pgm.inference import GridBelief, Kind, ParticleBelief
 from pgm.kernels.arrays import Array
-from pgm.plot.axes import (
+from pgm.plot.drawing.axes import (
     Unit,
     equal_aspect,
     given_or_new,
@@ -30,8 +30,8 @@ from pgm.plot.axes import (
     useful_legend,
     with_unit,
 )
-from pgm.plot.colours import DASHES, INK, look_of, next_colour
-from pgm.plot.components import as_gaussian, component_places, one_run, truth_columns
+from pgm.plot.drawing.colours import DASHES, INK, look_of, next_colour
+from pgm.plot.drawing.components import as_gaussian, component_places, one_run, truth_columns
 
 # An ellipse smaller than this part of the picture is marked by a dot.
 _INVISIBLE = 1e-4

@@ -18,8 +18,8 @@ from pgm.factors import Table
 from pgm.factors.scope import names
 from pgm.inference import GridBelief, Kind
 from pgm.kernels.arrays import Array
-from pgm.plot.axes import given_or_new, name_axes, plain, useful_legend
-from pgm.plot.colours import DASHES, INK, MUTED, PALETTE
+from pgm.plot.drawing.axes import given_or_new, name_axes, plain, useful_legend
+from pgm.plot.drawing.colours import DASHES, INK, MUTED, PALETTE
 from pgm.variables import Discrete
 
 # More rows than this are too low to be read.

@@ -19,8 +19,8 @@ from matplotlib.textpath import text_to_path
 
 from pgm.clustergraph import Cluster
 from pgm.kernels.arrays import Array
-from pgm.plot.axes import check_axes
-from pgm.plot.colours import INK, MUTED
+from pgm.plot.drawing.axes import check_axes
+from pgm.plot.drawing.colours import INK, MUTED
 from pgm.variables import Variable
 
 Point = tuple[float, float]

@@ -17,7 +17,6 @@ from pgm.errors import GraphError
 from pgm.evidence import Evidence
 from pgm.factors.scope import Scope
 from pgm.kernels.arrays import Array
-from pgm.plot.colours import CLUSTER, INK, MUTED, SEPSET, readable_on
 from pgm.plot.diagrams.arrangement import arrange
 from pgm.plot.diagrams.canvas import (
     Box,
@@ -33,6 +32,7 @@ from pgm.plot.diagrams.canvas import (
 from pgm.plot.diagrams.contents import contents, joined, links, shown
 from pgm.plot.diagrams.layout import GAP, Layout, Node, distances
 from pgm.plot.diagrams.shading import Shading, by_residual, by_size
+from pgm.plot.drawing.colours import CLUSTER, INK, MUTED, SEPSET, readable_on
 
 _MOST = 1000
 # Names of more clusters are never legible in a figure of ordinary size.

@@ -11,10 +11,10 @@ from pgm.clustergraph import ClusterGraph
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
-from pgm.plot.colours import CLUSTER, INK, MUTED, OBSERVED, SEPSET
 from pgm.plot.diagrams.arrangement import is_chain, key, outward
 from pgm.plot.diagrams.contents import contents, joined, links, shown
 from pgm.plot.diagrams.networks import Network, directed, in_slices
+from pgm.plot.drawing.colours import CLUSTER, INK, MUTED, OBSERVED, SEPSET
 from pgm.variables import Variable
 
 # A level of more nodes than this, for each level that there is, makes a ribbon.

@@ -20,10 +20,10 @@ from pgm.factors.scope import unknown_name
 from pgm.kernels.arrays import Array
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.networks.static import density
-from pgm.plot.colours import INK, OBSERVED
 from pgm.plot.diagrams.arrangement import sliced
 from pgm.plot.diagrams.canvas import Canvas, Size, node_label, open_canvas, room, slack, text_size
 from pgm.plot.diagrams.layered import layered
+from pgm.plot.drawing.colours import INK, OBSERVED
 from pgm.variables import Variable
 
 Edge = tuple[Variable, Variable]

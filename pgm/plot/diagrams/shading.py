@@ -13,9 +13,9 @@ from pgm.clustergraph import ClusterGraph
 from pgm.clustergraph.cluster import Edge, is_discrete, size
 from pgm.errors import GraphError
 from pgm.factors.scope import Scope
-from pgm.plot.colours import INK, SCALE
 from pgm.plot.diagrams.canvas import FONT, Box, Canvas
 from pgm.plot.diagrams.layout import Node
+from pgm.plot.drawing.colours import INK, SCALE
 
 # Sizes that differ by more than this factor have a logarithmic scale.
 _WIDE = 30.0

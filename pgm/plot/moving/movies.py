@@ -18,8 +18,8 @@ from PIL import Image
 from pgm.boundary import is_number
 from pgm.errors import ModelError
 from pgm.io.sources import whole
-from pgm.plot.colours import INK, MUTED
-from pgm.plot.colours import PALETTE as COLOURS
+from pgm.plot.drawing.colours import INK, MUTED
+from pgm.plot.drawing.colours import PALETTE as COLOURS
 
 _COLOURS = 256
 # Colours chosen for the first picture; the others are free for colours that later pictures bring.

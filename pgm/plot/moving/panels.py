@@ -18,7 +18,6 @@ from pgm.compile import DynamicGraph
 from pgm.factors import Gaussian
 from pgm.inference import Kind
 from pgm.kernels.arrays import Array
-from pgm.plot.colours import INK, MUTED, PALETTE, SEPSET
 from pgm.plot.diagrams.canvas import (
     Box,
     Canvas,
@@ -31,6 +30,7 @@ from pgm.plot.diagrams.canvas import (
 )
 from pgm.plot.diagrams.clusters import cluster_name, message_name
 from pgm.plot.diagrams.contents import contents
+from pgm.plot.drawing.colours import INK, MUTED, PALETTE, SEPSET
 
 # A pass of more steps than this skips some.
 _PICTURES = 100

@@ -19,14 +19,14 @@ from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.factors.scope import Scope, labels
 from pgm.inference import Posterior
-from pgm.inference.belief_kind import SMOOTHED
-from pgm.inference.outcome import marginal
 from pgm.kernels.arrays import Array
-from pgm.plot.axes import Unit
 from pgm.plot.beliefs.plane import as_landmarks, name_plane
-from pgm.plot.components import as_gaussian, component_places, one_run, truth_columns
+from pgm.plot.drawing.axes import Unit
+from pgm.plot.drawing.components import as_gaussian, component_places, one_run, truth_columns
 from pgm.plot.moving.movies import BlittedCanvas, movie_writer, write_movie
 from pgm.plot.moving.panels import FILTERED, REVISED, Chain, Paths, frames
+from pgm.posteriors.belief_kind import SMOOTHED
+from pgm.posteriors.outcome import marginal
 from pgm.variables import Variable
 
 # How long the last picture of a pass stays [s].

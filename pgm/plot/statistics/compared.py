@@ -18,8 +18,16 @@ from pgm.display import number
 from pgm.errors import ModelError
 from pgm.factors.scope import listed
 from pgm.kernels.arrays import Array
-from pgm.plot.axes import STEP, along, given_or_new, name_axes, name_time, plain, useful_legend
-from pgm.plot.colours import DASHES, INK, MUTED, OBSERVED, PALETTE
+from pgm.plot.drawing.axes import (
+    STEP,
+    along,
+    given_or_new,
+    name_axes,
+    name_time,
+    plain,
+    useful_legend,
+)
+from pgm.plot.drawing.colours import DASHES, INK, MUTED, OBSERVED, PALETTE
 from pgm.variables import Variable
 
 # Of linearisers, where the colours begin again; dashes are one a schedule.

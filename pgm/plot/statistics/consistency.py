@@ -16,7 +16,7 @@ from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
 from pgm.inference import Innovations, Kind
-from pgm.plot.axes import (
+from pgm.plot.drawing.axes import (
     along,
     band,
     given_or_new,
@@ -26,7 +26,7 @@ from pgm.plot.axes import (
     right_band,
     useful_legend,
 )
-from pgm.plot.colours import INK, look_of
+from pgm.plot.drawing.colours import INK, look_of
 
 _LEVELS = np.concatenate([[0.01], np.linspace(0.05, 0.95, 19), [0.99]])
 _DIAGONAL = np.array([[0.0, 0.0], [1.0, 1.0]])

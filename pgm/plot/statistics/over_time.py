@@ -14,7 +14,7 @@ from pgm.factors import Gaussian
 from pgm.factors.scope import labels
 from pgm.inference import Kind
 from pgm.kernels.angles import difference
-from pgm.plot.axes import (
+from pgm.plot.drawing.axes import (
     Unit,
     along,
     band,
@@ -26,8 +26,8 @@ from pgm.plot.axes import (
     useful_legend,
     with_unit,
 )
-from pgm.plot.colours import INK, look_of
-from pgm.plot.components import component_places, one_run, truth_columns
+from pgm.plot.drawing.colours import INK, look_of
+from pgm.plot.drawing.components import component_places, one_run, truth_columns
 
 
 @public

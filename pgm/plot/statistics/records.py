@@ -12,8 +12,8 @@ from pgm.arguments import public
 from pgm.errors import ModelError
 from pgm.inference import Kind, Status
 from pgm.kernels.arrays import Array
-from pgm.plot.axes import band, given_or_new, name_axes, useful_legend
-from pgm.plot.colours import INK, Look, look_of
+from pgm.plot.drawing.axes import band, given_or_new, name_axes, useful_legend
+from pgm.plot.drawing.colours import INK, Look, look_of
 
 # More runs than this are a band and a median.
 _LINES = 8

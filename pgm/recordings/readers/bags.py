@@ -15,11 +15,11 @@ from pgm.errors import EvidenceError, FileError
 from pgm.factors.scope import listed
 from pgm.io.dropped import Dropped
 from pgm.io.sources import Origin
-from pgm.recordings import earth
+from pgm.recordings.drives import earth
+from pgm.recordings.drives.recording import Recording
+from pgm.recordings.drives.scans import Scans
+from pgm.recordings.drives.stream import Stream
 from pgm.recordings.readers import files, messages
-from pgm.recordings.recording import Recording
-from pgm.recordings.scans import Scans
-from pgm.recordings.stream import Stream
 from pgm.resources import optional
 
 EXTRA = "sepset[bags]"

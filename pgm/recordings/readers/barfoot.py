@@ -8,10 +8,10 @@ from pgm.arguments import public
 from pgm.io.dropped import Dropped
 from pgm.io.sources import Origin, Source
 from pgm.kernels.arrays import Array
+from pgm.recordings.drives.recording import POSE, Recording
+from pgm.recordings.drives.stream import Stream
 from pgm.recordings.readers import files
 from pgm.recordings.readers.matlab import matlab
-from pgm.recordings.recording import POSE, Recording
-from pgm.recordings.stream import Stream
 
 COLUMNS = ("t", "x_true", "y_true", "th_true", "v", "om")
 TABLES = {**dict.fromkeys((*COLUMNS, "r", "b")), "l": 2}

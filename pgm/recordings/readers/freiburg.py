@@ -9,9 +9,9 @@ import numpy as np
 
 from pgm.arguments import public
 from pgm.io import sources
+from pgm.recordings.drives.recording import Recording
+from pgm.recordings.drives.stream import Stream
 from pgm.recordings.readers import files
-from pgm.recordings.recording import Recording
-from pgm.recordings.stream import Stream
 
 SENSOR, WORLD = "sensor_data.dat", "world.dat"
 

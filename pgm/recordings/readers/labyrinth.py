@@ -12,10 +12,10 @@ from pgm.arguments import public
 from pgm.io import sources
 from pgm.io.sources import Content, Source
 from pgm.kernels.arrays import Array
-from pgm.recordings import motion
+from pgm.recordings.drives import motion
+from pgm.recordings.drives.recording import PLACE, Recording
+from pgm.recordings.drives.stream import Stream
 from pgm.recordings.readers import files
-from pgm.recordings.recording import PLACE, Recording
-from pgm.recordings.stream import Stream
 
 INPUT, TRUTH = "Indoor_UWB_Input.txt", "Indoor_UWB_GT.txt"
 _RANGE = "range2 t range variance x y id snr"

@@ -12,11 +12,11 @@ from pgm.io.dropped import BACKWARDS, Dropped
 from pgm.io.sources import Origin
 from pgm.kernels import quaternions, twists
 from pgm.kernels.arrays import Array
-from pgm.recordings import earth, mending
-from pgm.recordings.motion import PLANAR, PLANAR_SPEEDS
-from pgm.recordings.recording import POSE
-from pgm.recordings.scans import Scans
-from pgm.recordings.stream import Stream
+from pgm.recordings.drives import earth, mending
+from pgm.recordings.drives.motion import PLANAR, PLANAR_SPEEDS
+from pgm.recordings.drives.recording import POSE
+from pgm.recordings.drives.scans import Scans
+from pgm.recordings.drives.stream import Stream
 
 # Of a 6 × 6 covariance, x, y, z and three turns: those in the plane.
 _PLANE = (0, 1, 5)

@@ -14,9 +14,9 @@ from pgm.io import sources
 from pgm.io.dropped import Dropped
 from pgm.io.sources import Content
 from pgm.kernels.arrays import Array
+from pgm.recordings.drives.recording import POSE, Recording
+from pgm.recordings.drives.stream import Stream
 from pgm.recordings.readers import files
-from pgm.recordings.recording import POSE, Recording
-from pgm.recordings.stream import Stream
 
 
 @public

@@ -7,10 +7,10 @@ import numpy as np
 from pgm.arguments import public
 from pgm.io.sources import Source
 from pgm.kernels.arrays import Array
+from pgm.recordings.drives.recording import POSE, Recording
+from pgm.recordings.drives.stream import Stream
 from pgm.recordings.readers import files
 from pgm.recordings.readers.matlab import matlab
-from pgm.recordings.recording import POSE, Recording
-from pgm.recordings.stream import Stream
 
 # Of each table: true poses, odometry, ranges heard, and places of beacons, by time or number.
 COLUMNS = {"GT": 4, "DR": 3, "TD": 4, "TL": 3}

@@ -16,10 +16,10 @@ from pgm.io.dropped import Dropped
 from pgm.io.sources import Content, Line, Source, lines
 from pgm.kernels import quaternions
 from pgm.kernels.arrays import Array, Integers
-from pgm.recordings import placing
-from pgm.recordings.pose_graph import Edges, PoseGraph
+from pgm.recordings.drives import placing
+from pgm.recordings.drives.pose_graph import Edges, PoseGraph
+from pgm.recordings.drives.scans import Scans
 from pgm.recordings.readers import files
-from pgm.recordings.scans import Scans
 
 _VERTEX = "{0} id east north heading"
 _EDGE = "{0} from to forward left turn i11 i12 i13 i22 i23 i33"

@@ -20,11 +20,11 @@ from pgm.io.sources import Source
 from pgm.io.stamped import as_stamps
 from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import Array
-from pgm.recordings import earth, motion
+from pgm.recordings.drives import earth, motion
+from pgm.recordings.drives.recording import Recording
+from pgm.recordings.drives.stream import Stream
 from pgm.recordings.readers import cells, files
 from pgm.recordings.readers.units import ANGLE, RATE, STAMP, quantity, size_of
-from pgm.recordings.recording import Recording
-from pgm.recordings.stream import Stream
 
 # A landmark's number; 1_0 is a name, of which Python would make 10.
 _WHOLE = re.compile(r"[+-]?[0-9]{1,18}")

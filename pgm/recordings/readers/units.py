@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
-from pgm.recordings.earth import WORLD
+from pgm.recordings.drives.earth import WORLD
 
 LENGTH, TIME, ANGLE = "a length", "a time", "an angle"
 SPEED, RATE, ACCELERATION = "a speed", "a turn rate", "an acceleration"

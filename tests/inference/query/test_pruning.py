@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import pgm
+from pgm.elimination import orders
 from pgm.evidence.static import bind_discrete
-from pgm.inference.elimination import orders
 from pgm.inference.query.plan import QueryPlan
 from pgm.inference.query.requisite import Requisite
 

@@ -7,7 +7,7 @@ from discrete.enumeration import network
 
 import pgm
 from models.discrete import asia, cancer, either, smoking, tuberculosis, visit, xray
-from pgm.inference import limits
+from pgm.schedules import limits
 
 
 def test_observed_and_unknown_variables():

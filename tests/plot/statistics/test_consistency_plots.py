@@ -12,7 +12,7 @@ import pgm.plot
 from models import networks
 from models.networks import fix, point, shift
 from pgm import consistency
-from pgm.plot.axes import right_band
+from pgm.plot.drawing.axes import right_band
 
 STEPS = 25
 

@@ -1,0 +1,265 @@
+"""The first question of a graph without loops: one set of evidence, answered without a plan.
+
+A *plan* lays all tables and messages out once, for many sets of evidence; making it takes as long
+as a dozen inferences with it. For the first set of evidence none is made: each cluster's table is
+multiplied when it is needed, from its CPDs and the messages to it. From the second on, a plan pays.
+
+The clusters themselves are a plan of elimination, which is carried out at once: each is a step that
+multiplies its factors, and leaves to its parent the variables that it shares with it. Variables are
+denoted by numbers, their places in the network. An observed variable keeps an axis of length one.
+All tables have their axes in one order, in which a cluster's *own* variables, those that it does
+not share with its parent, stand before the shared ones.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import accumulate, pairwise
+from typing import NamedTuple, cast
+
+import numpy as np
+
+from pgm.clustergraph import ClusterGraph
+from pgm.cpds import TableCPD
+from pgm.elimination import Calibrated, Plan, Scope, Step, TableAlgebra
+from pgm.evidence.static import BoundStates
+from pgm.kernels.arrays import Array
+from pgm.kernels.semirings import SUM_PRODUCT
+from pgm.variables import Discrete
+
+# In a network of at most `FEW` variables, whose joint has at most `TINY` entries, one cluster holds
+# them all.
+FEW, TINY = 16, 2**7
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """The marginals and log-evidence of one run: the answer to a graph's first question.
+
+    marginals: Of each variable that is not observed, its probabilities, (states,).
+    log_evidence: ln p(evidence).
+    """
+
+    marginals: Mapping[Discrete, Array]
+    log_evidence: float
+
+
+def answer(graph: ClusterGraph, evidence: BoundStates) -> Answer | None:
+    """The marginals and ln p(evidence) of one run, computed in plain numbers.
+
+    graph: A cluster graph without loops.
+    evidence: The evidence of one run, without axes of runs.
+
+    Returns: The answer; None if a number underflows, or the evidence has probability zero.
+    """
+    try:
+        return _answer(graph, evidence)
+    except FloatingPointError:
+        return None
+
+
+@np.errstate(all="raise")
+def _answer(graph: ClusterGraph, evidence: BoundStates) -> Answer:
+    """The marginals and ln p(evidence) of one run, computed in plain numbers.
+
+    Underflow, and evidence of probability zero, raise `FloatingPointError`.
+    """
+    question = _Question(graph, evidence)
+    algebra = TableAlgebra(SUM_PRODUCT, question.sizes, aligned=0)
+    calibrated = Calibrated(question.plan, question.factors, algebra)
+    log_evidence = 0.0
+    for root in question.plan.roots:
+        total = calibrated.totals[root]
+        log_evidence += math.log(total) if total else -math.inf
+    return Answer(_marginals(question, calibrated, algebra), log_evidence)
+
+
+class _Question:
+    """A graph's clusters as a plan of elimination, and the tables that evidence makes of its CPDs.
+
+    In a tiny network one cluster, made for the purpose, holds all variables.
+
+    variables: The variables of the network; elsewhere each is denoted by its index here.
+    rank: Of each variable, a number below zero; the axes of all tables stand in ascending rank.
+    shown: The state of each observed variable.
+    sizes: Of each variable, its number of states; 1 if it is observed.
+    factors: The tables of the CPDs, and the soft evidence of variables that have it.
+    plan: The steps, one a cluster, children before parents; what a step leaves is the sepset of its
+        cluster and the parent.
+    """
+
+    def __init__(self, graph: ClusterGraph, evidence: BoundStates) -> None:
+        network, places = graph.network, graph.network._places
+        self.variables = cast(Sequence[Discrete], network.variables)
+        self.shown = {places[v]: cast(int, state) for v, state in evidence.states.items()}
+        self.sizes = [len(variable.states) for variable in self.variables]
+        for place in self.shown:
+            self.sizes[place] = 1
+        if len(self.sizes) <= FEW and math.prod(self.sizes) <= TINY:
+            everything = range(len(self.sizes))
+            assigned: Sequence[Sequence[int]] = [everything]
+            joined: Sequence[Sequence[int]] = [()]
+            members: Sequence[Sequence[int]] = [everything]
+        else:
+            assigned, joined, members = graph._assigned, graph._neighbours, graph._members
+        clusters = self._hang(joined, members)
+        self.factors: list[Array] = []
+        scopes: list[Scope] = []
+        entering: list[list[int]] = [[] for _ in members]
+        cpds = cast(Sequence[TableCPD], network.cpds)
+        for cluster, numbers in enumerate(assigned):
+            for number in numbers:
+                entering[cluster].append(len(scopes))
+                scopes.append(self._add_cpd(network._families[number], cpds[number].table))
+        if evidence.weights:
+            # A variable goes where its own CPD does: into a cluster that has it.
+            homes = {number: k for k, numbers in enumerate(assigned) for number in numbers}
+            for variable, weights in evidence.weights.items():
+                entering[homes[places[variable]]].append(len(scopes))
+                scopes.append(self._add_weights(places[variable], weights[0]))
+        self.plan = Plan(scopes, self.sizes, _steps(clusters, scopes, entering), ())
+
+    def _hang(
+        self, joined: Sequence[Sequence[int]], members: Sequence[Sequence[int]]
+    ) -> list[_Hung]:
+        """Root each tree at its cluster of least number, and rank the variables.
+
+        The variables that a cluster does not share with its parent rank before all variables of the
+        clusters above it. `joined` has the neighbours of each cluster, by number, `members` its
+        variables. The clusters are returned parents before children.
+        """
+        clusters: list[_Hung] = []
+        parent = [UNSEEN] * len(joined)
+        self.rank = rank = [0] * len(self.sizes)
+        found = 0
+        for root in range(len(joined)):
+            if parent[root] != UNSEEN:
+                continue
+            parent[root] = -1
+            waiting = [root]
+            while waiting:
+                k = waiting.pop()
+                before = found
+                # Parents before children, as in most tables, which then stay as they are.
+                for place in reversed(members[k]):
+                    if not rank[place]:
+                        found -= 1
+                        rank[place] = found
+                scope = tuple(sorted(members[k], key=rank.__getitem__))
+                clusters.append(_Hung(k, parent[k], scope, scope[before - found :]))
+                for other in joined[k]:
+                    if other != parent[k]:
+                        parent[other] = k
+                        waiting.append(other)
+        return clusters
+
+    def _add_cpd(self, family: Sequence[int], table: Array) -> Scope:
+        """Add a CPD to the factors, each observed variable at its state; returns its scope.
+
+        An observed variable keeps an axis of length one. `family` are the numbers of the child,
+        then of the parents; `table` has the parents' axes in that order, then the child's. The
+        axes of the factor stand in ascending rank.
+        """
+        given = [*family[1:], family[0]]
+        if not self.shown.keys().isdisjoint(given):
+            state = self.shown.get
+            index = [ALL if (s := state(place)) is None else slice(s, s + 1) for place in given]
+            table = table[tuple(index)]
+        scope = sorted(given, key=self.rank.__getitem__)
+        if scope != given:
+            table = table.transpose([given.index(place) for place in scope])
+        self.factors.append(table)
+        return tuple(scope)
+
+    def _add_weights(self, place: int, weights: Array) -> Scope:
+        """Add a variable's soft evidence, weights (states,), to the factors; returns its scope.
+
+        The variable is numbered `place`. If it is observed, too, the factor has the weight of its
+        state alone.
+        """
+        state = self.shown.get(place)
+        self.factors.append(weights if state is None else weights[state : state + 1])
+        return (place,)
+
+
+class _Hung(NamedTuple):
+    """A cluster of a rooted tree, by number, its parent, −1 of a root, and their variables.
+
+    scope: The cluster's variables, in ascending rank.
+    shared: Those that the parent has too, which stand last in it.
+    """
+
+    cluster: int
+    parent: int
+    scope: Scope
+    shared: Scope
+
+
+def _steps(
+    clusters: Sequence[_Hung], scopes: Sequence[Scope], entering: Sequence[list[int]]
+) -> list[Step]:
+    """The clusters as steps, children before parents.
+
+    entering: Of each cluster, the numbers of its factors; what its children leave joins them.
+
+    A variable that nothing which enters a cluster has is none of the step's: the product is alike
+    in all its states. A cluster that nothing enters makes no step.
+    """
+    first, steps = len(scopes), list[Step]()
+    over = [[scopes[number] for number in numbers] for numbers in entering]
+    for cluster, parent, scope, shared in reversed(clusters):
+        own, count = over[cluster], len(scope)
+        if not own:
+            continue
+        if count not in map(len, own):
+            known = set().union(*own)
+            if len(known) < count:
+                scope = tuple([place for place in scope if place in known])
+                shared = tuple([place for place in shared if place in known])
+        if parent >= 0:
+            entering[parent].append(first + len(steps))
+            over[parent].append(shared)
+        steps.append(Step(tuple(entering[cluster]), tuple(own), scope, shared))
+    return steps
+
+
+def _marginals(
+    question: _Question, calibrated: Calibrated[Array], algebra: TableAlgebra
+) -> dict[Discrete, Array]:
+    """The marginals of the hidden variables, (states,) each, by the variables.
+
+    Each is summed from the smallest table, of a cluster or of shared variables, that has the
+    variable.
+    """
+    count = len(question.sizes)
+    homes: list[tuple[Scope, Array]] = [((), NOTHING)] * count
+    least = [math.inf] * count
+    for step, joint, outside in calibrated.back():
+        for scope, table in ((step.left, outside), (step.scope, joint)):
+            if table is not None:
+                size = table.size
+                for place in scope:
+                    if size < least[place]:
+                        least[place], homes[place] = size, (scope, table)
+    hidden = [place for place in range(count) if place not in question.shown]
+    if not hidden:
+        return {}
+    sums = []
+    for place in hidden:
+        scope, table = homes[place]
+        sums.append(algebra.total(table, scope, (place,)))
+    widths = [question.sizes[place] for place in hidden]
+    ends = list(accumulate(widths, initial=0))
+    flat = np.concatenate(sums)
+    # They sum to one but for rounding, which grows with the depth of a tree.
+    flat /= np.add.reduceat(flat, ends[:-1]).repeat(widths)
+    flat.flags.writeable = False
+    variables = [question.variables[place] for place in hidden]
+    return {v: flat[start:stop] for v, (start, stop) in zip(variables, pairwise(ends), strict=True)}
+
+
+UNSEEN = -2
+ALL = slice(None)
+NOTHING = np.empty(0)

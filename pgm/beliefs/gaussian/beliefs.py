@@ -1,0 +1,277 @@
+"""Beliefs of the clusters of a Gaussian network: means and covariances in a frame's coordinates.
+
+The components of all hidden variables make one vector x, (size,). A *frame* has coordinates ξ of
+it, x = mean + scale ξ (`Frame`). The *place* of a component is its index in x; its *column* is its
+index in the scope of a cluster.
+
+V is the number of covariances that are kept, and N the number of columns of means that go with each
+of them: V = 1 and N = runs where all runs share their covariances, else V = runs and N = 1. The
+means of all clusters stand one after another along one axis, and so do the entries of their
+covariances, row by row; an index along such an axis is a *flat index*.
+
+A *group* is made of copies of one CPD in which the same variables have evidence. A *stack* is a
+batch of B factors, or of B clusters, of equal shape. A factor exp(−½ ‖A ξ − r‖²) over n components
+is kept as k *rows*: its matrix A (k, n) and its right sides r (k, N).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.beliefs.gaussian.layout import Layout
+from pgm.beliefs.gaussian.model import Model
+from pgm.beliefs.gaussian.prior import Frame
+from pgm.beliefs.gaussian.rounds import Stack
+from pgm.kernels.arrays import Array, Integers, Mask
+
+
+def by_run(array: Array, *, shared: bool) -> Array:
+    """Vectors (..., runs, d) as (V, ..., d, N).
+
+    V is 1 and N the number of runs if `shared`, else V is the number of runs and N is 1.
+    """
+    if shared:
+        return np.moveaxis(array, -2, -1)[None]
+    return np.moveaxis(array, -2, 0)[..., None]
+
+
+def runs_first(array: Array) -> Array:
+    """An array (V, ..., N) as (runs, ...): of N runs if V is 1, else of V runs."""
+    if array.shape[0] == 1:
+        return np.moveaxis(array[0], -1, 0)
+    return array[..., 0]
+
+
+@dataclass(frozen=True, eq=False)
+class Places:
+    """Where the clusters' moments stand along the flat axes of `Beliefs`.
+
+    The means of cluster k begin at starts[k], in the order of its columns; its covariance, row by
+    row, at block_starts[k].
+    """
+
+    layout: Layout
+
+    @cached_property
+    def sizes(self) -> list[int]:
+        """The number of components of each cluster."""
+        return [len(columns) for columns in self.layout.columns]
+
+    @cached_property
+    def starts(self) -> Integers:
+        """The flat index where each cluster's means begin, then where all end, (clusters + 1,)."""
+        return np.cumsum([0, *self.sizes])
+
+    @cached_property
+    def block_starts(self) -> Integers:
+        """The flat index where each covariance begins, then where all end, (clusters + 1,)."""
+        return np.cumsum([0, *(size * size for size in self.sizes)])
+
+    def means(self, clusters: Integers, columns: Integers) -> Integers:
+        """Flat indices (B, n) of means: row b has those at columns[b], (n,), in clusters[b]."""
+        return self.starts[clusters][:, None] + columns
+
+    def covs(self, clusters: Integers, columns: Integers) -> Integers:
+        """Flat indices (B, n, n) of covariances: those of columns[b], (n,), in clusters[b]."""
+        size = np.array(self.sizes, dtype=np.intp)[clusters][:, None, None]
+        start = self.block_starts[clusters][:, None, None]
+        return start + columns[:, :, None] * size + columns[:, None, :]
+
+    def of(self, clusters: Integers, components: Integers) -> tuple[Integers, Integers]:
+        """Flat indices of means (B, n) and covariances (B, n, n) of components in clusters (B,).
+
+        `components` (B, n) are their places; row b is of components that cluster
+        clusters[b] holds.
+        """
+        at = clusters, self.layout.columns_of(clusters, components)
+        return self.means(*at), self.covs(*at)
+
+    @cached_property
+    def homes(self) -> tuple[Integers, Integers]:
+        """The smallest cluster that holds each component, and the component's column in it.
+
+        Both are (size,), by place. The smallest cluster is the one of fewest components, and of
+        equals the first.
+        """
+        cluster, column = np.empty((2, self.layout.size), dtype=np.intp)
+        # Of clusters of one size the first is written last, and stays.
+        for k in reversed(np.argsort(self.sizes, kind="stable").tolist()):
+            places = list(self.layout.columns[k])
+            cluster[places], column[places] = k, np.arange(len(places))
+        return cluster, column
+
+    @cached_property
+    def families(self) -> list[tuple[Integers, Integers]]:
+        """For each group of CPDs a pair: flat indices of the moments of the CPDs' hidden parents.
+
+        Those of means are (CPDs, n), those of covariances (CPDs, n, n), for n components of the
+        parents; the moments are those of the cluster that each CPD is assigned to.
+        """
+        return [self.of(group.clusters, group.parents) for group in self.layout.groups]
+
+
+@dataclass(frozen=True, eq=False)
+class Beliefs:
+    """Moments of all clusters in a frame: means (V, components, N), covariances (V, entries).
+
+    `places` tells where each cluster's moments stand.
+    """
+
+    places: Places
+    frame: Frame
+    mean: Array
+    cov: Array
+
+    @classmethod
+    def empty(cls, places: Places, frame: Frame, stacked: int, sides: int) -> Beliefs:
+        """Beliefs whose arrays are not initialised, for V = `stacked` and N = `sides`."""
+        return cls(
+            places,
+            frame,
+            np.empty((stacked, int(places.starts[-1]), sides)),
+            np.empty((stacked, int(places.block_starts[-1]))),
+        )
+
+    def put(self, stack: Stack, mean: Array, cov: Array) -> None:
+        """Store means (V, B, n, N) and covariances (V, B, n, n) of the B clusters of a stack.
+
+        Entry b is of the cluster ``stack.clusters[b]``, whose n components are in the order of the
+        columns ``stack.columns[b]``.
+        """
+        at = stack.clusters, stack.columns
+        self.mean[:, self.places.means(*at)] = mean
+        self.cov[:, self.places.covs(*at)] = cov
+
+    def moments(self, where: Integers, entries: Integers, places: Integers) -> tuple[Array, Array]:
+        """Means (runs, ..., n) and covariances (V, ..., n, n) of components, in the user's units.
+
+        `where` (..., n) and `entries` (..., n, n) are the flat indices of these means and
+        covariances, as `Places.of` finds them; `places` (..., n) are the places of the components.
+        """
+        scale = self.frame.scale[places]
+        mean = self.frame.mean[:, places] + scale * runs_first(self.mean[:, where])
+        return mean, self.cov[:, entries] * (scale[..., :, None] * scale[..., None, :])
+
+    def components(self) -> tuple[Array, Array]:
+        """Means (runs, size) and standard deviations (V, size) of all hidden components.
+
+        They are in the user's units.
+        """
+        cluster, column = self.places.homes
+        where = self.places.starts[cluster] + column
+        size = np.array(self.places.sizes, dtype=np.intp)[cluster]
+        entries = self.places.block_starts[cluster] + column * (size + 1)
+        everything = np.arange(cluster.size)
+        scale = self.frame.scale
+        mean = self.frame.mean[:, everything] + scale * runs_first(self.mean[:, where])
+        return mean, scale * np.sqrt(np.maximum(self.cov[:, entries], 0.0))
+
+
+class TreePoint(NamedTuple):
+    """Beliefs as a point of linearisation, in the user's units.
+
+    `mean` (1, runs, size) and `std` (1, V, size) are the means and standard deviations of all
+    hidden components in `beliefs`. Their first axis is that of time steps, of which a network
+    without time has one.
+    """
+
+    mean: Array
+    std: Array
+    beliefs: Beliefs
+
+
+@dataclass(frozen=True, eq=False)
+class Calibrated:
+    """The result of sending all messages: the clusters' beliefs and ln p(evidence), (V, N).
+
+    `digits` (runs,) are the correct decimal digits of each run: k if rounding moves no mean by more
+    than about 10⁻ᵏ of its standard deviation, and ln p(evidence) by no more than about 10⁻ᵏ. It is
+    None for a solution in float64, whose digits are counted elsewhere.
+    """
+
+    beliefs: Beliefs
+    log_evidence: Array
+    digits: Array | None = None
+
+    @property
+    def means(self) -> Array:
+        """The means of all hidden components in the user's units, (1, runs, size).
+
+        The first axis is that of time steps, of which a network without time has one.
+        """
+        return self.point.mean
+
+    @cached_property
+    def point(self) -> TreePoint:
+        """The beliefs with their means and standard deviations, to linearise nonlinear CPDs at."""
+        mean, std = self.beliefs.components()
+        return TreePoint(mean[None], std[None], self.beliefs)
+
+
+def relinearise(beliefs: Beliefs, model: Model, active: Mask) -> None:
+    """Linearise every nonlinear CPD of a model anew, in place, at the belief of its hidden parents.
+
+    This is the belief of the cluster that the CPD is assigned to. The mask `active` (runs,) marks
+    the runs in which the CPDs are linearised; in the others they stay as they are.
+    """
+
+    def moments(g: int) -> tuple[Array, Array]:
+        """The moments in `beliefs` of the hidden parents of group g's CPDs, in the user's units.
+
+        Means are (CPDs, runs, n) and covariances (CPDs, V, n, n), for n components of the parents.
+        """
+        where, entries = beliefs.places.families[g]
+        mean, cov = beliefs.moments(where, entries, model.layout.groups[g].parents)
+        return mean.swapaxes(0, 1), cov.swapaxes(0, 1)
+
+    at = [None if family.exact else moments(g) for g, family in enumerate(model.families)]
+    model.relinearise(beliefs.components()[0], at, active)
+
+
+class Flat(NamedTuple):
+    """The rows of many factors end to end: `matrix` (V, entries) and `right` (V, rows, N).
+
+    `matrix` has the entries of all matrices A, row by row, and `right` their right sides r.
+    """
+
+    matrix: Array
+    right: Array
+
+    @classmethod
+    def of(cls, matrices: list[Array], rights: list[Array]) -> Flat:
+        """Join matrices (V, B, k, n) and right sides (V, B, k, N) of several stacks end to end.
+
+        A stack has B factors of k rows each, over n components.
+        """
+        return cls(
+            np.concatenate([part.reshape(part.shape[0], -1) for part in matrices], axis=1),
+            np.concatenate(
+                [part.reshape(part.shape[0], -1, part.shape[-1]) for part in rights], axis=1
+            ),
+        )
+
+    def at(self, entries: Integers, rows: Integers) -> tuple[Array, Array]:
+        """Gather the matrices and the right sides of B factors, by their flat indices.
+
+        The matrices, at `entries` (B, k, n), are (V, B, k, n); the right sides, at `rows` (B, k),
+        are (V, B, k, N).
+        """
+        return self.matrix[:, entries], self.right[:, rows]
+
+    def put(
+        self,
+        entries: Integers | slice,
+        rows: Integers | slice,
+        matrix: Array | float = 0.0,
+        right: Array | float = 0.0,
+    ) -> None:
+        """Store `matrix` at the flat indices `entries`, and `right` at the flat indices `rows`.
+
+        For indices (...) `matrix` is (V, ...) and `right` (V, ..., N). Where one of them is left
+        out, zeros are stored.
+        """
+        self.matrix[:, entries], self.right[:, rows] = matrix, right

@@ -1,0 +1,223 @@
+"""The hidden components of a network, where each of them stands, and the CPDs in groups.
+
+The components of all hidden variables make one vector, (size,), and the *place* of a component is
+its index there; its *column* is its index in the scope of a cluster. A *group* is made of copies of
+one CPD, as at the steps of an unrolled chain, that have evidence for the same of their variables.
+The *factor* of a CPD is exp(−½ ‖A x − r‖²): the matrix A has a row for each component of the child,
+and a column for each hidden component x of child and parents.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import groupby
+
+import numpy as np
+
+from pgm.clustergraph import ClusterGraph
+from pgm.cpds import CPD, ConditionalGaussian
+from pgm.factors.scope import Scope, dimension
+from pgm.kernels.arrays import Integers
+from pgm.networks import BayesianNetwork
+from pgm.schedules.loopy import Directed
+from pgm.variables import Variable
+
+
+def known_parents(cpd: CPD, inputs: Collection[Variable]) -> list[Variable]:
+    """The parents of a CPD that must have evidence: inputs, and those that its noise depends on.
+
+    `inputs` are the inputs of the network.
+    """
+    return [v for v in cpd.parents if v in inputs or v in cpd.noise_given]
+
+
+def barren(network: BayesianNetwork, evidence: Collection[Variable]) -> frozenset[Variable]:
+    """The variables to leave out of inference, because a CPD lacks evidence that it needs.
+
+    A CPD needs evidence of those parents that are inputs, or that its noise depends on. If such a
+    parent has none, the CPD's child is left out, unless it is observed; the parent is left out too
+    if it is an input. But a variable stays if any variable that is not left out, observed or
+    not, depends on it. `evidence` are the variables with evidence.
+    """
+    inputs = set(network.inputs)
+    used = {v for cpd in network.cpds if cpd.child in evidence for v in cpd.parents}
+    absent: set[Variable] = set()
+    for cpd in reversed(network.cpds):
+        missing = [v for v in known_parents(cpd, inputs) if v not in evidence]
+        if missing and cpd.child not in evidence and cpd.child not in used:
+            absent.add(cpd.child)
+            absent.update(v for v in missing if v in inputs)
+        else:
+            used.update(cpd.parents)
+    return frozenset(absent - used)
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Copies of one CPD in which the same parents are hidden; they are linearised together.
+
+    Each copy is a row of the arrays. `cpds` are the copies, `hidden` the hidden parents of the
+    first copy; `observed` says whether the children have evidence. `child` (rows, d) has the places
+    of the d components of each copy's child, and is (rows, 0) if the children are observed.
+    `parents` (rows, n) has the places of the n components of each copy's hidden parents, `clusters`
+    (rows,) the number of the cluster that each copy is assigned to.
+    """
+
+    cpds: tuple[ConditionalGaussian, ...]
+    hidden: Scope
+    observed: bool
+    child: Integers
+    parents: Integers
+    clusters: Integers
+
+    @property
+    def height(self) -> int:
+        """The number of rows of the matrix A of each CPD: the components of its child."""
+        return self.cpds[0].child.dimension
+
+    @property
+    def width(self) -> int:
+        """The number of columns of the matrix A of each CPD.
+
+        They are the components of its hidden parents, and of its child if that is hidden.
+        """
+        return int(self.child.shape[1] + self.parents.shape[1])
+
+    def shape(self) -> tuple[bool, int, int]:
+        """The triple `observed`, `height` and `width`, equal for groups whose factors stack."""
+        return self.observed, self.height, self.width
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """The layout of a cluster graph's hidden components: their places, columns, and CPD groups.
+
+    Variables that are `observed`, and those that are `absent` because `barren` leaves them out,
+    have no places. A layout is made once for each set of observed variables, and kept with the
+    graph.
+    """
+
+    graph: ClusterGraph
+    observed: frozenset[Variable]
+    absent: frozenset[Variable]
+
+    @cached_property
+    def hidden(self) -> Scope:
+        """The variables neither observed nor absent, parents before children."""
+        return self.without_evidence(self.graph.network.variables)
+
+    @cached_property
+    def places(self) -> dict[Variable, Integers]:
+        """For each hidden variable the places of its components, (d,)."""
+        starts = np.cumsum([0, *(v.dimension for v in self.hidden)])
+        return {v: np.arange(a, a + v.dimension) for v, a in zip(self.hidden, starts, strict=False)}
+
+    @cached_property
+    def size(self) -> int:
+        """Number of hidden components."""
+        return dimension(self.hidden)
+
+    def components(self, scope: Scope) -> Integers:
+        """The places of some hidden variables' components, one after another, (n,)."""
+        if not scope:
+            return np.zeros(0, dtype=np.intp)
+        return np.concatenate([self.places[v] for v in scope])
+
+    def without_evidence(self, scope: Scope) -> Scope:
+        """The hidden variables of a scope, in its order."""
+        return tuple(v for v in scope if v not in self.observed and v not in self.absent)
+
+    @cached_property
+    def scopes(self) -> list[Scope]:
+        """The hidden variables of each cluster."""
+        return [self.without_evidence(cluster.scope) for cluster in self.graph.clusters]
+
+    @cached_property
+    def columns(self) -> list[dict[int, int]]:
+        """For each cluster a map from the place of each component that it holds to its column."""
+        return [
+            {int(place): k for k, place in enumerate(self.components(scope))}
+            for scope in self.scopes
+        ]
+
+    def columns_of(self, clusters: Integers, places: Integers) -> Integers:
+        """Columns (B, n) of components in the scopes of clusters (B,), by their `places` (B, n)."""
+        pairs = zip(clusters.tolist(), places.tolist(), strict=True)
+        found = [[self.columns[cluster][place] for place in row] for cluster, row in pairs]
+        return np.array(found, dtype=np.intp).reshape(places.shape)
+
+    @cached_property
+    def directed(self) -> Directed:
+        """The numbered messages of the graph, two for each sepset."""
+        return Directed.of(self.graph)
+
+    @cached_property
+    def sepsets(self) -> list[Scope]:
+        """The hidden variables of each edge's sepset."""
+        return [self.without_evidence(scope) for scope in self.graph.sepsets.values()]
+
+    @property
+    def _cpds(self) -> Iterator[ConditionalGaussian]:
+        """The CPDs of the network, save those of `absent` variables."""
+        for cpd in self.graph.network.cpds:
+            assert isinstance(cpd, ConditionalGaussian)
+            if cpd.child not in self.absent:
+                yield cpd
+
+    @cached_property
+    def groups(self) -> list[Group]:
+        """The groups of CPDs, sorted by the shape of their factors."""
+        home = {cpd.child: cluster.index for cluster in self.graph.clusters for cpd in cluster.cpds}
+        alike: dict[tuple[CPD, tuple[bool, ...], bool], list[ConditionalGaussian]] = {}
+        for cpd in self._cpds:
+            mask = tuple(v in self.observed for v in cpd.given)
+            alike.setdefault((cpd.origin, mask, cpd.child in self.observed), []).append(cpd)
+        groups = []
+        for (_, _, observed), cpds in alike.items():
+            hidden = [self.without_evidence(cpd.given) for cpd in cpds]
+            none = np.zeros((len(cpds), 0), dtype=np.intp)
+            group = Group(
+                tuple(cpds),
+                hidden[0],
+                observed,
+                none if observed else np.array([self.places[cpd.child] for cpd in cpds]),
+                np.array([self.components(scope) for scope in hidden]),
+                np.array([home[cpd.child] for cpd in cpds], dtype=np.intp),
+            )
+            groups.append(group)
+        return sorted(groups, key=Group.shape)
+
+    @cached_property
+    def shapes(self) -> list[list[int]]:
+        """The indices of all groups, in lists of groups whose factors have the same shape."""
+        every = groupby(enumerate(self.groups), lambda item: item[1].shape())
+        return [[k for k, _ in alike] for _, alike in every]
+
+    @cached_property
+    def order(self) -> list[tuple[int, int]]:
+        """All CPDs, parents before children: pairs of a group's number and a copy's row in it.
+
+        They are in the order of a depth-first search from the observed and the childless variables:
+        a parent comes just before the child that needs it first, so that few components are needed
+        at once.
+        """
+        where = {
+            cpd.child: (g, row)
+            for g, group in enumerate(self.groups)
+            for row, cpd in enumerate(group.cpds)
+        }
+        parents = {
+            cpd.child: [v for v in cpd.given if v not in self.observed] for cpd in self._cpds
+        }
+        needed = {v for found in parents.values() for v in found}
+        stack = [v for v in reversed(parents) if v in self.observed or v not in needed]
+        done: dict[Variable, None] = {}
+        while stack:
+            waiting = [v for v in parents[stack[-1]] if v not in done]
+            if waiting:
+                stack.extend(reversed(waiting))
+            else:
+                done[stack.pop()] = None
+        return [where[child] for child in done]

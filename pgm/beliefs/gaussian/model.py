@@ -1,0 +1,241 @@
+"""A Gaussian network with its evidence, whose CPDs can be linearised again at each new belief.
+
+A *group* is made of copies of one CPD, whose linearisations are the rows of a `Family`. A *place*
+is the index of a component in the vector of all hidden components, (size,). A *frame* has the means
+of all hidden components, and their standard deviations as units. In the shapes of a group's arrays
+n counts the components of a CPD's hidden parents, d those of its child, and an axis `runs or 1` has
+length 1 where all runs share the values. `bound` is the evidence by variable: values (runs or 1,
+d), and masks of the components that were measured.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.beliefs.gaussian.layout import Group, Layout
+from pgm.beliefs.gaussian.prior import Frame, Predictive, prior_predictive
+from pgm.evidence.static import BoundValues
+from pgm.kernels.angles import nearest_branch
+from pgm.kernels.arrays import Array, Mask, components_first, components_last, deviation
+from pgm.kernels.gaussian import lengths
+from pgm.linearisation.family import Family
+from pgm.linearisers import Lineariser
+from pgm.tracing import Judge
+from pgm.variables import Variable
+
+Kind = TypeVar("Kind", np.float64, np.bool_)
+
+
+class LinearisedAt(NamedTuple):
+    """Moments of the hidden parents of a group's CPDs where these were linearised.
+
+    Attributes
+    ----------
+    mean, std : ndarray
+        Means and standard deviations, (CPDs, runs, n).
+    lengths : ndarray
+        The lengths over which a function may vary, of the same shape, by which `Taylor` takes
+        differences: deviations, or less where components tell much of one another.
+    """
+
+    mean: Array
+    std: Array
+    lengths: Array
+
+    @classmethod
+    def prior(cls, frame: Frame, group: Group) -> LinearisedAt:
+        """The frame's means of a group's hidden parents, with its units as standard deviations."""
+        std = np.broadcast_to(frame.scale, frame.mean.shape)[:, group.parents].swapaxes(0, 1)
+        return cls(frame.mean[:, group.parents].swapaxes(0, 1), std, std)
+
+    @classmethod
+    def belief(cls, mean: Array, cov: Array) -> LinearisedAt:
+        """The moments of the beliefs in the hidden parents of each CPD, as points of linearisation.
+
+        `mean` (CPDs, runs, n) and `cov` (CPDs, runs, n, n) are the beliefs' moments.
+        """
+        own = components_last(lengths(components_first(cov, 2)), 1)
+        return cls(mean, deviation(cov), own)
+
+
+@dataclass(eq=False)
+class Model:
+    """The CPDs of a network, linearised, and the evidence of its observed children.
+
+    `lead` are the lengths of the user's axes of runs. The lists have an entry for each group:
+    `families` the linearised CPDs; `readings` the measured values of the children, (CPDs, runs or
+    1, d), None if the children are hidden; `moved` the same values, (CPDs, runs, d), with angles
+    moved by whole turns to within π of the CPD's value where it was linearised, None as `readings`;
+    `taken` a mask of the measured components, (CPDs, runs or 1, d), None if all were measured or
+    the children are hidden; `points` the moments of hidden parents where CPDs were linearised last.
+    `shared` says whether all runs have the same matrices, covariances and components measured.
+    `frame` are the coordinates in which factors are kept. `first` is True until `relinearise` is
+    called: until then `points` are the prior's moments or the user's start, maybe far from the
+    posterior.
+    """
+
+    layout: Layout
+    lead: tuple[int, ...]
+    families: list[Family]
+    readings: list[Array | None]
+    moved: list[Array | None]
+    taken: list[Mask | None]
+    shared: bool
+    frame: Frame
+    points: list[LinearisedAt]
+    first: bool = True
+
+    @classmethod
+    def make(
+        cls,
+        layout: Layout,
+        bound: BoundValues,
+        lineariser: Lineariser,
+        start: Array | None,
+        predictive: Predictive = prior_predictive,
+        *,
+        judge: Judge | None = None,
+    ) -> Model:
+        """The model with its evidence, linearised at the prior predictive moments or at a start.
+
+        `start` has the means of all hidden components, (runs, size). If it is None, the function
+        `predictive` finds the prior's moments, and linearises the CPDs on the way. A nonlinear
+        function may be traced, that is, recorded as operations, to find its slopes. What a trace
+        gives is compared with the function itself: by the `judge`, when the user's whole call is
+        done; if it is None, at once. A flat prior, of infinite variance, is a ModelError.
+        """
+        for group in layout.groups:
+            for cpd in group.cpds:
+                cpd.require_proper("only chains, of pgm.DynamicBayesianNetwork, take flat priors")
+        families = [_family(group, bound, lineariser) for group in layout.groups]
+        readings = [
+            _stacked([cpd.child for cpd in group.cpds], bound.values) if group.observed else None
+            for group in layout.groups
+        ]
+        taken = [_taken(group, bound) for group in layout.groups]
+        for family in families:
+            family.probe({})
+            family.trace({}, judge)
+        alike = all(mask is None or mask.shape[1] == 1 for mask in taken)
+        shared = alike and all(
+            family.exact and family.own_noise.shape[1] == 1 for family in families
+        )
+        if start is not None:
+            for group, family in zip(layout.groups, families, strict=True):
+                at = start[:, group.parents].swapaxes(0, 1)
+                family.linearise(slice(None), at, np.zeros((*at.shape, at.shape[-1])))
+        find = prior_predictive if start is not None else predictive
+        frame = find(layout, families, bound.runs, shared=shared, start=start)
+        points = [LinearisedAt.prior(frame, group) for group in layout.groups]
+        moved = [
+            None if rows is None else np.broadcast_to(rows, (len(rows), bound.runs, rows.shape[2]))
+            for rows in readings
+        ]
+        model = cls(layout, bound.lead, families, readings, moved, taken, shared, frame, points)
+        model._follow(frame.mean, np.ones(bound.runs, dtype=bool))
+        return model
+
+    @property
+    def runs(self) -> int:
+        """How many runs the evidence is of: 1 if the user gave no axes of runs."""
+        return math.prod(self.lead)
+
+    @property
+    def exact(self) -> bool:
+        """Whether every CPD is affine."""
+        return all(family.exact for family in self.families)
+
+    @property
+    def taylor(self) -> bool:
+        """Whether every CPD is affine or expanded to first order at a point."""
+        return all(family.taylor for family in self.families)
+
+    def relinearise(
+        self,
+        mean: Array,
+        parents: Sequence[tuple[Array, Array] | None],
+        active: Mask,
+    ) -> None:
+        """Linearise every nonlinear CPD at a belief, in the runs that `active` (runs,) marks.
+
+        `parents` are the means (CPDs, runs, n) and covariances (CPDs, runs, n, n) of the hidden
+        parents, for each group; None for affine CPDs. `mean` (runs, size) are the means of all
+        components: readings of angles are moved by whole turns, to be nearest the CPDs' values
+        there.
+        """
+        for g, (family, at) in enumerate(zip(self.families, parents, strict=True)):
+            if at is not None:
+                family.linearise(slice(None), *at, active)
+                pairs = zip(LinearisedAt.belief(*at), self.points[g], strict=True)
+                self.points[g] = LinearisedAt(
+                    *(np.where(active[:, None], new, before) for new, before in pairs)
+                )
+        self._follow(mean, active)
+        self.first = False
+
+    def _follow(self, mean: Array, active: Mask) -> None:
+        """Move angles by whole turns to the branch nearest the means (runs, size), in active runs.
+
+        `active` (runs,) marks these runs. Readings of an observed child move to within π of its
+        CPD's value at these means. If the child is hidden, the offset of its linearised CPD moves,
+        so that this value is within π of the child's mean.
+        """
+        groups = zip(self.layout.groups, self.families, self.readings, self.moved, strict=True)
+        for k, (group, family, reading, kept) in enumerate(groups):
+            angles = group.cpds[0].child.angle_mask
+            if not angles.any():
+                continue
+            at = mean[:, group.parents].swapaxes(0, 1)
+            if reading is not None and kept is not None:
+                new = nearest_branch(reading, family.value(slice(None), at), angles)
+                self.moved[k] = np.where(active[:, None], new, kept)
+            elif not family.exact:
+                before = family.offset.copy()
+                family.to_chart(at, mean[:, group.child].swapaxes(0, 1))
+                family.offset[:, ~active] = before[:, ~active]
+
+
+def _family(group: Group, bound: BoundValues, lineariser: Lineariser) -> Family:
+    """The CPDs of a group as one family, a row each, with the observed parents' values in `bound`.
+
+    Nonlinear CPDs are not linearised yet.
+    """
+    first = group.cpds[0]
+    inputs = {
+        first.parents[k]: _stacked([cpd.parents[k] for cpd in group.cpds], bound.values)
+        for k, parent in enumerate(first.parents)
+        if parent in bound.values
+    }
+    step = np.array([cpd.child.step or 0 for cpd in group.cpds], dtype=np.intp)
+    timed = first.child.step is not None
+    return Family.make(first, group.hidden, step, inputs, lineariser, bound.lead, timed=timed)
+
+
+def _taken(group: Group, bound: BoundValues) -> Mask | None:
+    """The mask of the measured components of a group's children, (CPDs, runs or 1, d).
+
+    The result is None if all components of all children were measured.
+    """
+    children = [cpd.child for cpd in group.cpds]
+    if bound.taken.keys().isdisjoint(children):
+        return None
+    every = np.ones((1, group.height), dtype=bool)
+    return _stacked(children, {v: bound.taken.get(v, every) for v in children})
+
+
+def _stacked(
+    variables: Sequence[Variable], rows: Mapping[Variable, npt.NDArray[Kind]]
+) -> npt.NDArray[Kind]:
+    """The values of some variables of d components each, stacked, (variables, runs or 1, d).
+
+    `rows` maps each of the variables to its values, (runs or 1, d).
+    """
+    values = [rows[v] for v in variables]
+    runs = max(value.shape[0] for value in values)
+    return np.stack([np.broadcast_to(value, (runs, value.shape[1])) for value in values])

@@ -1,0 +1,216 @@
+"""The potentials of clusters as rows: their linearised CPDs, in the units of a frame.
+
+A CPD is y = F p + b + v: y is its child, (d,), p are its hidden parents, and v is Gaussian noise of
+covariance Σ. It is a factor over w hidden components x: those of p, and those of y if y is hidden.
+A *frame* has coordinates ξ for them, x = m + s ξ, of means m and units s; a subscript y or p tells
+the part of s or ξ that is the child's or the parents'. The residual e is y − (F p + b) at the means
+m, or at the measured y. The noise is then
+
+    v = e + s_y ξ_y − F s_p ξ_p,
+
+without the term s_y ξ_y where y is observed. Both sides are divided by a root of Σ, which makes d
+*rows* A ξ − r. The CPD's factor is exp(−½ ‖A ξ − r‖²), times a scale. An *exact* row is one without
+noise: a relation that holds exactly. A *group* is made of copies of one CPD, which are linearised
+together.
+
+V is the number of matrices A that are kept of a CPD, and N the number of right sides r that go with
+each: V = 1 and N = runs where all runs share matrices and noises, else V = runs and N = 1.
+
+A residual is a sum of numbers, whose rounding costs digits. The number `coarse` measures them, for
+the worst row: it is a tenth of the residual's largest summand, in standard deviations of the noise;
+for an exact row, in units of the row's length. It is infinite where rounding may decide whether a
+component has any variance, or a row any noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.beliefs.gaussian.beliefs import Flat, by_run
+from pgm.beliefs.gaussian.model import Model
+from pgm.beliefs.gaussian.refusals import indefinite_noise
+from pgm.kernels import roots, solving
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, apply, independent, transpose
+from pgm.kernels.rows import NEGLIGIBLE, largest_first
+
+# A residual with summands of size s costs as many digits as an entry of this times s.
+COARSE = 1e-1
+
+
+@dataclass(frozen=True, eq=False)
+class Potentials:
+    """The rows of all CPDs, one after another in the order of the groups.
+
+    Rows are kept flat: A (V, entries), with the entries of all matrices, and r (V, rows, N).
+    `proper` has the rows with noise, and zeros in place of the exact rows; `exact` has the exact
+    rows, and zeros in place of the rows with noise. It is None if no row is exact. `log_scale` (V,
+    CPDs, N) are the logarithms of the scales of the CPDs' factors. `coarse` measures the digits
+    that rounding of residuals costs, in the worst row.
+    """
+
+    proper: Flat
+    exact: Flat | None
+    log_scale: Array
+    coarse: float
+
+
+def make_potentials(model: Model) -> Potentials:
+    """Turn the linearised CPDs of a model into rows.
+
+    With Σ = L Lᵀ the rows are L⁻¹ [s_y, −F s_p], and the right sides −L⁻¹ e. Where a pivot of L is
+    zero, that component of the noise is determined by the components before it, and the row is
+    exact. An indefinite Σ is a NumericalError.
+    """
+    if not model.layout.shapes:
+        stacked, sides = (1, model.runs) if model.shared else (model.runs, 1)
+        empty = np.zeros((stacked, 0, sides))
+        return Potentials(Flat(np.zeros((stacked, 0)), empty), None, empty, 0.0)
+    parts = [_factor(model, groups) for groups in model.layout.shapes]
+    return Potentials(
+        Flat.of([part.matrix for part in parts], [part.right for part in parts]),
+        Flat.of([part.exact for part in parts], [part.exact_right for part in parts])
+        if any(part.fixed for part in parts)
+        else None,
+        np.concatenate([part.log_scale for part in parts], axis=1),
+        max(part.coarse for part in parts),
+    )
+
+
+class _Linearised(NamedTuple):
+    """Linearised CPDs of one shape, in the coordinates ξ: v = e + s_y ξ_y − F s_p ξ_p.
+
+    The first axis runs over CPDs. `matrix` is [s_y, −F s_p], (CPDs, V, d, w), without s_y where
+    children are observed. `residual` is e, (CPDs, runs, d), and `size`, of the same shape, bounds
+    the numbers that e is a sum of. `noise` is Σ, (CPDs, V, d, d). `known` (CPDs, w) marks the
+    columns of parents without variance in the prior. `missing` (CPDs, V) counts the components of
+    an observed child that were not measured: their rows are zero, and their noise is independent,
+    of variance one. `doubtful` (CPDs,) marks a hidden child with a component that has no variance
+    in the prior although it depends on a parent with variance: it is open whether the terms of F p
+    cancel exactly, or by rounding.
+    """
+
+    matrix: Array
+    residual: Array
+    noise: Array
+    known: Mask
+    size: Array
+    missing: Integers
+    doubtful: Mask
+
+    @classmethod
+    def of(cls, model: Model, g: int) -> _Linearised:
+        """The CPDs of group g, in the coordinates of the model's frame.
+
+        Where the child y is observed, e is taken at the measured y.
+        """
+        frame, runs = model.frame, 1 if model.shared else model.runs
+        group, family, reading = model.layout.groups[g], model.families[g], model.moved[g]
+        at = frame.mean[:, group.parents].swapaxes(0, 1)
+        value = family.value(slice(None), at)
+        child = frame.mean[:, group.child].swapaxes(0, 1) if reading is None else reading
+        certain, doubtful = frame.certain[group.parents], np.zeros(len(group.cpds), dtype=bool)
+        matrix = family.matrix[:, :runs] * -frame.scale[group.parents][:, None, None, :]
+        if reading is None:
+            varying = (family.matrix[:, :runs] != 0.0) & ~certain[:, None, None]
+            fixed = frame.certain[group.child][:, None, :, None]
+            doubtful = (varying & fixed).any(axis=(1, 2, 3))
+            diagonal = frame.scale[group.child][:, None, :, None] * np.eye(group.height)
+            wide = np.broadcast_to(diagonal, (*matrix.shape[:3], group.height))
+            matrix = np.concatenate([wide, matrix], axis=-1)
+        terms = apply(np.abs(family.matrix), np.abs(at)) + np.abs(family.offset)
+        size, noise = np.maximum(terms, np.abs(child)), family.noise[:, :runs]
+        residual, missing = child - value, np.zeros((len(group.cpds), runs), dtype=np.intp)
+        taken = model.taken[g]
+        if taken is not None:
+            matrix = np.where(taken[..., None], matrix, 0.0)
+            residual, size = np.where(taken, residual, 0.0), np.where(taken, size, 0.0)
+            noise, missing = independent(noise, taken), missing + (~taken).sum(axis=-1)
+        known = np.pad(certain, [(0, 0), (matrix.shape[-1] - certain.shape[1], 0)])
+        return cls(matrix, residual, noise, known, size, missing, doubtful)
+
+
+@dataclass(frozen=True, eq=False)
+class _Factor:
+    """The rows of CPDs of one shape, (V, CPDs, d, w), with right sides (V, CPDs, d, N).
+
+    `matrix` and `right` have the rows with noise, and zeros in place of the exact rows; `exact` and
+    `exact_right` have the exact rows, and zeros in place of the rows with noise. `fixed` says
+    whether some row is exact. `log_scale` (V, CPDs, N) are the logarithms of the factors' scales.
+    `coarse` measures the digits that rounding of residuals costs, in the worst row.
+    """
+
+    matrix: Array
+    right: Array
+    exact: Array
+    exact_right: Array
+    fixed: bool
+    log_scale: Array
+    coarse: float
+
+
+def _factor(model: Model, groups: list[int]) -> _Factor:
+    """The rows of the CPDs in some groups, given by number, whose CPDs all have one shape.
+
+    The covariance Σ is turned into correlations. Its components are ordered so that each has the
+    largest variance given those before it, and its root is taken in that order. Exact rows are
+    scaled to unit length, so that relations in different units can be compared. An exact row
+    without variables only says whether the evidence agrees with the model: its right side is
+    divided by the size of its summands.
+    """
+    each = zip(*(_Linearised.of(model, g) for g in groups), strict=True)
+    given = _Linearised(*map(np.concatenate, each))
+    matrix, noise = given.matrix.swapaxes(0, 1), given.noise.swapaxes(0, 1)
+    residual, size = (by_run(part, shared=model.shared) for part in (given.residual, given.size))
+    # As correlations, those first that vary most: then no row takes up the rounding of another.
+    variance = np.diagonal(noise, axis1=-2, axis2=-1)
+    deviation = np.sqrt(np.where(variance > 0.0, variance, 1.0))[..., None]
+    correlation = noise / (deviation * transpose(deviation))
+    order = largest_first(correlation)[..., None]
+    correlation = np.take_along_axis(correlation, order, axis=-2)
+    correlation = np.take_along_axis(correlation, order.swapaxes(-1, -2), axis=-1)
+    lower = roots.root(correlation, negligible=NEGLIGIBLE)
+    if not roots.is_proper(lower):
+        bad = np.isnan(lower).any(axis=(0, 2, 3))
+        cpds = [cpd for g in groups for cpd in model.layout.groups[g].cpds]
+        raise indefinite_noise(cpds[int(np.flatnonzero(bad)[0])])
+    own, residual, size = (
+        np.take_along_axis(part / deviation, order, axis=-2) for part in (matrix, residual, size)
+    )
+    matrix = solving.solve_lower(lower, own)
+    right = -solving.solve_lower(lower, residual)
+    fixed = roots.determined(lower)
+    height = lower.shape[-1]
+    dimension = height - fixed.sum(axis=-1) - given.missing.T
+    log_scale = -0.5 * (dimension * LOG_2PI + solving.log_determinant(lower))
+    log_scale = log_scale - np.log(deviation).sum(axis=(-2, -1))
+    log_scale = np.broadcast_to(log_scale[..., None], (*log_scale.shape, right.shape[-1]))
+    if not fixed.any():
+        none = np.zeros_like(matrix), np.zeros_like(right)
+        coarse = COARSE * float(size.max(initial=0.0))
+        return _Factor(matrix, right, *none, False, log_scale, coarse)
+    exact = np.where(given.known[:, None], 0.0, matrix)
+    length = np.sqrt(np.einsum("...ij,...ij->...i", exact, exact))
+    # A row without variables left is evidence that is met or not, in units of its own size.
+    weights = np.abs(solving.solve_lower(lower, np.broadcast_to(np.eye(height), lower.shape)))
+    summands = np.sqrt(np.einsum("...ij,...ij->...i", own, own))
+    nothing = fixed & (length <= roots.NEGLIGIBLE * apply(weights, summands))
+    numbers = weights @ size
+    size = np.maximum(numbers, 1.0)
+    length = np.where(fixed & ~nothing, length, 1.0)
+    share = (fixed & ~nothing)[..., None] / length[..., None]
+    coarse = COARSE * float((numbers / length[..., None]).max(initial=0.0))
+    # A pivot of a noise between what may be rounding and what may not leaves it open.
+    if given.doubtful.any() or (roots.determined(roots.root(correlation)) != fixed).any():
+        coarse = np.inf
+    return _Factor(
+        np.where(fixed[..., None], 0.0, matrix),
+        np.where(fixed[..., None], 0.0, right),
+        exact * share,
+        right * np.where(nothing[..., None], 1.0 / size, share),
+        True,
+        log_scale - np.log(length).sum(axis=-1)[..., None],
+        coarse,
+    )

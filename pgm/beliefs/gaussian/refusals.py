@@ -1,0 +1,36 @@
+"""Errors of Gaussian networks that more than one way of solving them raises."""
+
+from __future__ import annotations
+
+from pgm.beliefs.gaussian.model import Model
+from pgm.cpds import CPD
+from pgm.errors import NumericalError
+from pgm.factors.scope import names
+
+
+def contradiction(model: Model, cluster: int, run: int) -> NumericalError:
+    """The error that measurements contradict CPDs without noise, naming the cluster and the run.
+
+    `cluster` and `run` are their numbers; without axes of runs the run is not named.
+    """
+    scope = model.layout.graph.clusters[cluster].scope
+    which = f", run {run}" if model.lead else ""
+    return NumericalError(
+        f"evidence contradicts an exact model at cluster {cluster}, {names(scope)}{which}: "
+        "CPDs without noise determine a value in two ways that differ; give one of them, or "
+        "the prior, some noise",
+        cluster=cluster,
+    )
+
+
+def indefinite_noise(cpd: CPD) -> NumericalError:
+    """The error that the noise covariance of a linearised CPD is indefinite.
+
+    That covariance is the CPD's own, plus that of the linearisation's error.
+    """
+    return NumericalError(
+        f"the noise of {cpd!r} plus the lineariser's approximation error is indefinite; use a "
+        "rule with positive weights, or more samples",
+        variable=cpd.child,
+        cpd=cpd,
+    )

@@ -1,0 +1,174 @@
+"""What filters and smoothers on a grid keep: the states' beliefs and the log-evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.beliefs.grid.associations import associations
+from pgm.beliefs.grid.belief import GridBelief, scope_axes
+from pgm.beliefs.grid.figures import GridFigures
+from pgm.beliefs.grid.lattice import Lattice
+from pgm.beliefs.grid.settings import GridSettings
+from pgm.compile import DynamicGraph
+from pgm.display import Summary
+from pgm.errors import EvidenceError
+from pgm.evidence import BoundEvidence, Reading
+from pgm.factors.scope import Scope, as_scope, listed
+from pgm.kernels.arrays import Array
+from pgm.posteriors.associations import Found
+from pgm.posteriors.belief_kind import FILTERED, Kind
+from pgm.posteriors.hidden import require_step
+from pgm.posteriors.outcome import Outcome
+from pgm.posteriors.posterior import require_variable
+from pgm.posteriors.status import Status
+from pgm.posteriors.summaries import over_time
+from pgm.variables import Variable
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class GridOutcome(Outcome[GridBelief]):
+    """The beliefs of a dynamic network's states on a grid.
+
+    Attributes
+    ----------
+    graph : DynamicGraph
+        The compiled network.
+    grid : GridSettings
+        The grid at the resolution that was used: the finest, if the user's grid was refined.
+    kind : Kind
+        Filtered, fixed-lag or smoothed.
+    log_evidence : ndarray
+        (*runs): ln p(measurements), of the point masses; the probability that has left the bounds
+        is missing.
+    status : Status
+        The figures by which to judge the posterior: losses at the bounds, cells too wide.
+    filtered : GridOutcome
+        The posterior with the beliefs of the forward sweep; of a filter, the posterior itself.
+    """
+
+    graph: DynamicGraph
+    grid: GridSettings
+    kind: Kind
+    log_evidence: Array
+    status: Status
+    _lattice: Lattice
+    _bound: BoundEvidence
+    _values: npt.NDArray[Any]
+    _filtered: npt.NDArray[Any] | None = None
+
+    def __post_init__(self) -> None:
+        self.log_evidence.flags.writeable = False
+
+    beliefs: ClassVar[str] = "beliefs on a grid"
+    called: ClassVar[str] = "grid"
+    silent: ClassVar[str] = (
+        "a grid sends probabilities of cells from slice to slice, and keeps no messages"
+    )
+
+    @property
+    def readings(self) -> Sequence[Reading]:
+        """The measurements, sensor by sensor."""
+        return self._bound.readings
+
+    def __getitem__(self, variable: Variable) -> GridBelief:
+        """The marginal of a state, at all steps or at one."""
+        return self.joint(require_variable(variable))
+
+    @property
+    def figures(self) -> GridFigures:
+        """The figures by which to judge the posterior: losses at the bounds, cells too wide."""
+        found = self.status._figures
+        assert isinstance(found, GridFigures)
+        return found
+
+    @property
+    def _hidden(self) -> Scope:
+        return self._lattice.states
+
+    @property
+    def log_evidence_kind(self) -> str:
+        """The kind of the log-evidence, ``grid``: it is neither exact nor linearised."""
+        return "grid"
+
+    @cached_property
+    def associations(self) -> Found:
+        """By sensor, the `Associations` of its measurements of a parent given as `unknown`.
+
+        They have for each such measurement the probability of each candidate, that it is spurious,
+        and that it is of a new thing.
+        """
+        values = self._values.reshape(-1, *self._values.shape[self.log_evidence.ndim :])
+        return associations(self._lattice, self._bound, values)
+
+    @property
+    def filtered(self) -> GridOutcome:
+        """The posterior with the filtered beliefs; of a filter, the posterior itself."""
+        if self._filtered is None:
+            return self
+        return replace(self, kind=FILTERED, _values=self._filtered, _filtered=None)
+
+    def joint(self, *variables: Variable) -> GridBelief:
+        """The joint belief of some states of one slice.
+
+        Parameters
+        ----------
+        *variables : Variable
+            ``x, m``, of all steps, or both at a step, ``x.at(3), m.at(3)``.
+
+        Returns
+        -------
+        GridBelief
+            Over the components of the states, in the order given.
+
+        Raises
+        ------
+        EvidenceError
+            If a variable is no state of the network, if the variables are of several steps, or if
+            there are none.
+        ModelError
+            If a variable stands after the last step, or is given twice.
+        """
+        if not variables:
+            raise EvidenceError("joint takes states of one step, like x.at(3), m.at(3)")
+        scope = as_scope(variables, "a joint")
+        states = tuple(v.template for v in scope)
+        for variable in scope:
+            if variable.template not in self._lattice.states or variable.lag:
+                raise EvidenceError(
+                    f"{variable!r} is no state that the grid covers; those are "
+                    f"{listed(self._lattice.states)}",
+                    variable=variable,
+                )
+        if len({v.step for v in scope}) != 1:
+            raise EvidenceError(
+                f"a grid has joints of states of one step, not of {listed(scope)}",
+                variable=scope[0],
+            )
+        step = require_step(scope[0], self.graph.steps)
+        every, lattice = self._values, self._lattice
+        places = scope_axes(lattice.axes, states)
+        count = every.ndim - len(lattice.axes)
+        steps = None if step is not None else np.arange(every.shape[count - 1])
+        if step is not None:
+            every = every[(slice(None),) * (count - 1) + (step,)]
+        return GridBelief(lattice.axes, every, steps)._over(places)
+
+    @property
+    def _title(self) -> str:
+        over: Scope = self._lattice.states
+        runs = self.log_evidence.shape
+        which = f", runs {runs}" if runs else ""
+        return (
+            f"Posterior({self.kind}, over {list(over)}, {self._lattice.size:,} cells, "
+            f"{self.graph.steps + 1} steps{which})"
+        )
+
+    def _summary(self) -> Summary:
+        runs, last = self.log_evidence.shape, self.graph.steps
+        return over_time(self._title, self, self._lattice.states, runs, last)

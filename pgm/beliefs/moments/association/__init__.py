@@ -1,0 +1,1 @@
+"""Sightings of unknown identity, associated with what they may be of."""

@@ -1,0 +1,411 @@
+r"""Associating sightings of unknown identity, for Gaussian beliefs: each with a candidate.
+
+A sighting is one measurement of a sensor, of d components. It is *open* if one parent of the sensor
+is unknown: one of k candidates m_j with prior probabilities w_j, say the landmarks of a map. An
+open sighting may also be *spurious*, or of a *new* thing that is no candidate. Each of these two
+has a prior probability, too, and a uniform density over a volume of measurements; the user gives
+the probabilities and the volume.
+
+Let N(μ, P) be the belief over the slice x of a step, the vector of its n hidden components. A
+sighting is linearised with candidate m_j as z = ẑ_j + H_j (x − μ) + e, e ~ N(0, R_j). Its
+innovation ν_j = z − ẑ_j has the covariance S_j = H_j P H_jᵀ + R_j. The user may give a *candidates'
+gate*, a probability: candidates whose ν_jᵀ S_j⁻¹ ν_j exceeds its χ² quantile are ruled out.
+
+How the choice is made, the user says by a sensor's `association`. With "likelihood" each sighting
+is decided by itself: of the candidates left the one of largest ln w_j + ln N(ν_j; 0, S_j) is
+chosen, unless being spurious or new is likelier. With "joint" the sensor's sightings of a step are
+decided together: as many of them as lie within the gate together are given candidates, and none of
+these is given twice. "sum", a sum over the candidates, is refused here. The belief is conditioned
+first on the step's sightings that are not open, and then on the open ones of one sensor after
+another, with the candidates chosen.
+
+There may be a *filter's gate*, too: one probability for all sensors, or a mapping from sensors to
+theirs. A sighting whose νᵀS⁻¹ν exceeds the χ² quantile of that is not used; of an open sighting
+this is the ν of the candidate chosen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.beliefs.moments.association import joint_compatibility
+from pgm.beliefs.moments.digits import certificate
+from pgm.beliefs.moments.steps.chain import MomentChain
+from pgm.beliefs.moments.steps.gate import Asked
+from pgm.beliefs.moments.steps.plan import ChainPlan
+from pgm.beliefs.moments.steps.readings import Moments
+from pgm.beliefs.moments.steps.vector import vector
+from pgm.compile import DynamicGraph
+from pgm.errors import EvidenceError, NumericalError
+from pgm.evidence import BoundEvidence, Reading
+from pgm.evidence.values import JOINT, SUM
+from pgm.kernels import mahalanobis, roots, solving
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, quiet
+from pgm.kernels.semirings import log_sum
+from pgm.linearisers import Lineariser
+from pgm.posteriors.associations import Associations, collected
+from pgm.progress import counted
+from pgm.schedules.schedule import ONCE, Filtering
+from pgm.variables import Variable
+
+
+class Associated(NamedTuple):
+    """Evidence in which all open sightings have been decided, and the record of the decisions.
+
+    In `bound` the parent that was unknown has the value of the candidate chosen for the sighting; a
+    sighting that is spurious or new counts as not measured. `found` has the probabilities of all
+    candidates for each sighting, by the sensor's variable.
+    """
+
+    bound: BoundEvidence
+    found: dict[Variable, Associations]
+
+
+@quiet()
+def associated(
+    graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, gate: Asked | None = None
+) -> Associated:
+    """Associate the open sightings of all steps by a filter that linearises each CPD once.
+
+    `bound` is the evidence, open sightings included. `gate` is the filter's gate, for open and
+    other sightings; None is no gate. An EvidenceError refuses a prior of infinite variance, and
+    sensors whose `association` is "sum".
+    """
+    known = replace(bound, readings=tuple(r for r in bound.readings if r.unknown is None))
+    plan = ChainPlan.make(graph, known, lineariser)
+    if certificate.is_flat(plan):
+        raise EvidenceError(
+            "sightings leave open what was seen, and the prior has an infinite variance, under "
+            "which every candidate is as likely: give it a finite one"
+        )
+    chain = MomentChain(plan, Filtering(gate=gate), keep=False)
+    pending = [_Pending(reading, gate) for reading in bound.readings if reading.unknown is not None]
+    belief = chain.start()
+    for step in counted(range(bound.steps + 1), "associations"):
+        if step:
+            belief = chain.predict(step, belief)
+        belief, _ = chain.take(step, belief)
+        for each in pending:
+            rows = each.rows(step)
+            if len(rows):
+                belief = each.associate(graph, bound, lineariser, step, rows, belief)
+    return _closed(bound, pending)
+
+
+@quiet()
+def associated_at(
+    graph: DynamicGraph,
+    bound: BoundEvidence,
+    lineariser: Lineariser,
+    step: int,
+    belief: Moments,
+    gate: Asked | None = None,
+) -> Associated:
+    """Associate the open sightings of one step, at its predicted `belief`.
+
+    `bound` has the measurements of that step alone, as its step 0; `step` is the step's number in
+    the chain, for CPDs that depend on time and for the texts of errors. `gate` is the filter's
+    gate, for open and other sightings; None is no gate. An EvidenceError refuses sensors whose
+    `association` is "sum".
+    """
+    pending = [_Pending(reading, gate) for reading in bound.readings if reading.unknown is not None]
+    known = tuple(reading for reading in bound.readings if reading.unknown is None)
+    belief = _taken(graph, bound, lineariser, step, known, belief, gate)
+    for each in pending:
+        rows = range(len(each.reading.step))
+        if len(rows):
+            belief = each.associate(graph, bound, lineariser, step, rows, belief)
+    return _closed(bound, pending)
+
+
+def _closed(bound: BoundEvidence, pending: Sequence[_Pending]) -> Associated:
+    """The result of an association: the evidence `bound` with its open sightings decided.
+
+    `pending` are the sensors with open sightings, of which all have been associated.
+    """
+    closed = {each.reading.cpd.child: each.closed for each in pending}
+    readings = tuple(closed.get(r.cpd.child, r) for r in bound.readings)
+    found = dict(
+        collected(p.reading, p.probability, len(p.unknown.candidates), bound.lead) for p in pending
+    )
+    return Associated(replace(bound, readings=readings), found)
+
+
+class _Pending:
+    """The open sightings of one sensor, and the associations of those decided so far.
+
+    `reading` has all sightings of the sensor at all steps, one *row* a sighting, sorted by step; it
+    names the unknown parent and its candidates. An EvidenceError refuses the association "sum".
+    `gate` is the filter's gate, None for no gate.
+
+    The lists `probability`, `values` and `taken` have an array for each sighting decided so far, in
+    the order of the rows. `probability` (runs, k + 2) is that of the sighting being of each
+    candidate, spurious, or of a new thing. `values` (runs, p) is the chosen value of the unknown
+    parent, of p components. `taken` (runs, d) marks which of the sighting's d components were used
+    as measurements.
+    """
+
+    def __init__(self, reading: Reading, gate: Asked | None) -> None:
+        assert reading.unknown is not None
+        self.reading, self.gate = reading, gate
+        self.parent, self.unknown = reading.unknown
+        if self.unknown.association == SUM:
+            raise EvidenceError(
+                f"sightings of {reading.cpd.child!r} leave {self.parent!r} open, to be summed out: "
+                'a Gaussian belief would be a mixture; give association="likelihood", or '
+                "belief=pgm.Particles(...) or pgm.Grid(...)",
+                variable=self.parent,
+                cpd=reading.cpd,
+            )
+        self.probability = list[Array]()
+        self.values = list[Array]()
+        self.taken = list[Array]()
+
+    def rows(self, step: int) -> range:
+        """The rows of the sensor's sightings at a step, a range that may be empty."""
+        first, last = np.searchsorted(self.reading.step, [step, step + 1]).tolist()
+        return range(first, last)
+
+    def associate(
+        self,
+        graph: DynamicGraph,
+        bound: BoundEvidence,
+        lineariser: Lineariser,
+        step: int,
+        rows: range,
+        belief: Moments,
+    ) -> Moments:
+        """Choose a candidate for each sighting of a step; returns the belief given the sightings.
+
+        `rows` are the sightings' rows in the reading, all of the sensor at `step`; `belief` is
+        over that step's slice, given all measurements used so far. The probability of candidate j
+        is ∝ w_j N(ν_j; 0, S_j), and zero outside the candidates' gate; that of being spurious, and
+        that of being new, is ∝ its prior probability times its uniform density. Where all k + 2 are
+        zero the sighting is spurious. The likeliest of the k + 2 is chosen for each sighting by
+        itself, or, if the sensor's `association` is "joint", for all sightings together. Spurious
+        and new sightings do not change the belief. The lists of the class grow by an entry for each
+        row. A NumericalError refuses an S_j that is not positive definite, an EvidenceError a joint
+        choice among too many hypotheses.
+        """
+        runs, unknown = bound.runs, self.unknown
+        pairs = _innovations(
+            graph, bound, lineariser, step, self._expanded(rows, runs), belief, len(rows)
+        )
+        square, count = pairs.square, pairs.size
+        terms = pairs.density + unknown.log_shares[:-2]
+        if unknown.gate is not None:
+            limit = mahalanobis.square_within(unknown.gate, np.maximum(count, 1))
+            terms = np.where(square > limit, -np.inf, terms)
+        others = np.broadcast_to(unknown.log_outliers, (len(rows), runs, 2))
+        terms = np.concatenate([terms, others], axis=-1)
+        # A sighting that no candidate explains is spurious, even where none was declared to be.
+        terms[np.isneginf(terms).all(axis=-1), -2] = 0.0
+        if unknown.association == JOINT:
+            terms = self._jointly(pairs, terms, belief.by_run[1], step)
+        probability = np.exp(terms - log_sum(terms, -1)[..., None])
+        for row, shares in zip(rows, probability, strict=True):
+            taken = np.broadcast_to(self.reading.taken[row], (runs, self.reading.taken.shape[-1]))
+            shares[~taken.any(axis=-1)] = np.nan
+            likeliest = np.argmax(np.nan_to_num(shares, nan=-1.0), axis=-1)
+            seen = likeliest < len(unknown.candidates)
+            self.probability.append(shares)
+            self.values.append(unknown.candidates[np.where(seen, likeliest, 0)])
+            self.taken.append(taken & seen[:, None])
+        return _taken(graph, bound, lineariser, step, (self.part(rows),), belief, self.gate)
+
+    def _jointly(self, pairs: _Pairs, terms: Array, cov: Array, step: int) -> Array:
+        """Decide about a step's sightings together; returns log-probabilities of the candidates.
+
+        The result is 0 for the choice and −∞ for all else, (sightings, runs, k + 2). `terms`, of
+        the same shape, are the logarithms of unnormalised probabilities in the order of
+        `probability`: of the candidates, of being spurious, and of being new. They are −∞ outside
+        the candidates' gate; a joint decision always has such a gate. `pairs` are the innovations
+        of each sighting with each candidate, and `cov` is the belief's P (runs, n, n). A sighting
+        to which the search gives no candidate is taken for spurious or new, whichever is likelier.
+        A search of too many hypotheses is refused with an EvidenceError.
+        """
+        assert self.unknown.gate is not None
+        compatible = np.isfinite(terms[..., :-2]) & (pairs.size > 0)
+        parts = pairs.matrix, pairs.residual, pairs.noise, pairs.size[..., 0], compatible
+        weighed = joint_compatibility.Pairs(*parts, self.unknown.log_shares[:-2])
+        try:
+            found = joint_compatibility.decide(weighed, cov, self.unknown.gate)
+        except joint_compatibility.TooManyError as error:
+            cpd, (run,) = self.reading.cpd, error.args
+            raise EvidenceError(
+                f"{len(terms)} sightings of {cpd.child!r} at step {step} fit "
+                f"{self.unknown!r} in more than {joint_compatibility.NODES:,} ways (run {run}): "
+                f"give a narrower gate, a surer belief, or fewer candidates; "
+                'association="likelihood" decides about each sighting by itself',
+                variable=cpd.child,
+                cpd=cpd,
+                step=step,
+            ) from None
+        others = terms.shape[-1] - 2 + np.argmax(terms[..., -2:], axis=-1)
+        taken = np.where(found == joint_compatibility.NOTHING, others, found)
+        decided: Array = np.where(taken[..., None] == np.arange(terms.shape[-1]), 0.0, -np.inf)
+        return decided
+
+    def _expanded(self, rows: range, runs: int) -> Reading:
+        """The sightings at `rows` with every candidate in every run, laid out as runs of a reading.
+
+        `runs` is the number of runs of the evidence. The new reading has len(rows) · runs · k runs,
+        one for each sighting, old run and candidate; of these candidates vary fastest and sightings
+        slowest. Each new run has its sighting at step 0, and its candidate as the value of the
+        unknown parent, so that all are linearised at once.
+        """
+        reading, candidates = self.reading, self.unknown.candidates
+        count, shape = len(candidates), (len(rows), runs, len(candidates))
+
+        def wide(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+            some = values[rows.start : rows.stop]
+            each = np.broadcast_to(some[:, :, None], (*shape, some.shape[-1]))
+            return each.reshape(1, -1, some.shape[-1])
+
+        own = np.broadcast_to(candidates, (*shape[:2], *candidates.shape))
+        return replace(
+            reading,
+            step=np.zeros(1, dtype=np.intp),
+            order=np.zeros(1, dtype=np.intp),
+            values=wide(reading.values),
+            taken=wide(reading.taken),
+            inputs={
+                **{v: wide(a) for v, a in reading.inputs.items()},
+                self.parent: own.reshape(1, len(rows) * runs * count, -1),
+            },
+            unknown=None,
+        )
+
+    def part(self, rows: range) -> Reading:
+        """The sightings at some rows, as if all of step 0, with the candidates chosen for them.
+
+        Candidates must have been chosen for all these sightings before.
+        """
+        chosen = slice(rows.start, rows.stop)
+        return replace(
+            self.reading,
+            step=np.zeros(len(rows), dtype=np.intp),
+            order=np.arange(len(rows)),
+            values=self.reading.values[chosen],
+            taken=np.stack(self.taken[chosen]),
+            inputs={
+                **{v: a[chosen] for v, a in self.reading.inputs.items()},
+                self.parent: np.stack(self.values[chosen]),
+            },
+            unknown=None,
+        )
+
+    @property
+    def closed(self) -> Reading:
+        """All sightings at their steps, with the candidates chosen for them as the parent's values.
+
+        Candidates must have been chosen for all sightings before.
+        """
+        whole = self.part(range(len(self.reading.step))) if self.values else self.reading
+        inputs = whole.inputs
+        if not self.values:
+            inputs = {**inputs, self.parent: np.zeros((0, 1, self.parent.dimension))}
+        step, order = self.reading.step, self.reading.order
+        return replace(whole, step=step, order=order, inputs=inputs, unknown=None)
+
+
+def _taken(
+    graph: DynamicGraph,
+    bound: BoundEvidence,
+    lineariser: Lineariser,
+    step: int,
+    readings: tuple[Reading, ...],
+    belief: Moments,
+    gate: Asked | None,
+) -> Moments:
+    """The belief over the slice at `step`, conditioned on measurements of that step, `readings`.
+
+    Each reading has its sightings at a step 0; `step` is the step's number in the chain. `gate` is
+    the filter's gate, None if all sightings are to be used. The evidence `bound` tells only how
+    many runs there are, and how the user lays them out along axes.
+    """
+    one = BoundEvidence(0, bound.lead, (), readings, bound.first_run)
+    plan = ChainPlan.make(graph, one, lineariser, first=step, prior=False, probe=False)
+    chain = MomentChain(plan, Filtering(gate=gate), keep=False)
+    return chain.take(step, belief, chain.readings(0))[0]
+
+
+class _Pairs(NamedTuple):
+    """The innovation ν of each sighting with each candidate, (rows, runs, candidates, ...).
+
+    Rows are the sightings. `density` is ln N(ν; 0, S), `square` νᵀS⁻¹ν, `size` the number of
+    components measured. `matrix` is H (..., d, n), `residual` ν (..., d), `noise` R (..., d, d); a
+    component that was not measured has H = 0, ν = 0 and, in R, unit variance without correlation.
+    """
+
+    density: Array
+    square: Array
+    size: Integers
+    matrix: Array
+    residual: Array
+    noise: Array
+
+
+def _innovations(
+    graph: DynamicGraph,
+    bound: BoundEvidence,
+    lineariser: Lineariser,
+    step: int,
+    reading: Reading,
+    belief: Moments,
+    rows: int,
+) -> _Pairs:
+    """The innovations of each sighting with each candidate, linearised at the belief of its run.
+
+    `reading` has a run for each sighting, run of `bound` and candidate, with that candidate as the
+    value of the unknown parent; of these runs candidates vary fastest and sightings slowest. `rows`
+    is the number of sightings. `belief` is over the slice at `step`, in the runs of `bound`; of
+    `bound` only the number of runs is used. An S that is singular, indefinite or not finite is
+    refused with a NumericalError.
+    """
+    every = reading.values.shape[1]
+    one = BoundEvidence(0, (every,), (), (reading,))
+    plan = ChainPlan.make(graph, one, lineariser, first=step, prior=False, probe=False)
+    means, covs = belief.by_run
+    of = np.tile(np.repeat(np.arange(bound.runs), every // (rows * bound.runs)), rows)
+    here = Moments.of(plan, means[of], covs[of])
+    parts = MomentChain(plan, ONCE, keep=False).readings(0)
+    seen = [part.linearise(here.mean, here.cov) for part in parts]
+    for part in parts:
+        part.require_finite()
+    matrix, residual, noise, _ = vector(seen, here.mean)
+    height, size = matrix.shape[:2]
+    wide = matrix.reshape(height, size, -1).transpose(2, 0, 1)
+    noises = np.broadcast_to(
+        noise.reshape(height, height, -1).transpose(2, 0, 1), (every, height, height)
+    )
+    innovation = noises + wide @ covs[of] @ wide.mT
+    lower = roots.root(innovation)
+    if not roots.is_proper(lower) or roots.determined(lower).any():
+        raise NumericalError(
+            f"{reading.cpd!r}: at step {step} an innovation has no variance in a component, or two "
+            "that are one, so that candidates cannot be compared; give the sensor some noise",
+            variable=reading.cpd.child,
+            cpd=reading.cpd,
+            step=step,
+        )
+    left = residual.reshape(height, -1).T
+    white = solving.whiten(lower, left)
+    square = np.einsum("bi,bi->b", white, white)
+    count = reading.taken[0].sum(axis=-1)
+    # A missing component is one of unit variance without a residual.
+    density = -0.5 * (square + solving.log_determinant(lower) + count * LOG_2PI)
+    shape = rows, bound.runs, -1
+    return _Pairs(
+        density.reshape(shape),
+        square.reshape(shape),
+        count.reshape(shape),
+        np.broadcast_to(wide, (every, height, size)).reshape(*shape, height, size),
+        left.reshape(*shape, height),
+        noises.reshape(*shape, height, height),
+    )

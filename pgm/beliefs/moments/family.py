@@ -1,0 +1,45 @@
+"""Gaussian beliefs, as a family of beliefs: the default of continuous variables."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from pgm.beliefs import gaussian
+from pgm.beliefs.moments.online.moment_steps import MomentSteps
+from pgm.beliefs.moments.parts.run import run
+from pgm.beliefs.own.family import BeliefFamily
+from pgm.clustergraph import ClusterGraph
+from pgm.evidence import Evidence
+from pgm.factors import Gaussian
+from pgm.networks import DynamicBayesianNetwork
+from pgm.posteriors.outcome import Outcome
+from pgm.schedules.options import Call
+
+
+class Moments(BeliefFamily[Gaussian]):
+    """Means and covariances: filters and smoothers of the Kalman kind, and Gaussian networks."""
+
+    takes: ClassVar[frozenset[str]] = frozenset(
+        {
+            *("lineariser", "start", "keep", "executor", "compiled", "method"),
+            *("gate", "iterations", "damping", "schedule", "lag", "watch"),
+        }
+    )
+    beliefs: ClassVar[str] = "Gaussian beliefs"
+    spare: ClassVar[str] = "is not for Gaussian beliefs"
+
+    # The moments of all slices, or of the variables to keep.
+    infer = staticmethod(run)
+
+    def infer_static(
+        self, graph: ClusterGraph, evidence: Evidence, call: Call
+    ) -> Outcome[Gaussian]:
+        """The moments of a network without time."""
+        return gaussian.run(graph, evidence, call.schedule, call.lineariser, call.start)
+
+    def online(self, model: DynamicBayesianNetwork, options: dict[str, Any]) -> MomentSteps:
+        """The steps of a Kalman filter, in machine code where that was asked for."""
+        return MomentSteps(model, **options)
+
+
+MOMENTS = Moments()

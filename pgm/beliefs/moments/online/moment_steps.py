@@ -1,0 +1,431 @@
+"""Filtering in a robot's loop: a forward pass, one step at a time.
+
+Steps are made in float64, in machine code where that was asked for, and in pairs of float64, *twice
+the digits*, where float64 would lose too many (`beliefs`). With a lag the steps *behind* a belief
+are kept, too (`window`). A *plan* (`ChainPlan`) lays out CPDs and their evidence for some steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from pgm.beliefs.moments.digits import careful
+from pgm.beliefs.moments.online.associating import associated, leaves_open
+from pgm.beliefs.moments.online.beliefs import (
+    MomentBelief,
+    belief_of,
+    careful_belief,
+    in_digits,
+    is_moderate,
+    is_plain,
+    moments_of,
+    nothing_to_iterate,
+    refuse,
+    require_own,
+    told,
+)
+from pgm.beliefs.moments.online.compiled import CompiledSteps
+from pgm.beliefs.moments.online.judged import of_update, of_window
+from pgm.beliefs.moments.online.settings import require_settings, require_watch
+from pgm.beliefs.moments.online.slid import slid
+from pgm.beliefs.moments.online.step_layouts import Layouts
+from pgm.beliefs.moments.online.watch import Watch
+from pgm.beliefs.moments.online.window import Passed, Sliding, Trail, look_again, trailing
+from pgm.beliefs.moments.steps.chain import MomentChain
+from pgm.beliefs.moments.steps.cost import require_cost
+from pgm.beliefs.moments.steps.gate import prepare as prepare_gates
+from pgm.beliefs.moments.steps.plan import ChainPlan
+from pgm.beliefs.moments.steps.readings import Moments
+from pgm.compile import compile
+from pgm.compile.machine import COMPILED, GATE, Choice, as_choice
+from pgm.cpds import NonlinearGaussianCPD
+from pgm.display import InCode
+from pgm.errors import NumericalError
+from pgm.evidence import BoundEvidence
+from pgm.immutable import Immutable
+from pgm.linearisers import TAYLOR, Lineariser
+from pgm.networks import DynamicBayesianNetwork
+from pgm.posteriors.belief_kind import FILTERED, PREDICTED
+from pgm.posteriors.status import Status
+from pgm.schedules import step_evidence
+from pgm.schedules.convergence import tell_online
+from pgm.schedules.gates import Gate
+from pgm.schedules.schedule import ONCE, Filtering, FixedLag
+from pgm.variables import Variable
+
+# The statuses of one robot's steps in which nothing was to iterate, or CPDs were linearised once.
+_DONE, _LINEARISED = (Status(1, np.empty(0), np.array(converged)) for converged in (True, False))
+# Numbers too large for float64 are refused where they end up, so that NumPy need not warn. A
+# decorator takes half as long as a block.
+_quiet = np.errstate(over="ignore", invalid="ignore", divide="ignore")
+
+
+class MomentSteps(InCode, Immutable):
+    """The steps of an online filter whose beliefs are moments; see `OnlineFilter`."""
+
+    model: DynamicBayesianNetwork
+    lineariser: Lineariser
+    schedule: Filtering | FixedLag
+    watch: bool
+    compiled: bool
+    _steps: CompiledSteps | None = None
+
+    def __init__(
+        self,
+        model: Any,
+        lineariser: Lineariser = TAYLOR,
+        schedule: Any = None,
+        lag: int | None = None,
+        *,
+        gate: Gate = None,
+        watch: bool = False,
+        compiled: Choice = None,
+    ) -> None:
+        schedule = require_settings(model, lineariser, schedule, lag, gate)
+        self._set(model=model, lineariser=lineariser, schedule=schedule, watch=require_watch(watch))
+        self._set(compiled=bool(as_choice(compiled, "OnlineFilter(...)")))
+        for cpd in (*model.transition, *model.observation):
+            if isinstance(cpd, NonlinearGaussianCPD):
+                cpd._renew()
+        if self.compiled:
+            self._compile()
+
+    @cached_property
+    def _graph(self) -> Any:
+        """The cluster graph of one transition, from which plans are made."""
+        return compile(self.model, 1)
+
+    @cached_property
+    def _filtering(self) -> Filtering:
+        """The schedule by which an update linearises sensors.
+
+        It is the filter's own schedule if that is a `Filtering`. With a `FixedLag` it has the
+        gate of that and one linearisation or, if the lag is zero, as many as the `FixedLag`.
+        """
+        schedule = self.schedule
+        if isinstance(schedule, FixedLag):
+            return schedule.first if schedule.lag else schedule.filtering
+        return schedule
+
+    @cached_property
+    def _behind(self) -> Trail | Sliding | None:
+        """The steps behind the prior: an empty `Trail` or `Sliding` window, None without a lag."""
+        schedule = self.schedule
+        if not isinstance(schedule, FixedLag):
+            return None
+        if not schedule.lag or schedule.iterations == 1:
+            return Trail(schedule.lag)
+        return Sliding.first(schedule, self.model)
+
+    @cached_property
+    def _motions(self) -> Layouts:
+        """Plans of predictions, kept by the shapes of the inputs, to be filled with new inputs."""
+        return Layouts(self._ahead, ONCE)
+
+    @cached_property
+    def _sensors(self) -> Layouts:
+        """Plans of updates, kept by the shapes of the readings, to be filled with new readings."""
+        return Layouts(self._seen, self._filtering)
+
+    @property
+    def options(self) -> dict[str, Any]:
+        """The options of `OnlineFilter` by which the same steps are made."""
+        return {
+            "lineariser": self.lineariser,
+            "schedule": self.schedule,
+            "watch": self.watch,
+            "compiled": self.compiled,
+        }
+
+    def __repr__(self) -> str:
+        states = [cpd.child for cpd in self.model.prior]
+        return f"OnlineFilter(over {states}, {self.lineariser!r}, {self.schedule!r})"
+
+    def _compile(self) -> None:
+        """Replace `predict` and `update` by compiled ones, where the settings allow it.
+
+        They allow it if the schedule is a `Filtering` of one linearisation without a gate, and
+        there is no watch.
+        """
+        schedule = self.schedule
+        single = isinstance(schedule, Filtering) and schedule.iterations == 1
+        if single and schedule.gate is None and not self.watch:
+            plans, ends = (self._ahead, self._seen), (_DONE, _LINEARISED)
+            steps = CompiledSteps(self._graph.layout, *plans, self.predict, self.update, *ends)
+            self._set(_steps=steps, predict=steps.predict, update=steps.update)
+
+    @property
+    def compilation(self) -> str:
+        """Whether steps are made in machine code, or why not, in words.
+
+        For a compiled filter it tells how many of the steps so far NumPy made, and why.
+        """
+        if not self.compiled:
+            return "by NumPy: compiled=False"
+        if self._steps is None:
+            schedule, why = self.schedule, []
+            if schedule.gate is not None:
+                why.append(GATE)
+            if self.watch:
+                why.append("a watch (watch=True) judges each step")
+            if isinstance(schedule, FixedLag):
+                why.append("beliefs wait for a lag")
+            if schedule.iterations > 1:
+                why.append("steps are iterated")
+            return f"not compiled: {'; '.join(why)}"
+        left = [f"{count} × {why}" for why, count in self._steps.left.items()]
+        return f"compiled, but for: {'; '.join(left)}" if left else COMPILED
+
+    def initial(self) -> MomentBelief:
+        """The prior belief, at step 0, with the model's leading axes of runs."""
+        return self._initial() if self._steps is None else self._first
+
+    @cached_property
+    def _first(self) -> MomentBelief:
+        """The prior belief, with its numbers packed as compiled steps take them."""
+        assert self._steps is not None
+        return self._steps.adopted(self._initial())
+
+    @_quiet
+    def _initial(self) -> MomentBelief:
+        """The prior belief; if the filter watches, it has a new test whether a belief is lost."""
+        found = self._prior()
+        return found if not self.watch else found.judged((), Watch.start(found.lead))
+
+    def _prior(self) -> MomentBelief:
+        """The prior at step 0, in twice the digits where float64 has too few."""
+        lead = self.model.lead
+        if isinstance(self._behind, Sliding):
+            return slid(self._windows, 0, self._behind, np.zeros(lead))
+        plan = self._plan(BoundEvidence(0, lead, (), ()), 0, prior=True)
+        found = MomentChain(plan, ONCE, keep=False).start()
+        log_evidence, status = np.zeros(lead), nothing_to_iterate(lead)
+        carried = careful.start(plan, linearise=True)
+        if is_moderate(found, found):
+            return belief_of(plan, 0, found, log_evidence, status, PREDICTED, self._behind, carried)
+        return careful_belief(plan, 0, carried, log_evidence, status, PREDICTED, self._behind)
+
+    @_quiet
+    def predict(
+        self, belief: MomentBelief, inputs: Mapping[Variable, Any] | None = None
+    ) -> MomentBelief:
+        """The belief one step later.
+
+        Parameters
+        ----------
+        belief : MomentBelief
+        inputs : mapping of Variable to array_like
+            Values (..., d) of the transition's inputs; may be left out if it has none.
+
+        Returns
+        -------
+        MomentBelief
+
+        Raises
+        ------
+        EvidenceError
+            If an input is missing or of a wrong shape, or a variable given is no input.
+        ModelError
+            If the belief is not this filter's, or a function returns a wrong shape.
+        LinearisationError, NumericalError
+            If a linearisation, or the belief, has no finite value.
+        """
+        later = self._later(belief, inputs)
+        return later if belief.watch is None else later.judged((), belief.watch.on(belief.step))
+
+    def _later(self, belief: MomentBelief, inputs: Mapping[Variable, Any] | None) -> MomentBelief:
+        """The belief predicted one step ahead.
+
+        It is predicted in float64, or in twice the digits where float64 would lose too many. A
+        sliding window behind the belief takes the step in as its newest one. If nothing was read at
+        the step before, the window of that step is settled first.
+        """
+        require_own(belief, self.model, self.schedule, self._behind)
+        if type(inputs) is not dict:
+            given = {} if inputs is None else inputs
+            inputs = step_evidence.mapping(given, "predict", "inputs to values")
+        step, behind = belief.step + 1, belief.behind
+        if isinstance(behind, Sliding):
+            bound = step_evidence.inputs(self.model, belief, inputs)
+            unread = behind.window is None  # of a step without readings the window is settled here
+            behind = behind.on(self._windows, bound.transition, bound.lead)
+            if unread and behind.before is not None:
+                tell_online(behind.before.converged, self.schedule)
+            return slid(
+                self._windows, step, behind, np.broadcast_to(belief.log_evidence, bound.lead)
+            )
+        if is_plain(belief):
+            ordinary = self._predicted(belief, inputs)
+            if ordinary is not None:
+                return ordinary
+        plan = self._ahead(belief, inputs)
+        carried = careful.predict(plan, step, in_digits(belief, plan))
+        log_evidence = np.broadcast_to(belief.log_evidence, plan.lead)
+        status = nothing_to_iterate(plan.lead)
+        behind = None if behind is None else behind.on(None)
+        return careful_belief(plan, step, carried, log_evidence, status, PREDICTED, behind)
+
+    def _predicted(
+        self, belief: MomentBelief, inputs: Mapping[Variable, Any]
+    ) -> MomentBelief | None:
+        """Predict in float64; None where that would lose too many digits.
+
+        The mean m becomes F m + b and the covariance P becomes F P Fᵀ + Q, with the slope F,
+        offset b and noise covariance Q of the linearised transition. A prediction that is not
+        finite raises a `LinearisationError` or `NumericalError`.
+        """
+        step, behind = belief.step + 1, belief.behind
+        laid = None if belief.lead else self._motions.motion(belief, inputs)
+        if laid is None:
+            chain = MomentChain(self._ahead(belief, inputs), ONCE, keep=False)
+            ats = chain.motion(1)
+        else:
+            chain, ats = laid
+        if isinstance(behind, Trail):
+            chain = trailing(chain.plan, ats)
+        plan, known = chain.plan, moments_of(belief, chain.plan)
+        try:
+            found = chain.predict(step, known, ats)
+        except NumericalError:
+            look_again(plan, ats, step, known)
+            raise
+        if not is_moderate(found, found):
+            if not np.isfinite(found.mean.sum() + found.cov.sum()):
+                look_again(plan, ats, step, known)
+                refuse(step)
+            return None
+        log_evidence, status = belief.log_evidence, _DONE
+        if laid is None:
+            log_evidence = np.broadcast_to(log_evidence, plan.lead)
+            status = nothing_to_iterate(plan.lead)
+        if isinstance(behind, Trail):
+            behind = behind.on(Passed(plan, known, found))
+        status = told(status, plan, known, found, belief)
+        return belief_of(plan, step, found, log_evidence, status, PREDICTED, behind)
+
+    def _ahead(self, belief: MomentBelief, inputs: Mapping[Variable, Any]) -> ChainPlan:
+        """The plan of one prediction, from a belief to the next step, with its `inputs` bound."""
+        return self._plan(step_evidence.inputs(self.model, belief, inputs), belief.step)
+
+    @_quiet
+    def update(self, belief: MomentBelief, readings: Mapping[Variable, Any]) -> MomentBelief:
+        """The belief given measurements of its step; a further update goes on from the first.
+
+        Parameters
+        ----------
+        belief : MomentBelief
+        readings : mapping of Variable
+            For a sensor any number of measurements, ``pgm.sightings(values, given=...)`` without
+            steps, or one measurement (..., d); for inputs that the sensors need, values (..., d).
+
+        Returns
+        -------
+        MomentBelief
+
+        Raises
+        ------
+        EvidenceError
+            If a measurement does not fit its sensor.
+        ModelError, LinearisationError
+            See `predict`.
+        NumericalError
+            If a measurement contradicts an exact model, or the belief has no finite value.
+
+        Warns
+        -----
+        ConvergenceWarning
+            If two or more iterations were asked for and end before they settle.
+        """
+        require_own(belief, self.model, self.schedule, self._behind)
+        if type(readings) is not dict:
+            readings = step_evidence.mapping(readings, "update", "sensors to measurements")
+        if leaves_open(readings):
+            gate = self.schedule.gate
+            closed, seen = associated(self._graph, self.lineariser, belief, readings, gate)
+            return self.update(belief, closed).told(seen, gate)
+        behind = belief.behind
+        if isinstance(behind, Sliding):
+            bound = step_evidence.readings(self.model, belief, readings)
+            behind = behind.read(self._windows, bound.readings, bound.lead)
+            made = slid(self._windows, belief.step, behind, belief.log_evidence)
+            tell_online(made.status.converged, self.schedule)
+            return made.judged(*of_window(belief.watch, behind.settled(self._windows)))
+        if is_plain(belief):
+            ordinary = self._updated(belief, readings)
+            if ordinary is not None:
+                return ordinary
+        plan = self._seen(belief, readings)
+        known = in_digits(belief, plan)
+        found, taken, parts = careful.update(plan, belief.step, known, self._filtering)
+        log_density = taken.solution.log_density.reshape(plan.lead)
+        log_evidence = np.asarray(belief.log_evidence + log_density)
+        status = Status.of(taken.residuals, taken.converged, plan.lead)
+        tell_online(status.converged, self._filtering)
+        behind = None if behind is None else behind._replace(imprecise=True)
+        made = careful_belief(plan, belief.step, found, log_evidence, status, FILTERED, behind)
+        return made.judged(*of_update(belief.watch, parts, Moments.of(plan, *known.moments)))
+
+    def _updated(
+        self, belief: MomentBelief, readings: Mapping[Variable, Any]
+    ) -> MomentBelief | None:
+        """Update in float64 with a step's readings; None where that would lose too many digits.
+
+        The log-evidence grows by ln p(readings | earlier measurements), in nats.
+        """
+        laid = None if belief.lead else self._sensors.sensors(belief, readings)
+        if laid is None:
+            chain = MomentChain(self._seen(belief, readings), self._filtering, keep=False)
+            parts = chain.readings(0)
+        else:
+            chain, parts = laid
+        plan, known = chain.plan, moments_of(belief, chain.plan)
+        try:
+            found, log_density = chain.take(belief.step, known, parts) if parts else (known, 0.0)
+        except NumericalError:
+            return None  # with twice the digits there may be an answer; if not, it is refused
+        if not is_moderate(found, known):
+            return None
+        if belief.lead or plan.lead:
+            log_evidence = np.asarray(
+                belief.log_evidence + np.broadcast_to(log_density, plan.runs).reshape(plan.lead)
+            )
+        else:
+            log_evidence = np.array(belief.log_evidence.item() + float(log_density))
+        if chain.residuals or plan.lead or plan.robust:
+            status = Status.of(chain.residuals, chain.converged, plan.lead)
+            tell_online(status.converged, self._filtering)
+        else:
+            status = _DONE if plan.linear else _LINEARISED
+        status = told(status, plan, known, found, belief)
+        made = belief_of(plan, belief.step, found, log_evidence, status, FILTERED, belief.behind)
+        judges = chain.gate is not None or belief.watch is not None
+        return made.judged(*of_update(belief.watch, parts, known)) if judges else made
+
+    def _seen(self, belief: MomentBelief, readings: Mapping[Variable, Any]) -> ChainPlan:
+        """The plan of one update at the step of a belief, with its `readings` bound."""
+        plan = self._plan(step_evidence.readings(self.model, belief, readings), belief.step)
+        require_cost(self._filtering, (sensor.family for sensor in plan.sensors))
+        return plan
+
+    def _windows(self, bound: BoundEvidence, first: int, prior: bool) -> ChainPlan:
+        """The plan of a window, the steps within the lag, with the evidence `bound`.
+
+        Its first step is number `first`. `prior` says whether the window begins with the model's
+        prior, as at step 0, or with a belief.
+        """
+        plan = self._plan(bound, first, prior=prior)
+        assert isinstance(self.schedule, FixedLag)
+        require_cost(self.schedule.smoothing, plan.families)
+        prepare_gates(plan, self.schedule.gate)
+        return plan
+
+    def _plan(self, bound: BoundEvidence, step: int, *, prior: bool = False) -> ChainPlan:
+        """The plan of a chain with the evidence `bound`, whose first step is number `step`.
+
+        `prior` says whether the chain begins with the model's prior, or with a belief.
+        """
+        return ChainPlan.make(self._graph, bound, self.lineariser, first=step, prior=prior)

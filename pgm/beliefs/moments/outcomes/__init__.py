@@ -1,0 +1,1 @@
+"""Results of a chain with Gaussian beliefs: outcomes, marginals, innovations, families."""

@@ -1,0 +1,77 @@
+"""Innovations ν = z − h(x̂) of the measurements z of a forward pass at its predicted means x̂."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.beliefs.moments.passes.forward import Forward
+from pgm.beliefs.moments.steps.plan import ChainPlan
+from pgm.beliefs.moments.steps.sensor import Sensor
+from pgm.beliefs.moments.steps.vector import stacks
+from pgm.kernels import roots, solving
+from pgm.kernels.arrays import Array, Integers, block, inner, sandwich
+from pgm.posteriors.innovations import Innovations
+
+
+def innovations(plan: ChainPlan, sensor: Sensor, forward: Forward) -> Innovations:
+    """The innovations of one sensor of a plan, at the predicted beliefs of a forward pass.
+
+    The sensor is linearised as the plan has it. NIS and degrees of freedom are of this sensor
+    alone.
+    """
+    family, parents, lead = sensor.family, sensor.parents, plan.lead
+    mean = forward.predicted_mean[family.step][..., parents]
+    residual = sensor.moved - family.value(slice(None), mean)
+    ahead = forward.predicted_cov if forward.diffuse is None else forward.diffuse.cov
+    spread = block(ahead[family.step], parents, parents)
+    given = sensor.taken if sensor.gated is None else sensor.gated.given
+    taken = np.broadcast_to(True if given is None else given, residual.shape)
+    rejected = np.zeros(residual.shape[:2], dtype=bool)
+    if sensor.gated is not None:
+        rejected |= sensor.gated.rejected
+    if forward.diffuse is not None:
+        reach = forward.diffuse.at(family.step).of(parents).reach(family.matrix)
+        taken = taken & ~reach.any(axis=-1)
+    cov = sandwich(family.matrix, spread) + family.noise
+    nis, dof = by_step(plan, [sensor], forward)
+    back = np.argsort(sensor.order)
+
+    def out(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        result = array.swapaxes(0, 1).reshape(*lead, array.shape[0], *array.shape[2:])
+        result.flags.writeable = False
+        return result
+
+    return Innovations(
+        out(np.where(taken, residual, np.nan)[back]),
+        out(np.where(taken[..., None] & taken[..., None, :], cov, np.nan)[back]),
+        family.step[back],
+        out(nis),
+        out(dof),
+        out(rejected[back]),
+    )
+
+
+def by_step(plan: ChainPlan, sensors: list[Sensor], forward: Forward) -> tuple[Array, Integers]:
+    """The NIS of each step over all components that `sensors` measured, and its degrees of freedom.
+
+    Both are (T+1, runs); the NIS is NaN where nothing was measured. The degrees of freedom are the
+    number of components measured, less the number of their combinations of which nothing was known,
+    given a flat prior.
+    """
+    shape = plan.steps + 1, plan.runs
+    nis, dof = np.full(shape, np.nan), np.zeros(shape, dtype=np.intp)
+    for steps, matrix, residual, noise, missing in stacks(plan, sensors, forward.predicted_mean):
+        unknown: Integers | int = 0
+        if forward.diffuse is None:
+            spread = sandwich(matrix, forward.predicted_cov[steps]) + noise
+        else:
+            ahead = forward.diffuse.at(steps)
+            residual, spread, unknown = ahead.innovations(matrix, residual, noise)
+        white = solving.whiten(roots.root(spread), residual)
+        seen = white.shape[-1] - missing - unknown
+        dof[steps] = seen
+        nis[steps] = np.where(seen > 0, inner(white, white), np.nan)
+    return nis, dof

@@ -1,0 +1,300 @@
+"""Plans of chains: CPDs with their evidence, placed in the vectors of the slices.
+
+A *slice* is the vector of all hidden variables of a step, of n components; a *pair* is the vector
+of the states of the step before, then the slice. A *family* is a CPD at its *rows*: the steps of a
+transition, or the measurements of a sensor, of which a step may have several. A *window* is a
+stretch of consecutive steps, with a plan of its own.
+
+A sweep goes from step to step, with a few batched kernel calls for each. Its arrays have their
+components first and the runs last, (n, *batch), `batch` being () for one run and (runs,) for
+several. Reversing a chain, and linearising it again, is one call for all steps, on arrays that have
+the time axis first and the runs second.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from pgm.beliefs.moments.steps.account import Account
+from pgm.beliefs.moments.steps.sensor import Sensor
+from pgm.compile import DynamicGraph, SliceLayout
+from pgm.compile.dynamic import Place
+from pgm.cpds import AffineCPD
+from pgm.errors import EvidenceError
+from pgm.evidence import BoundEvidence, Reading
+from pgm.evidence.dynamic import Inputs
+from pgm.factors.scope import Scope
+from pgm.kernels.arrays import Array, Index, Integers, cut
+from pgm.linearisation.family import Family
+from pgm.linearisers import Lineariser
+from pgm.schedules.argument_checks import require_plain
+from pgm.tracing import Judge
+
+
+@dataclass(eq=False)
+class Link:
+    """A CPD at its rows, and where its hidden parents and its child stand in a vector.
+
+    For the prior that is the vector of states, for the transition the pair. `angles` are the
+    components of the child that are angles, `before` the places in that vector of the same angles
+    one step before; both are empty for an affine CPD, and where the child does not depend on
+    itself a step before.
+    """
+
+    family: Family
+    parents: Index
+    child: slice
+    angles: Integers
+    before: Integers
+
+    @cached_property
+    def turning(self) -> list[tuple[int, int]]:
+        """Pairs (i, j): component i of the child is an angle, and stands at j one step before."""
+        return list(zip(self.angles.tolist(), self.before.tolist(), strict=True))
+
+
+@dataclass(eq=False)
+class ChainPlan:
+    """A chain of slices with its evidence, ready to be swept.
+
+    `layout` tells where variables stand in a slice and in a pair; `prior`, `transition` and
+    `sensors` are the model's CPDs with their evidence and linearisations, parents before children.
+    `steps` is T; `runs` are flattened from the user's axes `lead`. `first` is the number of the
+    first step, which is not zero online and for a window; `begin` is the belief there given its
+    measurements, (n, *batch) and (n, n, *batch), where that takes the prior's place, else None.
+    `account` tells which sweeps of this plan, and of the plans cut from it, machine code made, and
+    why it did not make the others.
+    """
+
+    layout: SliceLayout
+    steps: int
+    lead: tuple[int, ...]
+    prior: list[Link]
+    transition: list[Link]
+    sensors: list[Sensor]
+    first: int = 0
+    begin: tuple[Array, Array] | None = None
+    account: Account = field(default_factory=Account)
+
+    @cached_property
+    def linear(self) -> bool:
+        """Whether every sensor with measurements is affine."""
+        return all(s.family.exact for s in self.sensors if s.family.step.size)
+
+    @cached_property
+    def robust(self) -> list[Sensor]:
+        """The sensors with robust noise that have measurements."""
+        return [s for s in self.sensors if s.robust and s.family.step.size]
+
+    @cached_property
+    def runs(self) -> int:
+        """How many runs the evidence is of: the product of `lead`, 1 for a single run."""
+        return math.prod(self.lead)
+
+    @cached_property
+    def batch(self) -> tuple[int, ...]:
+        """The trailing run axes of arrays in a sweep: () for one run, (runs,) for several."""
+        return () if self.runs == 1 else (self.runs,)
+
+    @property
+    def families(self) -> list[Family]:
+        """The families of the prior, the transition and the sensors, in this order."""
+        links = [link.family for link in (*self.prior, *self.transition)]
+        return links + [sensor.family for sensor in self.sensors]
+
+    @property
+    def read(self) -> list[Sensor]:
+        """The sensors that have measurements."""
+        return [sensor for sensor in self.sensors if sensor.family.step.size]
+
+    @property
+    def exact(self) -> bool:
+        """Whether every CPD is affine, and every sensor with measurements Gaussian."""
+        return all(family.exact for family in self.families) and not self.robust
+
+    def of(self, runs: slice) -> ChainPlan:
+        """The plan of some runs: views of the evidence, with linearisations of its own."""
+
+        def links(every: list[Link]) -> list[Link]:
+            return [replace(link, family=link.family.of(runs)) for link in every]
+
+        sensors = [
+            replace(
+                sensor,
+                family=sensor.family.of(runs),
+                taken=None if sensor.taken is None else cut(sensor.taken, runs),
+                values=cut(sensor.values, runs),
+                gated=None if sensor.gated is None else sensor.gated.of(runs),
+                cross={},
+            )
+            for sensor in self.sensors
+        ]
+        lead = (runs.stop - runs.start,)
+        return replace(
+            self,
+            lead=lead,
+            prior=links(self.prior),
+            transition=links(self.transition),
+            sensors=sensors,
+        )
+
+    def window(self, first: int, last: int, begin: tuple[Array, Array] | None = None) -> ChainPlan:
+        """The plan of the steps `first` to `last`: a view of the evidence, its own linearisations.
+
+        `begin` is the belief at `first` given its measurements, (n, *batch) and (n, n, *batch): the
+        window then has no prior, and no measurements at `first`. If it is None the prior is kept.
+        """
+
+        def links(every: list[Link], start: int, end: int) -> list[Link]:
+            return [replace(link, family=link.family.window(start, end)) for link in every]
+
+        after = begin is not None
+        return replace(
+            self,
+            steps=last - first,
+            prior=[] if after else links(self.prior, 0, 1),
+            transition=links(self.transition, first, last),
+            sensors=[sensor.window(first, last, after=after) for sensor in self.sensors],
+            first=self.first + first,
+            begin=begin,
+        )
+
+    def put(self, first: int, part: ChainPlan) -> None:
+        """Copy into this plan a window's linearisations, gate decisions and robust weights.
+
+        `first` is the step of this plan where the window `part` begins.
+        """
+        for link, own in zip(self.prior if part.prior else [], part.prior, strict=True):
+            link.family.put(slice(0, own.family.step.size), own.family)
+        for link, own in zip(self.transition, part.transition, strict=True):
+            link.family.put(slice(first, first + own.family.step.size), own.family)
+        seen = {id(sensor.family.cpd): sensor for sensor in part.sensors}
+        for sensor in self.sensors:
+            read = seen.get(id(sensor.family.cpd))
+            if read is not None:
+                sensor.put(first, read, after=part.begin is not None)
+
+    def put_runs(self, runs: slice, part: ChainPlan) -> None:
+        """Copy into this plan how the CPDs were linearised in `part`, the plan of some of its runs.
+
+        `runs` is the slice of runs from which `of` made `part`. No sensor may be robust, or have a
+        gate.
+        """
+        where = slice(None), runs
+        for family, own in zip(self.families, part.families, strict=True):
+            family.put(where, own)
+        for sensor, of in zip(self.sensors, part.sensors, strict=True):
+            if sensor.variable.angles:
+                sensor.moved[where] = of.moved
+
+    @classmethod
+    def make(
+        cls,
+        graph: DynamicGraph,
+        bound: BoundEvidence,
+        lineariser: Lineariser,
+        *,
+        first: int = 0,
+        prior: bool = True,
+        probe: bool = True,
+        judge: Judge | None = None,
+    ) -> ChainPlan:
+        """Lay out the families of a graph with evidence, and probe their functions.
+
+        The `lineariser` serves nonlinear CPDs that have none of their own. `first` is the number of
+        the first step, and without `prior` the plan has none: both are for a plan of later steps.
+        With `probe` each function is called once on trial, if the graph has not done so before.
+        Functions may be replaced by traces, programs recorded from a call of the function. A
+        trace's values are compared with the function's: by the `judge` when the inference is done,
+        or at once if that is None.
+        """
+        layout, lead = graph.layout, bound.lead
+
+        def family(cpd: Any, place: Place, step: Integers, inputs: Inputs) -> Family:
+            return Family.make(
+                cpd,
+                place.hidden,
+                step,
+                inputs,
+                lineariser,
+                lead,
+                template=place.template,
+                first_run=bound.first_run,
+            )
+
+        def link(cpd: Any, scope: Scope, step: Integers, inputs: Inputs) -> Link:
+            require_plain([cpd])
+            place = layout.place(cpd, scope)
+            turning = slice(0 if isinstance(cpd, AffineCPD) else None)
+            return Link(
+                family(cpd, place, step, inputs),
+                place.parents,
+                place.child,
+                place.angles[turning],
+                place.before[turning],
+            )
+
+        def sensor(reading: Reading) -> Sensor:
+            place = layout.place(reading.cpd, layout.slice)
+            made = family(reading.cpd, place, reading.step + first, reading.inputs)
+            return _sensor(made, place, reading, layout, bound.steps)
+
+        start, later = np.zeros(1, dtype=np.intp), np.arange(bound.steps) + first + 1
+        priors = layout.model.prior if prior else ()
+        links = [link(cpd, layout.states, start, {}) for cpd in priors]
+        transition = [
+            link(cpd, layout.pair, later, inputs)
+            for cpd, inputs in zip(layout.model.transition, bound.transition, strict=False)
+        ]
+        sensors = [sensor(reading) for reading in bound.readings]
+        plan = cls(layout, bound.steps, lead, links, transition, sensors, first)
+        if not probe and judge is None:
+            return plan
+        means = {
+            cpd.child: cpd.offset.reshape(-1, cpd.child.dimension)[0]
+            for cpd in layout.model.prior
+            if isinstance(cpd, AffineCPD)
+        }
+        for made in plan.families:
+            # A graph is probed once; what comes back is checked in every call.
+            if probe and made.cpd not in layout.probed:
+                made.probe(means)
+                layout.probed.update([made.cpd] * bool(made.step.size))
+            made.trace(means, judge)
+        return plan
+
+
+def _sensor(
+    family: Family, place: Place, reading: Reading, layout: SliceLayout, steps: int
+) -> Sensor:
+    """The sensor made of its family and of `reading`, its measurements as the evidence has them.
+
+    `place` tells where the hidden parents of its CPD stand in the slice, and `steps` is T.
+    EvidenceError for a measurement of a control at step 0, where controls do not exist.
+    """
+    number = int(family.step[0]) if family.step.size else 1
+    for parent in family.hidden:
+        if number == 0 and parent not in layout.states:
+            raise EvidenceError(
+                f"a sighting of {family.cpd.child!r} at step 0, where its parent {parent!r} does "
+                "not exist; controls begin at step 1",
+                variable=family.cpd.child,
+                cpd=family.cpd,
+                step=0,
+            )
+    bounds = np.searchsorted(reading.step, np.arange(steps + 2)).tolist()
+    return Sensor(
+        family,
+        place.parents,
+        reading.order,
+        None if reading.taken.all() else reading.taken,
+        reading.values,
+        bounds,
+        {},
+        isinstance(place.parents, slice) and place.parents == slice(0, layout.slice_size),
+    )

@@ -1,0 +1,231 @@
+"""The answer of a particle filter or smoother: beliefs at all steps, log-evidence and status.
+
+A *cloud* has the particles of all runs at one step, with their weights. A posterior has, of each
+step, a cloud of the answer in `_clouds`, and one of the forward sweep in `_filtered`. `_model` is
+the network with its evidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from types import MappingProxyType
+from typing import ClassVar
+
+import numpy as np
+
+from pgm.beliefs.particles.settings import ParticleSettings
+from pgm.beliefs.points.cloud import Cloud
+from pgm.beliefs.points.components import parts
+from pgm.beliefs.points.laws import Some
+from pgm.beliefs.points.model import ParticleModel, Sensor
+from pgm.beliefs.points.particle_belief import ParticleBelief
+from pgm.compile import DynamicGraph
+from pgm.cpds.mixture import UnidentifiedCPD
+from pgm.display import Summary
+from pgm.errors import EvidenceError
+from pgm.evidence import Reading
+from pgm.factors.scope import Scope, as_scope, listed
+from pgm.kernels.arrays import Array
+from pgm.posteriors.associations import Found, collected
+from pgm.posteriors.belief_kind import FILTERED, Kind
+from pgm.posteriors.hidden import require_step
+from pgm.posteriors.outcome import Outcome
+from pgm.posteriors.posterior import require_variable
+from pgm.posteriors.status import Status
+from pgm.posteriors.summaries import over_time
+from pgm.variables import Variable
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ParticleOutcome(Outcome[ParticleBelief]):
+    """The beliefs of a dynamic network as weighted draws.
+
+    Attributes
+    ----------
+    graph : DynamicGraph
+        The compiled network.
+    particles : ParticleSettings
+        The user's choice: how many particles there are, and how they were drawn.
+    kind : Kind
+        Filtered, fixed-lag or smoothed. A smoother's particles are trajectories: the i-th of each
+        step are one draw of all steps together.
+    log_evidence : ndarray
+        (*runs): the logarithm of an unbiased estimate of p(measurements).
+    status : Status
+        How many particles are effective, and where measurements were impossible.
+    filtered : ParticleOutcome
+        The beliefs of the forward sweep; of a filter, the posterior itself.
+
+    Examples
+    --------
+    >>> from pgm.examples import walk, x, z
+    >>> posterior = pgm.filter(walk, {z: [[4.0]]}, belief=pgm.Particles(10_000, seed=0))
+    >>> posterior.joint(x.at(1)).std.round(1)
+    array([1.])
+    >>> posterior[x].mean.ravel().round(1)
+    array([0., 2.])
+    """
+
+    graph: DynamicGraph
+    particles: ParticleSettings
+    kind: Kind
+    log_evidence: Array
+    status: Status
+    _model: ParticleModel
+    _clouds: tuple[Cloud, ...]
+    _filtered: tuple[Cloud, ...]
+
+    def __post_init__(self) -> None:
+        self.log_evidence.flags.writeable = False
+        for cloud in (*self._clouds, *self._filtered):
+            cloud.states.flags.writeable = cloud.log_weights.flags.writeable = False
+
+    beliefs: ClassVar[str] = "particles"
+    called: ClassVar[str] = "particles"
+    moving: ClassVar[bool] = True
+    silent: ClassVar[str] = "particles are drawn from slice to slice: there are no messages to show"
+
+    @property
+    def readings(self) -> Sequence[Reading]:
+        """The measurements, sensor by sensor."""
+        return [sensor.reading for sensor in self._model.sensors]
+
+    def __getitem__(self, variable: Variable) -> ParticleBelief:
+        """The marginal of a hidden variable, at all steps or at one."""
+        return self.joint(require_variable(variable))
+
+    @property
+    def _hidden(self) -> Scope:
+        return tuple(self._model.places)
+
+    @property
+    def log_evidence_kind(self) -> str:
+        """``particles``: neither exact nor linearised, but an estimate."""
+        return "particles"
+
+    @cached_property
+    def associations(self) -> Found:
+        """For each sensor with sightings of unknown things, the probabilities of the candidates.
+
+        A sighting is a measurement of a thing, such as a landmark, which is a parent of the sensor.
+        Where the evidence gives ``pgm.unknown`` for this parent, the thing is one of several
+        candidates. A sensor's `Associations` have, for each sighting, the probability of each
+        candidate, of a new thing, and of a spurious sighting.
+        """
+        lead = self.log_evidence.shape
+        return MappingProxyType(
+            dict(
+                collected(s.reading, self._responsible(s), len(s.reading.cpd.candidates), lead)
+                for s in self._model.sensors
+                if isinstance(s.reading.cpd, UnidentifiedCPD)
+            )
+        )
+
+    def _responsible(self, sensor: Sensor) -> Iterator[Array]:
+        """The association probabilities (runs, k + 2) of each of a sensor's sightings in turn.
+
+        The sensor has sightings of unknown things. The probabilities are those of k candidates for
+        the thing, of a spurious sighting and of a new thing, averaged over the particles of the
+        sighting's step by their weights.
+        """
+        for row, step in enumerate(sensor.reading.step.tolist()):
+            cloud = self._clouds[step]
+            total = list[Array]()
+            for run in range(cloud.runs):
+                place = cloud.of(run)
+                states = cloud.states[:, place]
+                owner = None if cloud.runs == 1 else np.full(states.shape[1], run)
+                found = sensor.responsibilities(row, Some(step, states, states, owner))
+                weighs = cloud.weights[place] > 0.0
+                total.append(found[:, weighs] @ cloud.weights[place][weighs])
+            yield np.stack(total)
+
+    @property
+    def filtered(self) -> ParticleOutcome:
+        """The filtered beliefs, those of the forward sweep; of a filter, the posterior itself."""
+        if self.kind == FILTERED:
+            return self
+        return replace(self, kind=FILTERED, _clouds=self._filtered)
+
+    def joint(self, *variables: Variable) -> ParticleBelief:
+        """The joint belief of variables at one step; of a smoother, also of several steps.
+
+        Parameters
+        ----------
+        *variables : Variable
+            ``x, m``, of all steps, or at steps, ``x.at(3), x.at(4)``.
+
+        Returns
+        -------
+        ParticleBelief
+            The joint belief, with the variables in the order given.
+
+        Raises
+        ------
+        EvidenceError
+            If a variable is no hidden variable of the network, none is named, some are at a step
+            and some over time, a hidden control is at step 0, or the variables are of several
+            steps, which a filter or a fixed-lag smoother has not drawn together.
+        ModelError
+            If a variable stands after the last step, or is named twice.
+        """
+        if not variables:
+            raise EvidenceError("joint takes variables of the network, like x.at(3), m.at(3)")
+        scope = as_scope(variables, "a joint")
+        for variable in scope:
+            if variable.template not in self._model.places or variable.lag:
+                raise EvidenceError(
+                    f"{variable!r} is no hidden variable of the network; those are "
+                    f"{listed(self._model.places)}",
+                    variable=variable,
+                )
+        runs = self.log_evidence.shape
+        each = [require_step(variable, self.graph.steps) for variable in scope]
+        firsts = [self._model.places[variable.template].start for variable in scope]
+        controls = any(variable.template in self.graph.model.controls for variable in scope)
+        if set(each) == {None}:
+            first = 1 if controls else 0
+            found = parts(list(zip(scope, firsts, strict=True)))
+            steps = np.arange(first, len(self._clouds))
+            return ParticleBelief(found, self._clouds[first:], runs, steps)
+        if None in each:
+            raise EvidenceError(
+                f"a joint is of variables at steps, or of all over time, not of {listed(scope)}"
+            )
+        for variable, step in zip(scope, each, strict=True):
+            if step == 0 and variable.template in self.graph.model.controls:
+                raise EvidenceError(
+                    f"{variable!r}: controls begin at step 1", variable=variable, step=0
+                )
+        if len(set(each)) == 1:
+            found = parts(list(zip(scope, firsts, strict=True)))
+            return ParticleBelief(found, [self._clouds[each[0] or 0]], runs)
+        if self.kind.name != "smoothed":
+            raise EvidenceError(
+                f"{self.kind} particles of several steps were not drawn together, so that they "
+                f"have no joint of {listed(scope)}; a smoother's have",
+                variable=scope[0],
+            )
+        states, places, end = [], [], 0
+        for variable, step in zip(scope, each, strict=True):
+            states.append(self._clouds[step or 0].states[self._model.places[variable.template]])
+            places.append((variable, end))
+            end += variable.dimension
+        first_cloud = self._clouds[0]
+        cloud = Cloud(np.concatenate(states), first_cloud.log_weights, first_cloud.starts)
+        return ParticleBelief(parts(places), [cloud], runs)
+
+    @property
+    def _title(self) -> str:
+        runs = self.log_evidence.shape
+        which = f", runs {runs}" if runs else ""
+        return (
+            f"Posterior({self.kind}, over {list(self._model.places)}, {self.particles.n:,} "
+            f"particles, {self.graph.steps + 1} steps{which})"
+        )
+
+    def _summary(self) -> Summary:
+        runs, last = self.log_evidence.shape, self.graph.steps
+        return over_time(self._title, self, tuple(self._model.places), runs, last)

@@ -1,0 +1,111 @@
+"""Inference with particles: a filter, and backward simulation where the schedule smooths."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pgm.beliefs.particles.backward import Backward
+from pgm.beliefs.particles.chain import ParticleChain
+from pgm.beliefs.particles.guided_proposal import require_guidable
+from pgm.beliefs.particles.outcome import ParticleOutcome
+from pgm.beliefs.particles.record import Record
+from pgm.beliefs.particles.settings import ParticleSettings
+from pgm.beliefs.points.cloud import Cloud
+from pgm.beliefs.points.model import ParticleModel
+from pgm.compile import DynamicGraph
+from pgm.errors import EvidenceError, ModelError
+from pgm.evidence import BoundEvidence
+from pgm.networks import DynamicBayesianNetwork
+from pgm.posteriors.belief_kind import FILTERED, Kind
+from pgm.posteriors.status import Status
+from pgm.resources import gibibytes, require_memory
+from pgm.schedules import sweep
+from pgm.schedules.schedule import Schedule, kind_of
+
+
+def run(
+    graph: DynamicGraph,
+    bound: BoundEvidence,
+    schedule: Schedule | None,
+    particles: ParticleSettings,
+) -> ParticleOutcome:
+    """The posterior given the evidence `bound`, as particles.
+
+    The schedule says whether they are filtered or smoothed; without one they are smoothed. Warnings
+    tell of few effective particles and of impossible measurements.
+    """
+    kind = kind_of(schedule, "particles")
+    require_fitting(particles, graph.model)
+    model = ParticleModel(graph.model, bound, particles.dtype)
+    _require_possible(particles, model, kind)
+    require_room(model.size, particles, bound.steps + 1, bound.runs, kind)
+    record = Record(bound.steps, bound.runs)
+    chain = ParticleChain(graph, model, particles, record)
+    sweep.forward(chain, bound.steps, record)
+    filtered, clouds, unmoved = tuple(record.clouds), tuple[Cloud, ...](), None
+    if kind == FILTERED:
+        clouds = filtered
+    else:
+        backward = Backward(model, particles, filtered, record.restarted)
+        clouds = backward.smoothed() if kind.name == "smoothed" else backward.lagged(int(kind.lag))
+        unmoved = backward.unmoved
+    figures = record.figures(bound.lead, unmoved)
+    figures.warn()
+    status = Status.of_figures(figures, bound.lead)
+    log_evidence = record.log_density.sum(axis=0).reshape(bound.lead)
+    told = kind, log_evidence, status
+    return ParticleOutcome(graph, particles, *told, model, clouds, filtered)
+
+
+def require_fitting(particles: ParticleSettings, model: DynamicBayesianNetwork) -> None:
+    """Refuse, by a ModelError, particles whose proposal, start or injection the model rules out."""
+    if particles.proposal is not None:
+        require_guidable(model)
+    if particles.start is not None:
+        particles.start.require(model)
+    if particles.injection is not None:
+        particles.injection.cells.require(model)
+
+
+def _require_possible(particles: ParticleSettings, model: ParticleModel, kind: Kind) -> None:
+    """Refuse particles whose injection or start does not fit the schedule or the evidence.
+
+    A ModelError is raised if there is an injection and the `kind` of the posterior is not filtered.
+    An EvidenceError is raised if a state is to be drawn from cells at step 0, and no sensor with
+    measurements there depends on this state alone.
+    """
+    if particles.injection is not None and kind != FILTERED:
+        raise ModelError(
+            f"{particles!r}: injected particles have no past that a smoother could draw: filter, "
+            "or leave injection= out"
+        )
+    if particles.start is not None and not particles.start.sensors(model, 0):
+        raise EvidenceError(
+            f"{particles!r}: start= draws from the measurements at step 0, of a sensor that "
+            f"depends on {particles.start.variable!r} alone; there are none: give them with "
+            "pgm.sightings(values, step=...), or leave start= out",
+            variable=particles.start.variable,
+            step=0,
+        )
+
+
+def require_room(size: int, particles: ParticleSettings, steps: int, runs: int, kind: Kind) -> None:
+    """Refuse, by a ModelError, particles that would not fit memory, before any are drawn.
+
+    size: The number of components of a particle.
+    steps, runs: The numbers of steps and of runs whose particles are held at once.
+    kind: The kind of the posterior; unless it is filtered, trajectories take room, too.
+    """
+    share = np.dtype(particles.dtype).itemsize / 8
+    # States, weights and ancestors of the filter; states and weights of trajectories.
+    each = (size * share + 2) * particles.most
+    if kind != FILTERED:
+        each += (size * share + 1) * particles.trajectories
+    entries = int(each * steps * runs)
+    over = f"{steps} steps" + (f" of {runs} runs" if runs > 1 else "")
+    require_memory(
+        entries,
+        f"{particles.most:,} particles of {size} components at {over} ({gibibytes(entries)})",
+        "take fewer particles, steps or runs to a call; pgm.OnlineFilter(model, belief=) holds one "
+        "step at a time",
+    )

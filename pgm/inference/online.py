@@ -1,0 +1,210 @@
+"""Filtering in a robot's loop, one step at a time, with beliefs of any family."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pgm.arguments import public
+from pgm.beliefs.own.family import BeliefFamily
+from pgm.compile.machine import Choice
+from pgm.display import InCode, titled
+from pgm.errors import ModelError
+from pgm.immutable import Immutable
+from pgm.inference.families import family_of
+from pgm.linearisers import TAYLOR, Lineariser
+from pgm.networks import DynamicBayesianNetwork
+from pgm.schedules.gates import Gate
+from pgm.schedules.options import asked_online, require
+from pgm.schedules.schedule import Filtering, FixedLag
+from pgm.variables import Variable
+
+
+@public
+class OnlineFilter(InCode, Immutable):
+    """A filter for one step at a time; immutable, and so are its beliefs.
+
+    Beliefs belong to the filter's own model: pickle the two together.
+
+    Parameters
+    ----------
+    model : DynamicBayesianNetwork
+        Of a model of tables ``belief[x]`` are tables.
+    lineariser : Lineariser, optional
+        For every CPD that has none of its own; `Taylor()` without.
+    schedule : Filtering or FixedLag, optional
+        How often measurements are linearised; once if not given. With a `FixedLag`,
+        ``belief.lagged`` is the belief at the step a lag before, given everything so far. If the
+        `FixedLag` has one iteration, that belief is found when it is asked for. If it has more,
+        each update linearises the last steps, its own included, until they settle, and takes all
+        measurements of its step together, as `infer` does on recorded ones.
+    lag : int, optional
+        In place of a schedule, as ``schedule=FixedLag(lag)``.
+    gate : float or mapping of Variable to float, optional
+        The gate of the schedule (see `Filtering`), if no schedule is given; for its decisions see
+        ``belief.rejected[z]``.
+    watch : bool
+        Whether ``belief.lost`` is to tell if a belief is probably wrong, as `Lost` does.
+    belief : Grid, Particles, or another BeliefFamily, optional
+        The family of beliefs, if they are not moments or tables. What it has no use for of the
+        other arguments it refuses.
+    compiled : bool or Compiled
+        Whether steps are made in machine code, by Numba. The model's functions are then recorded
+        as they are when the filter is made; see `renewed` for later changes. Some steps are made
+        without machine code, with equal results: those of many runs, with a lag, a gate, a watch or
+        iterations, in twice the digits, with noise that depends on inputs, or with functions that
+        make floats of their input. Machine code runs in one thread. False if not given, since
+        loading and compiling take the time of 10,000 steps.
+
+    Raises
+    ------
+    ModelError
+        If an argument is of a wrong kind, two of them exclude each other, or a prior is improper.
+    ImportError
+        If steps are to be compiled where Numba is missing.
+
+    Examples
+    --------
+    >>> from pgm.examples import walk, x, z
+    >>> robot = pgm.OnlineFilter(walk)
+    >>> belief = robot.predict(robot.initial())
+    >>> belief = robot.update(belief, {z: [4.0]})
+    >>> belief[x].mean, belief[x].cov
+    (array([2.]), array([[1.]]))
+    >>> pgm.OnlineFilter(walk, gate=0.99, compiled=True).compilation
+    'not compiled: a gate (gate=) decides at one predicted belief after another'
+    """
+
+    model: DynamicBayesianNetwork
+    belief: BeliefFamily[Any] | None
+    # Of the family: its `initial`, `predict` and `update`.
+    _steps: Any
+
+    def __init__(
+        self,
+        model: DynamicBayesianNetwork,
+        lineariser: Lineariser = TAYLOR,
+        schedule: Filtering | FixedLag | None = None,
+        lag: int | None = None,
+        *,
+        gate: Gate = None,
+        watch: bool = False,
+        belief: BeliefFamily[Any] | None = None,
+        compiled: Choice = None,
+    ) -> None:
+        if belief is None and not isinstance(model, DynamicBayesianNetwork):
+            raise ModelError(f"a dynamic network was due, not {titled(model)}")
+        family = family_of(model, belief)
+        options: dict[str, Any] = {"lineariser": lineariser, "schedule": schedule, "lag": lag}
+        options |= {"gate": gate, "watch": watch, "compiled": compiled}
+        require(asked_online(options), model, family)
+        steps = family.online(model, {n: v for n, v in options.items() if n in family.takes})
+        # The options by which the steps are made, as attributes: a class with a __getattr__ looks
+        # up all of its attributes slowly, and a step takes microseconds.
+        self._set(model=model, belief=belief, _steps=steps, **steps.options)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # What was prepared is not part of the value. All that is stands in the arguments, which are
+        # copied with the filter: a belief beside it is of the same copies.
+        return _made, (type(self), self.model, self.belief, dict(self._steps.options))
+
+    def __repr__(self) -> str:
+        return repr(self._steps)
+
+    @property
+    def compilation(self) -> str:
+        """Whether steps are made in machine code, or why not, in words.
+
+        For a compiled filter it tells how many of the steps so far NumPy made, and why.
+        """
+        return str(getattr(self._steps, "compilation", "by NumPy"))
+
+    def renewed(self) -> OnlineFilter:
+        """The same filter, made anew, so that changes to the model's functions take effect.
+
+        Functions are read again together with all that they refer to. A belief of this filter can
+        be given to the new one.
+
+        Examples
+        --------
+        >>> from pgm.examples import walk
+        >>> robot = pgm.OnlineFilter(walk)
+        >>> belief = robot.initial()
+        >>> robot = robot.renewed()
+        >>> robot.predict(belief).step
+        1
+        """
+        make, arguments = self.__reduce__()
+        found: OnlineFilter = make(*arguments)
+        return found
+
+    def initial(self) -> Any:
+        """The prior belief, at step 0, with the model's leading axes of runs."""
+        return self._steps.initial()
+
+    def predict(self, belief: Any, inputs: Mapping[Variable, Any] | None = None) -> Any:
+        """The belief one step later.
+
+        Parameters
+        ----------
+        belief : OnlineBelief
+            Of this filter.
+        inputs : mapping of Variable to array_like
+            Values (..., d) of the transition's inputs, of discrete ones names or indices; may be
+            left out if it has none.
+
+        Returns
+        -------
+        OnlineBelief
+
+        Raises
+        ------
+        EvidenceError
+            If an input is missing or of a wrong shape, or a variable given is no input.
+        ModelError
+            If the belief is not this filter's, or a function returns a wrong shape.
+        LinearisationError, NumericalError
+            If a linearisation, or the belief, has no finite value.
+        """
+        return self._steps.predict(belief, inputs)
+
+    def update(self, belief: Any, readings: Mapping[Variable, Any]) -> Any:
+        """The belief given measurements of its step; a further update goes on from the first.
+
+        Parameters
+        ----------
+        belief : OnlineBelief
+            Of this filter.
+        readings : mapping of Variable
+            For a sensor any number of measurements, ``pgm.sightings(values, given=...)`` without
+            steps, or one measurement (..., d); for inputs that the sensors need, values (..., d).
+
+        Returns
+        -------
+        OnlineBelief
+
+        Raises
+        ------
+        EvidenceError
+            If a measurement does not fit its sensor.
+        ModelError, LinearisationError
+            See `predict`.
+        NumericalError
+            If a measurement contradicts an exact model, or the belief has no finite value.
+
+        Warns
+        -----
+        ConvergenceWarning
+            If two or more iterations were asked for and end before they settle.
+        """
+        return self._steps.update(belief, readings)
+
+
+def _made(
+    kind: type[OnlineFilter],
+    model: DynamicBayesianNetwork,
+    belief: BeliefFamily[Any] | None,
+    options: Mapping[str, Any],
+) -> OnlineFilter:
+    """A filter of a class, a subclass of a user's own too, by its options."""
+    return kind(model, belief=belief, **options)

@@ -1,0 +1,1 @@
+"""Linearisation: a CPD at all its rows, with its evidence, its noise and its slope at beliefs."""

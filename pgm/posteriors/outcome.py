@@ -1,0 +1,125 @@
+"""The outcome of a schedule, as a family of beliefs keeps it: from it a `Posterior` answers."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, Generic
+
+from pgm.display import Shown
+from pgm.errors import EvidenceError, GraphError, PgmError, Unanswered
+from pgm.evidence import Reading
+from pgm.factors.scope import Scope
+from pgm.kernels.arrays import Array
+from pgm.posteriors.belief_kind import Kind
+from pgm.variables import Variable
+
+if TYPE_CHECKING:  # `Posterior` alone stands for that of any beliefs
+    from typing_extensions import TypeVar
+
+    B = TypeVar("B", default=Any)
+else:
+    from typing import TypeVar
+
+    B = TypeVar("B")
+
+# What a posterior can be asked for beside marginals and joints: in words, and the error of a family
+# that has no answer.
+QUESTIONS: dict[str, tuple[str, type[PgmError]]] = {
+    "associations": ("associations of measurements", Unanswered),
+    "belief": ("beliefs of clusters", GraphError),
+    "filtered": ("the forward pass", Unanswered),
+    "innovations": ("innovations", Unanswered),
+    "joint": ("joints", EvidenceError),
+    "lost": ("innovations, which tell where a belief was lost", Unanswered),
+    "message": ("messages", GraphError),
+    "potential": ("potentials of clusters", GraphError),
+    "predicted": ("marginals given the measurements before each step", Unanswered),
+    "rejected": ("rejections by gates", Unanswered),
+    "weights": ("weights of measurements", Unanswered),
+}
+
+
+# Forms in which beliefs are kept: moments or tables of a chain's slices, moments of the slices of a
+# balanced tree, moments or tables of a network without time; or the marginals of variables alone.
+CHAIN, SLICES, BALANCED, NETWORK, TABLES = "chain", "slices", "balanced", "network", "tables"
+MARGINALS = "marginals"
+
+
+class Outcome(Shown, ABC, Generic[B]):
+    """Base of the outcomes of all families; B is what the marginal of a variable is.
+
+    Beside the methods below, an outcome has methods and properties by the names of `QUESTIONS`, for
+    what it can answer; `refusal` words the rest. Leading axes of all results are the user's axes of
+    runs.
+    """
+
+    # Of which beliefs, in the text of a refusal: a plural.
+    beliefs: ClassVar[str] = "these beliefs"
+    # The form in which they are kept, by which pages and audits read them; a page's name for their
+    # graph, and why it shows no messages; whether a path can be drawn through their marginals.
+    form: ClassVar[str] = MARGINALS
+    called: ClassVar[str] = "chain"
+    silent: ClassVar[str] = "these beliefs go from slice to slice, and no messages are kept"
+    moving: ClassVar[bool] = False
+
+    if TYPE_CHECKING:  # a property would be taken for the default of a field of the same name
+
+        @property
+        def graph(self) -> Any:
+            """The cluster graph on which the schedule ran."""
+
+        @property
+        def status(self) -> Any:
+            """How the schedule went."""
+
+        @property
+        def kind(self) -> Kind | None:
+            """Which measurements the beliefs know; None without time."""
+
+        @property
+        def log_evidence(self) -> Array:
+            """Ln p(evidence), (*runs), in nats."""
+
+        @property
+        def log_evidence_kind(self) -> str:
+            """What `log_evidence` is, in a word, such as ``exact``."""
+
+    @abstractmethod
+    def __getitem__(self, variable: Variable) -> B:
+        """The marginal of a variable without evidence."""
+
+    def _moments(self, variable: Variable) -> Any:
+        """The marginal of a variable, in a form that has moments, if it has such.
+
+        Summaries, pages, data sets and comparisons ask for it. A family's own form without moments
+        is an EvidenceError.
+        """
+        return self[variable]
+
+    @property
+    @abstractmethod
+    def _hidden(self) -> Scope:
+        """The variables that have marginals; of a dynamic network their templates."""
+
+    @property
+    def readings(self) -> Sequence[Reading]:
+        """The measurements that a page shows beside marginals, sensor by sensor."""
+        return ()
+
+    def refusal(self, question: str) -> PgmError:
+        """The error for one of `QUESTIONS` that this outcome cannot answer."""
+        what, error = QUESTIONS[question]
+        return error(f"{what}: {self.beliefs} have none")
+
+    def _why_unsettled(self) -> str:
+        """Why messages round loops have not settled, as a sentence; empty if it is not known."""
+        return ""
+
+
+def marginal(beliefs: Any, variable: Variable) -> Any:
+    """The marginal of a variable in a form with moments, if a family's own form may have none.
+
+    `beliefs` are a posterior, marginals over time, or an online belief.
+    """
+    return getattr(beliefs, "_moments", beliefs.__getitem__)(variable)

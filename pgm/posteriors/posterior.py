@@ -1,0 +1,349 @@
+"""The result of inference on any graph, with beliefs of any family."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Generic
+
+from pgm.clustergraph import Cluster
+from pgm.display import NoArray, Shown, Summary, Viewed
+from pgm.errors import EvidenceError
+from pgm.factors.scope import Scope
+from pgm.kernels.arrays import Array
+from pgm.posteriors.labelled import Labelled
+from pgm.posteriors.outcome import QUESTIONS, B, Outcome
+from pgm.variables import Variable
+
+if TYPE_CHECKING:
+    from pgm.factors import CanonicalForm, Table
+    from pgm.posteriors.associations import Found
+    from pgm.posteriors.innovations import Innovations
+    from pgm.posteriors.lost import Lost
+    from pgm.posteriors.rejections import Rejections
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
+    """The beliefs of a cluster graph after a schedule of messages; leading axes are runs.
+
+    ``posterior[x]`` is the marginal of a variable without evidence: a `Gaussian`, a `Table` of a
+    discrete variable, a `GridBelief` or `ParticleBelief` with ``belief=``, or what a
+    `BeliefFamily` of your own shows. Over time the last of the leading axes is of steps: 0..T of a
+    state, 1..T of a hidden control (``.steps`` says); ``posterior[x.at(3)]`` is that of one step.
+    Messages and beliefs of clusters are a `CanonicalForm` or a `Table`, unnormalised. What a family
+    of beliefs does not have it refuses, in words.
+
+    Attributes
+    ----------
+    graph : ClusterGraph
+        Of a dynamic network a `DynamicGraph`, whose clusters are numbered by step: 0 is over the
+        states at step 0, t = 1..T over the states at t − 1 and the slice at t.
+    status : Status
+        Iterations, residuals, whether each run converged, and how far the beliefs can be trusted.
+    kind : Kind or None
+        Which measurements the beliefs know: filtered, fixed-lag or smoothed; None without time. A
+        smoother's particles are trajectories: the i-th of each step are one draw of all steps
+        together.
+    log_evidence_kind : str
+        ``exact``; ``linearised``, of the linearised model; ``laplace``, at the fixed point of
+        Taylor relinearisation; ``bethe``, on a graph with loops; ``grid`` or ``particles``; or
+        ``own``, of a family of your own. With robust noise a lower ``bound``, a ``linearised
+        bound``, or ``unnormalised``, if a density has no finite integral.
+
+    Examples
+    --------
+    >>> a, b, c = pgm.variables("a b c")
+    >>> net = pgm.BayesianNetwork([
+    ...     pgm.GaussianCPD(a, 0.0, 1.0),
+    ...     pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1.0),
+    ...     pgm.LinearGaussianCPD(c, given={b: 1.0}, cov=2.0),
+    ... ])
+    >>> graph = pgm.compile(net, method=pgm.JunctionTree())
+    >>> posterior = pgm.infer(graph, {c: [4.0]})
+    >>> posterior[a].mean, posterior[b].mean
+    (array([1.]), array([2.]))
+    >>> posterior.joint(a, b).cov
+    array([[0.75, 0.5 ],
+           [0.5 , 1.  ]])
+    >>> posterior.belief(0)
+    CanonicalForm(a, b)
+      g = -7.10339
+         h  K: a     b
+      a  0     2  -1.0
+      b  2    -1   1.5
+    >>> posterior.message(0, 1)
+    CanonicalForm(b)
+      g = -1.26551
+         h  K: b
+      b  0   0.5
+
+    Over time:
+
+    >>> from pgm.examples import walk, x, z
+    >>> posterior = pgm.smooth(walk, {z: [[4.0]]})
+    >>> posterior[x].mean.ravel(), posterior[x].cov.ravel()
+    (array([1., 2.]), array([0.75, 1.  ]))
+    >>> posterior.filtered[x].mean.ravel()
+    array([0., 2.])
+    >>> posterior.joint(x.at(0), x.at(1)).cov
+    array([[0.75, 0.5 ],
+           [0.5 , 1.  ]])
+    """
+
+    _outcome: Outcome[B]
+
+    _arrays: ClassVar[str] = ".mean and .cov by variable, posterior[x].mean"
+
+    # Python would else iterate by asking for the variables 0, 1, ...
+    __iter__: ClassVar[None] = None
+
+    @property
+    def graph(self) -> Any:
+        """The cluster graph on which the schedule ran."""
+        return self._outcome.graph
+
+    @property
+    def status(self) -> Any:
+        """How the schedule went: iterations, residuals, digits, and a family's own numbers."""
+        return self._outcome.status
+
+    @property
+    def kind(self) -> Any:
+        """Which measurements the beliefs know, such as filtered; None without time."""
+        return self._outcome.kind
+
+    @property
+    def log_evidence(self) -> Array:
+        """The log-evidence ln p(evidence), (*runs), in nats; see `log_evidence_kind`."""
+        return self._outcome.log_evidence
+
+    @property
+    def log_evidence_kind(self) -> str:
+        """What `log_evidence` is, one of those that the class lists, such as ``exact``."""
+        return self._outcome.log_evidence_kind
+
+    def __getitem__(self, variable: Variable) -> B:
+        """The marginal of a variable without evidence.
+
+        Parameters
+        ----------
+        variable : Variable
+            ``x``, of all steps of a dynamic network, or ``x.at(3)``.
+
+        Returns
+        -------
+        Gaussian, Table, GridBelief, ParticleBelief, or what a family shows
+            Leading axes (*runs), followed by the steps of a variable over time.
+
+        Raises
+        ------
+        EvidenceError
+            If the variable has evidence, is not of the network, was not kept, or has no such step.
+        ModelError
+            If it stands after the last step of a grid or particles.
+        """
+        return self._outcome[variable]
+
+    def joint(self, *variables: Variable) -> B:
+        """The joint of some variables without evidence, in the order given.
+
+        Of a dynamic network it knows the measurements that the belief at the latest of the steps
+        knows: after filtering those up to that step, after smoothing all of them, as `kind` says.
+
+        Parameters
+        ----------
+        *variables : Variable
+            Of a dynamic network at steps, ``x.at(3), x.at(4)``; of a grid and of particles also
+            ``x, m``, of all steps.
+
+        Returns
+        -------
+        Gaussian, Table, GridBelief, ParticleBelief, or what a family shows
+            Leading axes (*runs).
+
+        Raises
+        ------
+        EvidenceError, ModelError
+            If a variable has evidence, is not of the network or is named twice, none is given, or
+            the family has no joint of several steps.
+        GraphError
+            If no cluster of a graph with loops holds them all, or the result would take too much
+            memory.
+        NumericalError
+            If windows of an iterated fixed lag were solved in twice the digits.
+        """
+        found: B = self._ask("joint")(*variables)
+        return found
+
+    def message(self, source: int | Cluster, target: int | Cluster) -> CanonicalForm | Table:
+        """The message from one cluster to a neighbour, over their sepset, unnormalised.
+
+        Parameters
+        ----------
+        source, target : int or Cluster
+
+        Returns
+        -------
+        CanonicalForm or Table
+            The g of a form includes the log-density of the measurements that went into it.
+
+        Raises
+        ------
+        GraphError
+            If the clusters are not joined, the family has no messages, or this one was not sent:
+            backward messages are those of smoothing alone.
+        NumericalError
+            If it has no canonical form, since a covariance is singular.
+        """
+        return self._ask("message")(source, target)  # type: ignore[no-any-return]
+
+    def belief(self, cluster: int | Cluster) -> CanonicalForm | Table:
+        """The belief of a cluster over its variables without evidence, unnormalised.
+
+        Parameters
+        ----------
+        cluster : int or Cluster
+
+        Returns
+        -------
+        CanonicalForm or Table
+            Its integral is the evidence that its messages know: all of it after smoothing.
+
+        Raises
+        ------
+        GraphError
+            If the graph has no such cluster, or the family no such beliefs.
+        NumericalError
+            If it has no canonical form, since a covariance is singular.
+        """
+        return self._ask("belief")(cluster)  # type: ignore[no-any-return]
+
+    def potential(self, cluster: int | Cluster) -> CanonicalForm | Table:
+        """The potential of a cluster: the product of its CPDs, with their evidence put in.
+
+        It is over the cluster's variables without evidence, nonlinear CPDs as they were linearised
+        last. Its product with all messages to the cluster, if the schedule has sent these, is the
+        cluster's belief.
+
+        Parameters
+        ----------
+        cluster : int or Cluster
+
+        Returns
+        -------
+        CanonicalForm or Table
+
+        Raises
+        ------
+        GraphError
+            If the graph has no such cluster, or the family no potentials.
+        NumericalError
+            If it has no canonical form, since a noise is singular.
+        """
+        return self._ask("potential")(cluster)  # type: ignore[no-any-return]
+
+    @property
+    def filtered(self) -> Any:
+        """The beliefs of the forward pass, ``posterior.filtered[x]``; of a filter, the same.
+
+        A fixed-lag smoother that iterates slides a window of lag + 1 steps along the chain: then
+        they are the marginals of each window at its newest step.
+        """
+        found = self._ask("filtered")
+        if found is self._outcome:
+            return self
+        return Posterior(found) if isinstance(found, Outcome) else found
+
+    @property
+    def predicted(self) -> Any:
+        """Marginals given the measurements before each step, as CPDs were linearised last."""
+        return self._ask("predicted")
+
+    @property
+    def innovations(self) -> Mapping[Variable, Innovations]:
+        """By sensor, the `Innovations`: how far measurements were from their prediction."""
+        return self._ask("innovations")  # type: ignore[no-any-return]
+
+    @property
+    def lost(self) -> Lost:
+        """Where the filter is probably lost, as its innovations tell."""
+        return self._ask("lost")  # type: ignore[no-any-return]
+
+    @property
+    def rejected(self) -> Mapping[Variable, Rejections]:
+        """By sensor with a gate, the `Rejections`: which measurements it left out."""
+        return self._ask("rejected")  # type: ignore[no-any-return]
+
+    @property
+    def weights(self) -> Mapping[Variable, Array]:
+        """By sensor, (*runs, M): the weight w of each of its M measurements.
+
+        A measurement counts as a Gaussian of covariance `cov` / w: 1 of Gaussian noise, less of
+        robust noise. NaN where nothing was measured.
+        """
+        return self._ask("weights")  # type: ignore[no-any-return]
+
+    @property
+    def associations(self) -> Found:
+        """By sensor, the `Associations` of measurements of a parent given as `unknown`.
+
+        They tell the candidate, such as a landmark, that each was taken to be of.
+        """
+        return self._ask("associations")  # type: ignore[no-any-return]
+
+    def __getattr__(self, name: str) -> Any:
+        # What a family alone has, such as the grid at the resolution that was used.
+        if name.startswith("_"):
+            raise AttributeError(name)
+        if name in QUESTIONS:  # which Python asks for again, after an AttributeError
+            return self._ask(name)
+        try:
+            if name in _INSIDE:
+                raise AttributeError
+            return getattr(self._outcome, name)
+        except AttributeError:
+            raise AttributeError(f"{type(self).__name__} has no attribute {name!r}") from None
+
+    def __dir__(self) -> list[str]:
+        more = (n for n in dir(self._outcome) if not n.startswith("_") and n not in _INSIDE)
+        return sorted({*super().__dir__(), *more})
+
+    def _ask(self, question: str) -> Any:
+        """The outcome's answer to one of `QUESTIONS`, or its refusal."""
+        if not hasattr(type(self._outcome), question) and question not in vars(self._outcome):
+            raise self._outcome.refusal(question)
+        return getattr(self._outcome, question)
+
+    def _moments(self, variable: Variable) -> Any:
+        return self._outcome._moments(variable)
+
+    @property
+    def _hidden(self) -> Scope:
+        return self._outcome._hidden
+
+    def _why_unsettled(self) -> str:
+        return self._outcome._why_unsettled()
+
+    @property
+    def _title(self) -> str:
+        return self._outcome._title
+
+    def _summary(self) -> Summary:
+        return self._outcome._summary()
+
+
+# What every outcome has for pages and refusals, and is no answer to a user.
+_INSIDE = frozenset(n for n in dir(Outcome) if not n.startswith("_"))
+
+
+def require_variable(variable: Variable) -> Variable:
+    """The same variable; any other key, as a name or several variables, is an `EvidenceError`."""
+    if isinstance(variable, tuple | list | set):
+        raise EvidenceError(
+            f"{variable!r} is asked for where one variable was due: of several, ask for "
+            "posterior.joint(a, b)"
+        )
+    if not isinstance(variable, Variable):
+        raise EvidenceError(f"results are asked for by variable, not by {variable!r}: posterior[x]")
+    return variable

@@ -1,0 +1,1 @@
+"""A recorded drive and its parts: streams, scans, motions between stamps, pose graphs."""

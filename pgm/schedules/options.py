@@ -1,0 +1,212 @@
+"""The options of a call, and who has a use for them: graphs, families of beliefs.
+
+Each party of a call lists the options that it takes. One function, `require`, compares a call with
+that, and words the refusal with the remedy.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+import numpy as np
+
+from pgm.boundary import is_number
+from pgm.compile import BalancedGraph
+from pgm.display import titled
+from pgm.errors import GraphError, ModelError, PgmError
+from pgm.linearisers import TAYLOR
+from pgm.schedules.impossible import RAISE
+from pgm.schedules.schedule import ONCE, Loopy, Schedule
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
+    from pgm.linearisers import Lineariser
+    from pgm.schedules.starting_points import Start
+
+
+class Call(NamedTuple):
+    """The options of a call of `infer`, `filter` or `smooth`, with their defaults.
+
+    schedule: None for the graph's own.
+    compiled: Whether machine code was asked for when the graph was compiled; None if it was not.
+    """
+
+    schedule: Schedule | None = None
+    lineariser: Lineariser = TAYLOR
+    start: Start | None = None
+    keep: Any = None
+    executor: Executor | None = None
+    memory: float | None = None
+    impossible: str = RAISE
+    compiled: Any = None
+
+    def asked(self, graph: Any) -> dict[str, Any]:
+        """The options that are not left at their defaults, those of the schedule among them.
+
+        For `graph`, which is one of its method.
+        """
+        default = Call()._asdict()
+        given = self._asdict()
+        found = {n: v for n, v in given.items() if n != "schedule" and not is_left(v, default[n])}
+        if isinstance(graph, BalancedGraph):
+            found["method"] = "Balanced"
+        for name, left in OF_SCHEDULES.items():
+            value = getattr(self.schedule, name, left)
+            if not isinstance(self.schedule, Loopy) and not is_left(value, left):
+                found[name] = value
+        return found
+
+
+# The options of schedules of linearisations, whose other arguments say what is sent; and their
+# defaults. A schedule for graphs with loops has options of its own.
+OF_SCHEDULES: dict[str, Any] = {"iterations": 1, "damping": 0.0, "gate": None}
+# Options that are idle on a graph without time where nothing is nonlinear: no family refuses them.
+IDLE = frozenset({"iterations", "lineariser"})
+# The options of an online filter, and the values by which each is left out.
+_ONLINE: dict[str, tuple[Any, ...]] = {
+    "lineariser": (TAYLOR,),
+    "schedule": (None, ONCE),
+    "lag": (None,),
+    "gate": (None,),
+    "watch": (False, None, 0),
+    "compiled": (None, False, 0),
+}
+
+
+def asked_online(given: Mapping[str, Any]) -> dict[str, Any]:
+    """The options of an online filter that are not left out, the gate of a schedule among them.
+
+    `given` are all of them, by name.
+    """
+    found = {n: v for n, v in given.items() if not any(is_left(v, left) for left in _ONLINE[n])}
+    schedule = given["schedule"]
+    if getattr(schedule, "gate", None) is not None:
+        found.setdefault("gate", schedule)
+    return found
+
+
+class Party(Protocol):
+    """A party of a call: the graph, or the family of beliefs.
+
+    takes: The options that it has a use for.
+    """
+
+    @property
+    def takes(self) -> frozenset[str]:
+        """The options that it has a use for."""
+        ...
+
+    def refusal(self, option: str, of: object) -> PgmError:
+        """The error for an option that it has no use for, with the remedy.
+
+        `of` is the graph, or online the network, for its text.
+        """
+        ...
+
+
+def require(given: Mapping[str, Any], of: object, *parties: Party) -> None:
+    """Raise the first party's refusal of an option that it has no use for.
+
+    `given` are the options asked for, by name; `of` is the graph, or online the network.
+    """
+    for party in parties:
+        for option in given:
+            if option not in party.takes:
+                raise party.refusal(option, of)
+
+
+class OverTime(NamedTuple):
+    """Graphs of dynamic networks, which take every option but those of networks without time."""
+
+    takes: frozenset[str] = frozenset({*Call._fields, *OF_SCHEDULES, "method"} - {"memory"})
+
+    def refusal(self, option: str, of: object) -> PgmError:
+        """The error for an option of networks without time."""
+        return refused(option, of)
+
+
+class Static(NamedTuple):
+    """Graphs of networks without time."""
+
+    takes: frozenset[str] = frozenset(
+        {"lineariser", "start", "memory", "impossible", "compiled", "iterations"}
+    )
+
+    def refusal(self, option: str, of: object) -> PgmError:
+        """The error for an option of dynamic networks."""
+        if option == "belief":
+            return GraphError(
+                f"belief= is for dynamic networks, whose states it is of, not for {titled(of)}"
+            )
+        if option == "gate":
+            return GraphError(
+                "gate= is for dynamic networks, at whose predicted beliefs it decides, not for "
+                f"{titled(of)}"
+            )
+        if option == "damping":
+            return GraphError(
+                "the damping of linearisation points is for dynamic networks; on other graphs "
+                "pgm.Flooding(damping=...) damps messages"
+            )
+        return GraphError(
+            f"keep= and executor= are for the runs of dynamic networks, not for {titled(of)}; to "
+            "hold less at a time, give fewer runs to a call"
+        )
+
+
+OVER_TIME, STATIC = OverTime(), Static()
+
+_NOTHING = (
+    "{beliefs} need no linearising, so that there is nothing to iterate or damp; leave iterations "
+    "and damping out"
+)
+# Options whose refusal is the same whoever has no use for them: {of} is the graph, or network, and
+# {beliefs} are those of the family. Other options' is in the family's words.
+REFUSALS: dict[str, tuple[type[PgmError], str]] = {
+    "memory": (
+        GraphError,
+        "memory= is for the runs of discrete networks; of a dynamic network keep=[x] holds fewer "
+        "at a time, and of others fewer runs to a call do",
+    ),
+    "impossible": (
+        GraphError,
+        "impossible= is for the runs of discrete networks, not for {of}",
+    ),
+    "method": (
+        GraphError,
+        "{beliefs} go along a chain of slices, which {of} is not: leave method= out of pgm.compile "
+        "or pgm.smooth",
+    ),
+    "iterations": (ModelError, _NOTHING),
+    "damping": (ModelError, _NOTHING),
+}
+
+
+def refused(
+    option: str, of: object, beliefs: str = "", spare: str = "", more: str = ": leave it out"
+) -> PgmError:
+    """The error for an option that is not taken.
+
+    `beliefs` are the family's, in the plural; `spare` says, of most options, for what it has no use
+    of those; `more` is the remedy.
+    """
+    if option not in REFUSALS:
+        return ModelError(f"{option}= {spare}{more}")
+    error, text = REFUSALS[option]
+    remedy = more if option == "impossible" else ""
+    return error(text.format(of=titled(of), beliefs=beliefs) + remedy)
+
+
+def is_left(value: Any, default: Any) -> bool:
+    """Whether an option was left at its default, or given as a value that is the same.
+
+    A number is the same as another of any type, and as no bool: 0 is 0.0, and not False.
+    """
+    if value is default:
+        return True
+    if is_number(value) and is_number(default):
+        return float(value) == float(default)
+    value = bool(value) if isinstance(value, np.bool_) else value
+    return default is not None and type(value) is type(default) and bool(value == default)

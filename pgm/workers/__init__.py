@@ -1,0 +1,1 @@
+"""Workers: jobs that go to an executor, and values on their way to other processes."""
