@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar
 from functools import cache
 from typing import Any, TypeVar
@@ -20,18 +20,24 @@ Progress = bool | Callable[[int, int], object]
 T = TypeVar("T")
 
 
-@contextmanager
-def reporting(progress: Progress) -> Iterator[None]:
+def reporting(progress: Progress) -> AbstractContextManager[None]:
     """Report progress within this block: True for bars, or ``progress(done, total)``."""
+    if progress is False:
+        return _SILENT
     if not isinstance(progress, bool) and (isinstance(progress, type) or not callable(progress)):
         raise ModelError(
             "progress= is True, for a bar, or a function that is called with the numbers done and "
             f"in all, progress(done, total); found {progress!r}"
         )
-    if progress is False:
-        yield
-        return
-    report = _Report(_bar if progress is True else _calls(progress))
+    return _reported(_bar if progress is True else _calls(progress))
+
+
+_SILENT = nullcontext()
+
+
+@contextmanager
+def _reported(begin: Callable[[str, int], _Stage]) -> Iterator[None]:
+    report = _Report(begin)
     token = _REPORT.set(report)
     try:
         yield

@@ -264,17 +264,19 @@ def assign(
     families: Sequence[tuple[int, ...]], members: Sequence[tuple[int, ...]], sizes: Sequence[int]
 ) -> list[int]:
     """The smallest cluster that holds each family, the first of equals; −1, where none does."""
+    by_size = sorted(range(len(members)), key=sizes.__getitem__)
+    # By variable the clusters that hold it, told by their places in the order of sizes.
     holders: dict[int, set[int]] = {}
-    for k, held in enumerate(members):
-        for place in held:
+    for rank, k in enumerate(by_size):
+        for place in members[k]:
             if place in holders:
-                holders[place].add(k)
+                holders[place].add(rank)
             else:
-                holders[place] = {k}
+                holders[place] = {rank}
     homes, nowhere = list[int](), set[int]()
     for family in families:
         fits = set.intersection(*[holders.get(place, nowhere) for place in family])
-        homes.append(min(sorted(fits), key=sizes.__getitem__, default=-1))
+        homes.append(by_size[min(fits)] if fits else -1)
     return homes
 
 

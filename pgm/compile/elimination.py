@@ -214,17 +214,19 @@ def cheapest(adjacent: Adjacency, sizes: Sequence[int], tries: int, seed: int) -
     """
     graph = Filling(adjacent, [1] * len(sizes))
     order: list[int] = []
+    cliques: list[set[int]] = []  # of each vertex, without itself
     core: Core | None = None
     for vertex in fill_order(graph, [0] * len(sizes)):
         if core is None and graph.fill[vertex]:
             core = Core.of(graph, order, sizes)
         order.append(vertex)
+        cliques.append(graph.adjacent[vertex])
     if core is None:
         return order
-    least = _entries(adjacent, order, sizes)
+    least, before = MaximalCliques(sizes).of(order, cliques), len(core.before)
     if least > HOPELESS:
         return order
-    bound = core.entries(order)
+    bound = MaximalCliques(sizes).of(order[before:], cliques[before:])
     searched = Search(core, random.Random(seed))
     tries = min(tries, tries * VERTICES // len(sizes))
     for count, draw in enumerate(islice(searched.tries(), tries)):
@@ -234,6 +236,40 @@ def cheapest(adjacent: Adjacency, sizes: Sequence[int], tries: int, seed: int) -
         if found and (entries := _entries(adjacent, found, sizes)) < least:
             order, least, bound = found, entries, core.entries(found)
     return order
+
+
+class MaximalCliques:
+    """The table entries of the maximal cliques of a graph, as its vertices are eliminated in turn.
+
+    entries: Those of the cliques so far.
+    """
+
+    def __init__(self, sizes: Sequence[int]) -> None:
+        self.sizes, self.entries = sizes, 0
+        # The vertices eliminated so far that each was joined to, and with how many others.
+        self._joined: list[list[int]] = [[] for _ in sizes]
+        self._reach: list[int] = [0] * len(sizes)
+
+    def of(self, order: Iterable[int], cliques: Iterable[Collection[int]]) -> int:
+        """The entries, after vertices in this order, each with its neighbours."""
+        for vertex, near in zip(order, cliques, strict=True):
+            self.add(vertex, near)
+        return self.entries
+
+    def add(self, vertex: int, near: Collection[int]) -> None:
+        """Count the clique of a vertex, which is eliminated next, with its neighbours."""
+        reach, sizes = self._reach, self.sizes
+        count = reach[vertex] = len(near)
+        # A clique is maximal but where it is all that an earlier one has left.
+        maximal = True
+        for child in self._joined[vertex]:
+            if reach[child] == count + 1:
+                maximal = False
+            reach[child] = 0
+        if maximal:
+            self.entries += math.prod(map(sizes.__getitem__, near)) * sizes[vertex]
+        for other in near:
+            self._joined[other].append(vertex)
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,25 +336,11 @@ class Search:
         draw = self.random.expovariate
         noise = [math.pow(draw(1.0), spread) for _ in sizes] if spread else None
         order: list[int] = []
-        entries = 0
-        # The vertices eliminated so far that each was joined to, and with how many others.
-        joined: list[list[int]] = [[] for _ in sizes]
-        reach: list[int] = [0] * len(sizes)
+        cliques = MaximalCliques(sizes)
         for vertex in fill_order(graph, [0] * len(sizes), noise):
-            near = graph.adjacent[vertex]
-            reach[vertex] = len(near)
-            # A clique is maximal but where it is all that an earlier one has left.
-            maximal = True
-            for child in joined[vertex]:
-                if reach[child] == len(near) + 1:
-                    maximal = False
-                reach[child] = 0
-            if maximal:
-                entries += math.prod(map(sizes.__getitem__, near)) * sizes[vertex]
-                if entries > bound:
-                    return []
-            for other in near:
-                joined[other].append(vertex)
+            cliques.add(vertex, graph.adjacent[vertex])
+            if cliques.entries > bound:
+                return []
             order.append(vertex)
         return core.whole(order)
 

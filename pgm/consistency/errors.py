@@ -26,9 +26,11 @@ def check_gaussian(belief: Any) -> Gaussian:
             "covariance"
         )
     if not isinstance(belief, Gaussian):
+        remedy = "take the marginal of one variable first"
+        if hasattr(belief, "mean") and hasattr(belief, "cov"):
+            remedy = "pgm.Gaussian(x, found.mean, found.cov, steps=range(T + 1)) has its moments"
         raise ModelError(
-            f"a belief is a Gaussian, like posterior[x], not {type(belief).__name__}; take the "
-            "marginal of one variable first"
+            f"a belief is a Gaussian, like posterior[x], not {type(belief).__name__}; {remedy}"
         )
     return belief
 

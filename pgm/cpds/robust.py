@@ -18,7 +18,7 @@ import numpy.typing as npt
 from pgm.arguments import public
 from pgm.boundary import is_number
 from pgm.cpds.radius import Radius, kept
-from pgm.display import InCode
+from pgm.display import ByAttributes
 from pgm.errors import ModelError
 from pgm.kernels.arrays import LOG_2PI, Array, inner
 
@@ -31,7 +31,7 @@ _SMALLEST, _LARGEST = 1e-50, 1e50
 _GROWTH, _HARD = 1.4, 1e7
 
 
-class RobustNoise(InCode, ABC):
+class RobustNoise(ByAttributes, ABC):
     r"""A noise whose residuals count the less the larger they are; base for one of your own.
 
     .. math:: p(r) = c\, |R|^{-1/2} \exp(-\rho(s)), \quad s = r^\top R^{-1} r

@@ -13,7 +13,7 @@ from pgm.display.brief import (
 )
 from pgm.display.moments import axes, by_component, named_matrix, stacked, whereabouts
 from pgm.display.notebook import Drawn, Viewed
-from pgm.display.shown import InCode, NoArray, Shown, titled
+from pgm.display.shown import ByAttributes, InCode, NoArray, Shown, titled
 from pgm.display.summary import ENDS, LEFT_OUT, TITLE, Listing, Summary, few, places
 from pgm.display.told import Told
 
@@ -21,6 +21,7 @@ __all__ = [
     "ENDS",
     "LEFT_OUT",
     "TITLE",
+    "ByAttributes",
     "Drawn",
     "InCode",
     "Listing",

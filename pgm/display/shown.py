@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from html import escape
+from reprlib import recursive_repr
 from typing import Any, ClassVar
 
 import numpy as np
@@ -44,6 +45,17 @@ class InCode:
 
     def _repr_html_(self) -> str:
         return f"<code>{escape(repr(self))}</code>"
+
+
+class ByAttributes(InCode):
+    """A value of a class that users extend: it shows its attributes, whoever wrote `__init__`."""
+
+    __slots__ = ()
+
+    @recursive_repr()
+    def __repr__(self) -> str:
+        given = ", ".join(f"{name}={brief(value)}" for name, value in vars(self).items())
+        return f"{type(self).__name__}({given})"
 
 
 class NoArray:

@@ -78,35 +78,27 @@ class Calibrated(Generic[F]):
     products, totals: Of each step, its product, and its result.
     """
 
-    def __init__(
-        self, plan: Plan, given: Callable[[int], F] | Sequence[F], algebra: Algebra[F]
-    ) -> None:
+    def __init__(self, plan: Plan, given: Sequence[F], algebra: Algebra[F]) -> None:
         self.plan, self.algebra = plan, algebra
-        self.products: list[F] = []
-        self.totals: list[F] = []
-        take = given if callable(given) else given.__getitem__
-        first, totals = len(plan.scopes), self.totals
+        # By number: the factors given, then the results.
+        held, products = [*given], list[F]()
         for step in plan.steps:
-            factors = [take(k) if k < first else totals[k - first] for k in step.factors]
-            product = algebra.product(step, factors)
-            self.products.append(product)
-            totals.append(algebra.total(product, step.scope, step.left))
+            product = algebra.product(step, [held[k] for k in step.factors])
+            products.append(product)
+            held.append(algebra.total(product, step.scope, step.left))
+        self.products, self.totals = products, held[len(given) :]
 
     def back(self) -> Iterator[tuple[Step, F, F | None]]:
         """Each step, from the last one to the first, with its joint, and that of what it leaves.
 
         The latter is None of a root, whose result no step takes.
         """
-        algebra, steps, first = self.algebra, self.plan.steps, len(self.plan.scopes)
-        # Of each step whose result was taken, the scope and the joint of the step that took it.
-        takers: dict[int, tuple[Scope, F]] = {}
+        algebra, steps, takers = self.algebra, self.plan.steps, self.plan.takers
+        joints: dict[int, F] = {}
         for number in range(len(steps) - 1, -1, -1):
-            step, outside = steps[number], None
-            taker = takers.pop(number, None)
-            if taker is not None:
-                outside = algebra.total(taker[1], taker[0], step.left)
+            step, taker, outside = steps[number], takers[number], None
+            if taker >= 0:
+                outside = algebra.total(joints[taker], steps[taker].scope, step.left)
             joint = algebra.joint(step, self.products[number], self.totals[number], outside)
-            for factor in step.factors:
-                if factor >= first:
-                    takers[factor - first] = step.scope, joint
+            joints[number] = joint
             yield step, joint, outside

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,8 @@ from pgm.kernels.stochastic import Transition
 LONG = 2**8
 # From so many entries of a product on it is made as one of matrices, which are turned for it.
 MATRICES = 2**15
+# The first axes of a table, by how many they are: NumPy's arrays have up to 64.
+FIRST = [tuple(range(count)) for count in range(65)]
 # Labels below this are einsum's own.
 LETTERS = 52
 
@@ -99,7 +101,7 @@ class TableAlgebra(Algebra[Any]):
 
         It may be a view of a table, which must not be written to.
         """
-        scope, times, aligned = step.scope, self.semiring.times, self.aligned
+        scope, times, aligned, sizes = step.scope, self.semiring.times, self.aligned, self.sizes
         if aligned is None:
             pairs = zip(factors, step.scopes, strict=True)
             tail = max([table.ndim - len(own) for table, own in pairs])
@@ -108,9 +110,8 @@ class TableAlgebra(Algebra[Any]):
             if aligned is None:
                 table = over(table, own, scope, tail)
             elif len(own) < len(scope):
-                sizes = self.sizes
                 shape = [sizes[x] if x in own else 1 for x in scope]
-                table = table.reshape(*shape, *table.shape[len(own) :])
+                table = table.reshape([*shape, *table.shape[len(own) :]] if aligned else shape)
             found = table if found is None else times(found, table)
         assert found is not None
         return found
@@ -120,15 +121,16 @@ class TableAlgebra(Algebra[Any]):
         count, total = len(scope) - len(left), self.semiring.total
         if not count:
             return product
-        first = scope[count:] == left
-        if first and product.size >= LONG:
+        if scope[count:] == left:
+            if product.size < LONG:
+                return total(product, FIRST[count])
             # One axis of all that is summed out.
-            return total(product.reshape(-1, *product.shape[count:]), 0, None)
-        gone = range(count) if first else [k for k, x in enumerate(scope) if x not in left]
+            return total(product.reshape(-1, *product.shape[count:]), 0)
+        gone = [axis for axis, x in enumerate(scope) if x not in left]
         if product.size < LONG or not self.semiring.linear:
-            return total(product, tuple(gone), None)
+            return total(product, tuple(gone))
         for lost, axis in enumerate(gone):
-            product = total(product, axis - lost, None)
+            product = total(product, axis - lost)
         return product
 
     def made(self, step: Step, factors: Sequence[Any]) -> Array:
@@ -175,14 +177,18 @@ class TableAlgebra(Algebra[Any]):
     def joint(self, step: Step, product: Array, total: Array, outside: Array | None) -> Array:
         """The joint of a step's variables; see `Algebra.joint`."""
         semiring, scope, left = self.semiring, step.scope, step.left
+        found: Array
+        # Sums over the first axes are slow where memory has another order than "C".
         if outside is None:
-            return cast(Array, semiring.over(product, total))
+            found = semiring.over(product, total, order="C")
+            return found
         if not semiring.linear or np.count_nonzero(total) < total.size:
             total = semiring.divisor(total)  # where it is zero the joint outside is, too
         ratio = semiring.over(outside, total)
         if scope[len(scope) - len(left) :] != left:
             ratio = over(ratio, left, scope, product.ndim - len(scope))
-        return cast(Array, semiring.times(product, ratio))
+        found = semiring.times(product, ratio, order="C")
+        return found
 
 
 def over(table: Array, own: Scope, scope: Scope, tail: int) -> Array:

@@ -25,7 +25,13 @@ from pgm.schedules.binding import bind_chain
 from pgm.schedules.convergence import told
 from pgm.schedules.impossible import RAISE
 from pgm.schedules.options import IDLE, OVER_TIME, STATIC, Call, require
-from pgm.schedules.schedule import Filtering, FixedLag, Loopy, Schedule
+from pgm.schedules.schedule import (
+    Filtering,
+    FixedLag,
+    Loopy,
+    Schedule,
+    require_known_options,
+)
 from pgm.schedules.starting_points import Start
 from pgm.variables import Variable
 
@@ -180,8 +186,9 @@ def send(
             return Posterior(family.infer(graph, bound, call))
     asked = call.asked(graph) if belief is None else {**call.asked(graph), "belief": belief}
     family = family_of(graph.network)
-    require(asked, graph, STATIC)
-    require({n: v for n, v in asked.items() if n not in IDLE}, graph, family)
+    if asked:
+        require(asked, graph, STATIC)
+        require({n: v for n, v in asked.items() if n not in IDLE}, graph, family)
     _require_static(graph, schedule)
     with reporting(progress):
         return Posterior(family.infer_static(graph, evidence, call))
@@ -195,6 +202,8 @@ def _require_static(graph: ClusterGraph, schedule: Schedule | None) -> None:
             f"time, for which {schedule!r} is: leave the schedule out for a tree, and on a graph "
             "with loops give pgm.Flooding(), pgm.Sequential() or pgm.Residual()"
         )
+    if schedule is not None:
+        require_known_options(schedule, "a graph without time")
     if not graph.is_tree and not isinstance(schedule, Loopy):
         advice = f"and {schedule!r} is for trees; give"
         if schedule is None:

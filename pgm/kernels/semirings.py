@@ -21,15 +21,15 @@ class Semiring:
     """A semiring of the entries of tables: a product and a sum, and their neutral entries.
 
     `times` and `over` multiply and divide entries; `zero` and `one` are neutral for sum and
-    product. ``total(values, axes, out)`` sums along one or more axes, into `out` if that is not
-    None. `linear`: entries are numbers, not logarithms.
+    product. ``total(values, axes)`` sums along one or more axes, into an array ``out=`` if one is
+    given. `linear`: entries are numbers, not logarithms.
     """
 
     zero: float
     one: float
     times: np.ufunc
     over: np.ufunc
-    total: Callable[[Array, Axes, Array | None], Array]
+    total: Callable[..., Array]
     linear: bool
 
     def divisor(self, values: Array) -> Array:
@@ -49,16 +49,6 @@ class Semiring:
         """The logarithms of entries."""
         logs: Array = np.log(entries) if self.linear else entries
         return logs
-
-
-def _add(values: Array, axis: Axes, out: Array | None) -> Array:
-    result: Array = np.add.reduce(values, axis, out=out)
-    return result
-
-
-def _maximum(values: Array, axis: Axes, out: Array | None) -> Array:
-    result: Array = np.maximum.reduce(values, axis, out=out)
-    return result
 
 
 def log_sum(values: Array, axis: Axes, out: Array | None = None) -> Array:
@@ -84,6 +74,6 @@ def exp(logs: Array, out: Array | None = None) -> Array:
     return values
 
 
-SUM_PRODUCT = Semiring(0.0, 1.0, np.multiply, np.divide, _add, True)
+SUM_PRODUCT = Semiring(0.0, 1.0, np.multiply, np.divide, np.add.reduce, True)
 LOG_SUM_PRODUCT = Semiring(-np.inf, 0.0, np.add, np.subtract, log_sum, False)
-MAX_PRODUCT = Semiring(-np.inf, 0.0, np.add, np.subtract, _maximum, False)
+MAX_PRODUCT = Semiring(-np.inf, 0.0, np.add, np.subtract, np.maximum.reduce, False)

@@ -108,7 +108,7 @@ class Dense(Transition):
         size = max(1, _CHUNK // max(flat.size, 1))
         for at in range(0, len(own), size):
             pairs = own[at : at + size, :, None] + flat
-            semiring.total(pairs, 1, found[at : at + size])
+            semiring.total(pairs, 1, out=found[at : at + size])
         return np.moveaxis(found.reshape(len(own), *moved.shape[1:]), 0, axis)
 
     def entries(self, parent: Integers, child: Integers) -> Array:
@@ -188,7 +188,7 @@ class Sparse(Transition):
             rows = np.flatnonzero(counts > k)
             entry = own.indptr[rows] + k
             pair = np.log(own.data[entry])[:, None] + flat[own.indices[entry]]
-            found[rows] = semiring.total(np.stack([found[rows], pair]), 0, None)
+            found[rows] = semiring.total(np.stack([found[rows], pair]), 0)
         return np.moveaxis(found.reshape(own.shape[0], *moved.shape[1:]), 0, axis)
 
     def entries(self, parent: Integers, child: Integers) -> Array:

@@ -12,7 +12,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
-from pgm.display import InCode
+from pgm.display import ByAttributes
 from pgm.errors import LinearisationError
 from pgm.factors import AffineGaussian, Gaussian
 from pgm.factors.arrays import is_symmetric, symmetrised
@@ -132,7 +132,7 @@ def needs_cov(lineariser: Lineariser, template: FunctionTemplate) -> bool:
     return bool(said)
 
 
-class ArrayLineariser(InCode, ABC):
+class ArrayLineariser(ByAttributes, ABC):
     """A lineariser that works on arrays, so that engines need make no objects to call it.
 
     A subclass gives `prepare`.
@@ -276,6 +276,8 @@ class _Checked:
                 raise Misfit(f"returned a {name} of shape {part.shape}", f"{shape} was due")
         if found.error is not None:
             _require_symmetric(components_last(found.error, 2))
+            if function.group is not None and not function.joint:
+                _require_apart(found.error, function.group)
         return found
 
 
@@ -283,6 +285,18 @@ def _require_symmetric(error: Array) -> None:
     """Refuse an error's covariance that is not symmetric; one that is not finite fails later."""
     if not is_symmetric(symmetrised(error)) and np.isfinite(error).all():
         raise Misfit("returned an error whose covariance is not symmetric", "E = Eᵀ was due")
+
+
+def _require_apart(error: Array, count: int) -> None:
+    """Refuse an error whose parts of `count` sightings are correlated; (d, d, *batch) in all."""
+    height = len(error) // count
+    blocks = error.reshape(count, height, count, height, *error.shape[2:]).swapaxes(1, 2)
+    if blocks[~np.eye(count, dtype=bool)].any():
+        raise Misfit(
+            f"returned an error that is correlated between {count} sightings of a step",
+            "each has one of its own: where function.group is not None and function.joint is "
+            "False, return pgm.linearisers.apart(line, function, mean, cov)",
+        )
 
 
 def apart(prepared: Prepared, function: BoundFunction, mean: Array, cov: Array) -> Line:

@@ -13,8 +13,9 @@ from pgm.kernels.arrays import Array
 
 # Four units in the last place.
 _LAST_PLACES = 4 * 2.0**-52
-# Weights of a mean add up to one but for so much of their sizes.
-_SUM = 1e-9
+# Weights of a mean add up to one but for so much of their sizes; and moments of points are those of
+# N(0, I) but for so much of theirs.
+_SUM, _MOMENTS = 1e-9, 1e-6
 
 
 class _Points(NamedTuple):
@@ -73,6 +74,20 @@ class Points(_Points):
         return super().__new__(cls, points, mean_weights, cov_weights, centred)
 
     @cached_property
+    def fault(self) -> str | None:
+        """A moment, of the first or second order, in which the points are not N(0, I); or None."""
+        s, unit = self.points, np.eye(self.points.shape[-1])
+        for name, weights in (("mean", self.mean_weights), ("cov", self.cov_weights)):
+            w, size = weights[:, None], np.abs(weights)[:, None]
+            off = np.abs((w * s).sum(axis=-2))
+            if name == "mean" and not _is_rounding(off, size * np.abs(s)):
+                return f"with their mean_weights w, Σ w s is off zero by {off.max():.3g}"
+            off = np.abs((w * s).swapaxes(-1, -2) @ s - unit)
+            if not _is_rounding(off, size * s**2):
+                return f"with their {name}_weights w, Σ w s sᵀ is off I by {off.max():.3g}"
+        return None
+
+    @cached_property
     def fit(self) -> regression.Fit:
         """The regression on the points, where all beliefs share them."""
         return regression.fit(self.points, self.mean_weights, self.cov_weights)
@@ -117,3 +132,8 @@ class Points(_Points):
         left = np.abs(self.fit.rows[1 + self.points.shape[1] :]).sum(axis=-1)
         moved = 1.0 + 2.0 * np.sqrt((left**2).sum())
         return min(self.rounding, float(8.0 * _LAST_PLACES * moved))
+
+
+def _is_rounding(off: Array, summands: Array) -> bool:
+    """Whether errors of sums are rounding of their summands, along the last axis but one."""
+    return bool((off <= _MOMENTS * np.max(summands.sum(axis=-2), initial=1.0)).all())

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import hypot, pi
 from operator import mul
 from typing import NoReturn
@@ -37,7 +36,6 @@ _PLAIN, _SURELY = 1e-16, 1.0 / 64.0
 FEW = 64
 
 
-@dataclass(frozen=True)
 class StatisticalRegression(ArrayLineariser):
     """Linear regression of a function on sigma points: a rule is only points and weights.
 
@@ -49,8 +47,9 @@ class StatisticalRegression(ArrayLineariser):
     The covariance is zero in components in which what the line leaves may be rounding, unless their
     own noise is far above it.
 
-    A subclass gives `points`, and may say that they are fresh for each run, or that moments of x
-    are the belief's own.
+    A subclass gives `points`, whose mean is 0 and whose covariance is I, as their weights say. It
+    may say that points are `drawn`, so that this holds but for sampling, that they are fresh for
+    each run, or that moments of x are the belief's own.
 
     References
     ----------
@@ -85,11 +84,24 @@ class StatisticalRegression(ArrayLineariser):
         Returns
         -------
         Points
+
+        Raises
+        ------
+        LinearisationError
+            In a call, if they have other moments than N(0, I), and are not `drawn`.
         """
 
     @property
     def fresh_per_run(self) -> bool:
         """Whether each run has points of its own; steps are then always given as an array."""
+        return False
+
+    @property
+    def drawn(self) -> bool:
+        """Whether points are draws, whose moments are nearly those of N(0, I).
+
+        The moments of others, up to the second order, are checked.
+        """
         return False
 
     @property
@@ -146,6 +158,13 @@ class _Regression:
     def __init__(self, rule: StatisticalRegression, template: FunctionTemplate) -> None:
         self.rule, self.size, self.name = rule, template.size, template.child.name
         self.fresh, self.prior_moments = rule.fresh_per_run, rule.prior_moments
+        if not (rule.drawn or self.fresh or self.prior_moments):
+            fault = rule.points(self.size, self.name, 0).fault
+            if fault:
+                raise LinearisationError(
+                    f"{rule!r}: its points for {self.size} components are not those of N(0, I): "
+                    f"{fault}; of a rule that draws its points, `drawn` is True"
+                )
 
     def __call__(self, function: BoundFunction, mean: Array, cov: Array) -> Line:
         """Linearise at beliefs (n, *batch) and (n, n, *batch)."""

@@ -125,6 +125,11 @@ class SampledRule(StatisticalRegression):
                     f"{type(self).__name__}({name}={value!r}): {name} is True or False"
                 )
 
+    @property
+    def drawn(self) -> bool:
+        """Yes; as of `StatisticalRegression`."""
+        return True
+
     def is_semidefinite(self, dimension: int) -> bool:
         """Whether the moments are the sample's own: its weights are positive."""
         return not self.prior_moments

@@ -339,11 +339,11 @@ _INSIDE = frozenset(n for n in dir(Outcome) if not n.startswith("_"))
 
 def require_variable(variable: Variable) -> Variable:
     """The same variable; any other key, as a name or several variables, is an `EvidenceError`."""
+    if isinstance(variable, Variable):
+        return variable
     if isinstance(variable, tuple | list | set):
         raise EvidenceError(
-            f"{variable!r} is asked for where one variable was due: of several, ask for "
-            "posterior.joint(a, b)"
+            f"{variable!r} is asked for where one variable was due: of several, ask a posterior "
+            "for posterior.joint(a, b), an online belief for each by itself"
         )
-    if not isinstance(variable, Variable):
-        raise EvidenceError(f"results are asked for by variable, not by {variable!r}: posterior[x]")
-    return variable
+    raise EvidenceError(f"results are asked for by variable, not by {variable!r}: posterior[x]")

@@ -11,19 +11,18 @@ from __future__ import annotations
 
 import math
 import warnings
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from pgm.errors import ConvergenceWarning, levels_to_user
 from pgm.kernels.arrays import Array, Mask
+from pgm.posteriors.outcome import B
 from pgm.posteriors.posterior import Posterior
 from pgm.posteriors.status import Status
 from pgm.schedules.damping import LevenbergMarquardt
 from pgm.schedules.loopy import GROWN
 from pgm.schedules.schedule import Calibration, Filtering, FixedLag, Loopy, Schedule
-
-P = TypeVar("P")
 
 # Advice to take more iterations is given up to so many times as many as were made, or as a few.
 _PATIENCE, _FEW = 10, 10
@@ -41,23 +40,21 @@ def is_iterated(schedule: Schedule | None) -> bool:
     return schedule is not None and schedule.iterations > 1
 
 
-def told(posterior: P, schedule: Schedule | None) -> P:
+def told(posterior: Posterior[B], schedule: Schedule | None) -> Posterior[B]:
     """The same posterior, after a `ConvergenceWarning` if some run of it has not settled.
 
     No warning is given after a single linearisation, for a tolerance of 0 (unless messages
-    diverged), without a schedule, or of grids and particles, which have warnings of their own.
+    diverged), or without a schedule.
     """
-    status = getattr(posterior, "status", None)
-    # Grids and particles have a status, and warnings, of their own.
-    if not isinstance(status, Status) or schedule is None or not is_iterated(schedule):
+    if schedule is None or not is_iterated(schedule):
         return posterior
+    status = posterior.status
     if status.converged.all():
         return posterior
     diverged = isinstance(schedule, Loopy) and _diverged(status, schedule)
     if schedule.tolerance == 0.0 and not diverged:
         return posterior
     if isinstance(schedule, Loopy):
-        assert isinstance(posterior, Posterior)
         message = _of_messages(posterior, status, schedule)
     else:
         message = _of_linearisations(status, schedule)

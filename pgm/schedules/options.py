@@ -47,18 +47,22 @@ class Call(NamedTuple):
 
         For `graph`, which is one of its method.
         """
-        default = Call()._asdict()
-        given = self._asdict()
-        found = {n: v for n, v in given.items() if n != "schedule" and not is_left(v, default[n])}
+        found = {
+            name: value
+            for (name, default), value in zip(_DEFAULTS, self, strict=True)
+            if value is not default and name != "schedule" and not is_left(value, default)
+        }
         if isinstance(graph, BalancedGraph):
             found["method"] = "Balanced"
-        for name, left in OF_SCHEDULES.items():
-            value = getattr(self.schedule, name, left)
-            if not isinstance(self.schedule, Loopy) and not is_left(value, left):
-                found[name] = value
+        if self.schedule is not None and not isinstance(self.schedule, Loopy):
+            for name, left in OF_SCHEDULES.items():
+                value = getattr(self.schedule, name, left)
+                if not is_left(value, left):
+                    found[name] = value
         return found
 
 
+_DEFAULTS = tuple(Call._field_defaults.items())
 # The options of schedules of linearisations, whose other arguments say what is sent; and their
 # defaults. A schedule for graphs with loops has options of its own.
 OF_SCHEDULES: dict[str, Any] = {"iterations": 1, "damping": 0.0, "gate": None}

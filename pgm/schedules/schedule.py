@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
 
 from pgm.arguments import public
 from pgm.boundary import is_number, is_whole
@@ -12,6 +14,7 @@ from pgm.posteriors.belief_kind import FILTERED, SMOOTHED, Kind
 from pgm.schedules.argument_checks import require_count, require_tolerance
 from pgm.schedules.damping import Damping, require_damping
 from pgm.schedules.gates import Gate, as_gate
+from pgm.schedules.rounds import Directed, Messages, Step, in_turn, largest_first
 
 # Standard deviations by which a mean may still move at what counts as a fixed point: nothing that
 # an estimate could show, and within reach of float64 and of ten linearisations of most recordings.
@@ -267,14 +270,42 @@ class FixedLag(InCode):
         return Smoothing(self.iterations, self.tolerance, self.damping)
 
 
+@public
 @dataclass(frozen=True)
 class Loopy(InCode):
-    """Base of the schedules for any graph, a tree or not.
+    """Base of the schedules for any graph, a tree or not; one of your own gives `turns`.
 
-    At most `iterations` rounds of messages are sent, each of as many messages as the graph has. A
-    run has converged when no message changes by more than `tolerance`, in standard deviations of
-    the belief that it makes, or in probability. `damping` is the share of the old message that is
-    kept.
+    Messages are sent round after round, until none changes. A run has converged when no message
+    changes by more than `tolerance`, in standard deviations of the belief that it makes, or in
+    probability. The first messages of tables are uniform; those of Gaussians say as much as one
+    observation with the deviation of the prior prediction, at its mean.
+
+    Parameters
+    ----------
+    iterations : int
+        Rounds of messages at the most.
+    tolerance : float
+        A run has converged when no message changes by more than this: in standard deviations of
+        the belief it makes, or in probability. With 0 all rounds are sent.
+    damping : float
+        The share of the old message that is kept, in [0, 1).
+
+    Examples
+    --------
+    An order that is drawn, one message after another:
+
+    >>> from dataclasses import dataclass
+    >>> @dataclass(frozen=True)
+    ... class Drawn(pgm.Loopy):
+    ...     seed: int = 0
+    ...
+    ...     def turns(self, messages):
+    ...         order = np.random.default_rng(self.seed).permutation(len(messages))
+    ...         return [[message] for message in order]
+    >>> from pgm.examples import a, b, pair
+    >>> graph = pgm.compile(pair, method=pgm.Bethe())
+    >>> pgm.infer(graph, {b: [2.0]}, schedule=Drawn(seed=1))[a].mean
+    array([1.])
     """
 
     iterations: int = 1000
@@ -289,6 +320,29 @@ class Loopy(InCode):
                 f"{self!r}: damping is the share of the old message, in [0, 1), not "
                 f"{self.damping!r}"
             )
+
+    def turns(self, messages: Directed) -> Sequence[Sequence[int]]:
+        """The order of a round: groups of messages, which are sent one group after the other.
+
+        The messages of a group are all computed from the latest ones before it. Each message is in
+        one group or more.
+
+        Parameters
+        ----------
+        messages : Directed
+            ``len(messages)`` of them, told by number: ``messages.source[k]`` is the number of the
+            cluster that sends message k, ``messages.target[k]`` of the one that gets it.
+            Messages 2e and 2e + 1 go along the e-th of ``graph.sepsets``, there and back.
+
+        Returns
+        -------
+        sequence of sequence of int
+        """
+        raise ModelError(f"{self!r} has no turns(messages), which gives the order of its messages")
+
+    def _step(self, messages: Messages[Any]) -> Step:
+        """What sends a round of these messages."""
+        return in_turn(messages, self.turns(messages.directed), self)
 
 
 @public
@@ -325,6 +379,10 @@ class Flooding(Loopy):
     True
     """
 
+    def turns(self, messages: Directed) -> Sequence[Sequence[int]]:
+        """All messages in one group."""
+        return [range(len(messages))]
+
 
 @public
 @dataclass(frozen=True)
@@ -351,6 +409,17 @@ class Sequential(Loopy):
     >>> pgm.infer(graph, {b: [2.0]}, schedule=pgm.Sequential())[a].mean
     array([1.])
     """
+
+    def turns(self, messages: Directed) -> Sequence[Sequence[int]]:
+        """Clusters in order, each with its messages to later ones; in reverse, those to earlier."""
+        target = messages.target
+        there, back = [], []
+        for cluster, outgoing in enumerate(messages.outgoing):
+            later = [m for m in outgoing if target[m] > cluster]
+            earlier = [m for m in outgoing if target[m] < cluster]
+            there += [later] if later else []
+            back += [earlier] if earlier else []
+        return [*there, *reversed(back)]
 
 
 @public
@@ -385,8 +454,39 @@ class Residual(Loopy):
     array([1.])
     """
 
+    def _step(self, messages: Messages[Any]) -> Step:
+        """What sends a round of messages in an order that depends on their changes."""
+        return largest_first(messages)
+
 
 Schedule = Filtering | FixedLag | Calibration | Loopy
+
+
+def own_options(schedule: Schedule) -> set[str]:
+    """The options of a schedule for chains that its base has not, by name.
+
+    A subclass that only changes defaults has none, and is run as its base.
+    """
+    base = next(each for each in type(schedule).__mro__ if each.__module__ == __name__)
+    return set() if isinstance(schedule, Loopy) else vars(schedule).keys() - _names(base)
+
+
+def _names(base: Any) -> set[str]:
+    return {field.name for field in fields(base)}
+
+
+def require_known_options(schedule: Schedule, who: str) -> None:
+    """Refuse, by a ModelError, a schedule with options that its base has not.
+
+    `who` would run it as its base, for the text.
+    """
+    found = own_options(schedule)
+    if found:
+        raise ModelError(
+            f"{schedule!r} has {', '.join(sorted(found))}, of which {who} would know nothing: give "
+            "a schedule of pgm's own; one of yours for chains of Gaussian beliefs needs a solver, "
+            "in pgm.beliefs.moments.solvers.run.SOLVERS"
+        )
 
 
 def kind_of(schedule: Schedule | None, beliefs: str) -> Kind:
@@ -403,4 +503,5 @@ def kind_of(schedule: Schedule | None, beliefs: str) -> Kind:
             f"{beliefs} take pgm.Filtering(), pgm.FixedLag(...) or pgm.Smoothing(), not "
             f"{schedule!r}"
         )
+    require_known_options(schedule, beliefs)
     return schedule.kind

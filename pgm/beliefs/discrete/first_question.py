@@ -17,7 +17,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
-from typing import NamedTuple, cast
+from typing import cast
 
 import numpy as np
 
@@ -83,7 +83,7 @@ class _Question:
 
     variables: The variables of the network; elsewhere each is denoted by its index here.
     rank: Of each variable, a number below zero; the axes of all tables stand in ascending rank.
-    shown: The state of each observed variable.
+    shown: Of each observed variable its state, as a slice of length one.
     sizes: Of each variable, its number of states; 1 if it is observed.
     factors: The tables of the CPDs, and the soft evidence of variables that have it.
     plan: The steps, one a cluster, children before parents; what a step leaves is the sepset of its
@@ -93,7 +93,8 @@ class _Question:
     def __init__(self, graph: ClusterGraph, evidence: BoundStates) -> None:
         network, places = graph.network, graph.network._places
         self.variables = cast(Sequence[Discrete], network.variables)
-        self.shown = {places[v]: cast(int, state) for v, state in evidence.states.items()}
+        states = cast(Mapping[Discrete, int], evidence.states)
+        self.shown = {places[v]: slice(state, state + 1) for v, state in states.items()}
         self.sizes = [len(variable.states) for variable in self.variables]
         for place in self.shown:
             self.sizes[place] = 1
@@ -104,33 +105,40 @@ class _Question:
             members: Sequence[Sequence[int]] = [everything]
         else:
             assigned, joined, members = graph._assigned, graph._neighbours, graph._members
-        clusters = self._hang(joined, members)
+        self._hang(joined, members)
         self.factors: list[Array] = []
         scopes: list[Scope] = []
-        entering: list[list[int]] = [[] for _ in members]
+        # Of each cluster, the numbers and the scopes of its factors.
+        entering = [list[int]() for _ in members]
+        over = [list[Scope]() for _ in members]
         cpds = cast(Sequence[TableCPD], network.cpds)
-        for cluster, numbers in enumerate(assigned):
+        for numbers, factors, own in zip(assigned, entering, over, strict=True):
             for number in numbers:
-                entering[cluster].append(len(scopes))
-                scopes.append(self._add_cpd(network._families[number], cpds[number].table))
+                scope = self._add_cpd(network._families[number], cpds[number].table)
+                factors.append(len(scopes))
+                own.append(scope)
+                scopes.append(scope)
         if evidence.weights:
             # A variable goes where its own CPD does: into a cluster that has it.
             homes = {number: k for k, numbers in enumerate(assigned) for number in numbers}
             for variable, weights in evidence.weights.items():
-                entering[homes[places[variable]]].append(len(scopes))
-                scopes.append(self._add_weights(places[variable], weights[0]))
-        self.plan = Plan(scopes, self.sizes, _steps(clusters, scopes, entering), ())
+                place = places[variable]
+                entering[homes[place]].append(len(scopes))
+                over[homes[place]].append((place,))
+                scopes.append((place,))
+                self._add_weights(place, weights[0])
+        self.plan = Plan(scopes, self.sizes, self._steps(entering, over, len(scopes)), ())
 
-    def _hang(
-        self, joined: Sequence[Sequence[int]], members: Sequence[Sequence[int]]
-    ) -> list[_Hung]:
+    def _hang(self, joined: Sequence[Sequence[int]], members: Sequence[Sequence[int]]) -> None:
         """Root each tree at its cluster of least number, and rank the variables.
 
         The variables that a cluster does not share with its parent rank before all variables of the
         clusters above it. `joined` has the neighbours of each cluster, by number, `members` its
-        variables. The clusters are returned parents before children.
+        variables. Of each cluster that sets `hung`: its number, its parent, −1 of a root, its
+        variables in ascending rank, and those that the parent has too, which stand last among them.
+        The clusters are in turn, parents before children.
         """
-        clusters: list[_Hung] = []
+        self.hung: list[tuple[int, int, Scope, Scope]] = []
         parent = [UNSEEN] * len(joined)
         self.rank = rank = [0] * len(self.sizes)
         found = 0
@@ -148,12 +156,38 @@ class _Question:
                         found -= 1
                         rank[place] = found
                 scope = tuple(sorted(members[k], key=rank.__getitem__))
-                clusters.append(_Hung(k, parent[k], scope, scope[before - found :]))
+                self.hung.append((k, parent[k], scope, scope[before - found :]))
                 for other in joined[k]:
                     if other != parent[k]:
                         parent[other] = k
                         waiting.append(other)
-        return clusters
+
+    def _steps(
+        self, entering: Sequence[list[int]], over: Sequence[list[Scope]], first: int
+    ) -> list[Step]:
+        """The clusters as steps, children before parents.
+
+        entering, over: Of each cluster, the numbers and scopes of its factors; what its children
+            leave, numbered from `first` on, joins them.
+
+        A variable that nothing which enters a cluster has is none of the step's: the product is
+        alike in all its states. A cluster that nothing enters makes no step.
+        """
+        steps = list[Step]()
+        for cluster, parent, scope, shared in reversed(self.hung):
+            own, count = over[cluster], len(scope)
+            if not own:
+                continue
+            if count not in map(len, own):
+                known = set().union(*own)
+                if len(known) < count:
+                    scope = tuple([place for place in scope if place in known])
+                    shared = tuple([place for place in shared if place in known])
+            if parent >= 0:
+                entering[parent].append(first + len(steps))
+                over[parent].append(shared)
+            steps.append(Step(tuple(entering[cluster]), tuple(own), scope, shared))
+        return steps
 
     def _add_cpd(self, family: Sequence[int], table: Array) -> Scope:
         """Add a CPD to the factors, each observed variable at its state; returns its scope.
@@ -163,66 +197,22 @@ class _Question:
         axes of the factor stand in ascending rank.
         """
         given = [*family[1:], family[0]]
-        if not self.shown.keys().isdisjoint(given):
-            state = self.shown.get
-            index = [ALL if (s := state(place)) is None else slice(s, s + 1) for place in given]
-            table = table[tuple(index)]
+        shown = self.shown
+        if not shown.keys().isdisjoint(given):
+            table = table[tuple([shown.get(place, ALL) for place in given])]
         scope = sorted(given, key=self.rank.__getitem__)
         if scope != given:
             table = table.transpose([given.index(place) for place in scope])
         self.factors.append(table)
         return tuple(scope)
 
-    def _add_weights(self, place: int, weights: Array) -> Scope:
-        """Add a variable's soft evidence, weights (states,), to the factors; returns its scope.
+    def _add_weights(self, place: int, weights: Array) -> None:
+        """Add a variable's soft evidence, weights (states,), to the factors.
 
         The variable is numbered `place`. If it is observed, too, the factor has the weight of its
         state alone.
         """
-        state = self.shown.get(place)
-        self.factors.append(weights if state is None else weights[state : state + 1])
-        return (place,)
-
-
-class _Hung(NamedTuple):
-    """A cluster of a rooted tree, by number, its parent, −1 of a root, and their variables.
-
-    scope: The cluster's variables, in ascending rank.
-    shared: Those that the parent has too, which stand last in it.
-    """
-
-    cluster: int
-    parent: int
-    scope: Scope
-    shared: Scope
-
-
-def _steps(
-    clusters: Sequence[_Hung], scopes: Sequence[Scope], entering: Sequence[list[int]]
-) -> list[Step]:
-    """The clusters as steps, children before parents.
-
-    entering: Of each cluster, the numbers of its factors; what its children leave joins them.
-
-    A variable that nothing which enters a cluster has is none of the step's: the product is alike
-    in all its states. A cluster that nothing enters makes no step.
-    """
-    first, steps = len(scopes), list[Step]()
-    over = [[scopes[number] for number in numbers] for numbers in entering]
-    for cluster, parent, scope, shared in reversed(clusters):
-        own, count = over[cluster], len(scope)
-        if not own:
-            continue
-        if count not in map(len, own):
-            known = set().union(*own)
-            if len(known) < count:
-                scope = tuple([place for place in scope if place in known])
-                shared = tuple([place for place in shared if place in known])
-        if parent >= 0:
-            entering[parent].append(first + len(steps))
-            over[parent].append(shared)
-        steps.append(Step(tuple(entering[cluster]), tuple(own), scope, shared))
-    return steps
+        self.factors.append(weights[self.shown.get(place, ALL)])
 
 
 def _marginals(

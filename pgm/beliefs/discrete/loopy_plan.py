@@ -25,7 +25,7 @@ from pgm.clustergraph import ClusterGraph
 from pgm.factors.axes import States, discrete, sizes, without
 from pgm.kernels.arrays import Integers
 from pgm.schedules import limits
-from pgm.schedules.loopy import Directed
+from pgm.schedules.rounds import Directed
 
 # Of each axis of a cluster, whether its variable is in the sepset.
 Kept = tuple[bool, ...]

@@ -7,9 +7,10 @@ which these are flattened.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.display import Summary
 from pgm.errors import EvidenceError, GraphError
 from pgm.factors import Table
-from pgm.factors.axes import States, discrete, sizes
+from pgm.factors.axes import States, sizes
 from pgm.factors.scope import Scope, as_scope, names, namesake
 from pgm.kernels.arrays import Array, frozen
 from pgm.kernels.semirings import exp
@@ -89,7 +90,8 @@ class DiscreteOutcome(Outcome[Table]):
 
     def _is_observed(self, variable: Variable) -> bool:
         """Whether a variable is observed in every run."""
-        state = self._beliefs.evidence.states.get(discrete((variable,))[0])
+        states: Mapping[Any, Any] = self._beliefs.evidence.states
+        state = states.get(variable)
         return state is not None and bool(np.min(state) >= 0)
 
     @property

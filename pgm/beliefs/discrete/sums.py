@@ -63,7 +63,7 @@ class GatheredSum:
         into = out[self.target]
         if self.index.shape[self.axis] == 1:
             return storage.take(self.index.ravel(), 0, into, "clip")
-        return semiring.total(storage.take(self.index, 0), self.axis, into)
+        return semiring.total(storage.take(self.index, 0), self.axis, out=into)
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,7 +239,7 @@ class AxisSums:
         if not self.axes:
             return table
         if math.prod(table.shape[self.axes[-1] + 1 :]) >= LONG:
-            return semiring.total(table, self.axes, None)
+            return semiring.total(table, self.axes)
         last = self.last if semiring.linear and not tail else None
         result = _one_by_one(table, self.axes if last is None else self.front, semiring)
         if last is None:
@@ -256,5 +256,5 @@ def _one_by_one(table: Array, axes: Sequence[int], semiring: Semiring) -> Array:
     behind the one that is summed, so that NumPy's loops are long. The result lacks these axes.
     """
     for gone, axis in enumerate(axes):
-        table = semiring.total(table, axis - gone, None)
+        table = semiring.total(table, axis - gone)
     return table

@@ -99,7 +99,7 @@ def collect(plan: TreePlan, entry: Entry, semiring: Semiring) -> Collected:
                 np.divide(matrix, stack.by_entry(stack.by_column(top)), out=matrix)
         if source is not entries:
             entries[...] = source
-        found = semiring.total(matrix, stack.axis, raw[stack.columns])
+        found = semiring.total(matrix, stack.axis, out=raw[stack.columns])
         if semiring.linear:
             top = stack.largest(found)
             tops[stack.top] = top

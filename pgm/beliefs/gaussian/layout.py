@@ -21,7 +21,7 @@ from pgm.cpds import CPD, ConditionalGaussian
 from pgm.factors.scope import Scope, dimension
 from pgm.kernels.arrays import Integers
 from pgm.networks import BayesianNetwork
-from pgm.schedules.loopy import Directed
+from pgm.schedules.rounds import Directed
 from pgm.variables import Variable
 
 

@@ -27,7 +27,7 @@ from pgm.beliefs.gaussian.row_buffer import Buffer
 from pgm.kernels import moments, row_messages
 from pgm.kernels.arrays import Array, Mask
 from pgm.kernels.rows import Rows, eliminate
-from pgm.schedules.loopy import Directed
+from pgm.schedules.rounds import Directed
 
 
 class RowRound(NamedTuple):

@@ -102,7 +102,7 @@ class BackwardChain:
 
     def total(self, values: Array) -> Array:
         """The sum of values (*states, *runs) over the states, (*runs), as the semiring adds."""
-        return self.semiring.total(values, tuple(range(values.ndim - self.batch)), None)
+        return self.semiring.total(values, tuple(range(values.ndim - self.batch)))
 
     def unit(self) -> Array:
         """The backward message to the last slice, β_T: the semiring's one for each state."""

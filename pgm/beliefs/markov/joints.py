@@ -30,7 +30,7 @@ def pair(chain: StateChain, plan: SlicePlan, step: int, message: Array) -> Array
     semiring = chain.semiring
     belief = chain.known[step - 1]
     if plan.controls:
-        belief = semiring.total(belief, plan.controls, None)
+        belief = semiring.total(belief, plan.controls)
     found = slices.through("pairs", step, belief)
     weights, _ = slices.likelihood(step)
     own = message if weights is None else semiring.times(message, weights)
@@ -93,7 +93,7 @@ def joint(chain: StateChain, plan: SlicePlan, scope: States, kind: Kind) -> Arra
     array = semiring.times(array, _behind(message, axes, passed))
     here = [plan.labels[v.template] for v in ordered[passed:]]
     others = tuple(axis for axis in range(axes) if axis not in here)
-    array = semiring.total(array, others, None) if others else array
+    array = semiring.total(array, others) if others else array
     array = chain.numbers(semiring.over(array, chain.total(array)))
     # The axes that are left: variables of the last slice in its order, then those that have passed.
     stand = sorted(ordered[passed:], key=lambda v: plan.labels[v.template])

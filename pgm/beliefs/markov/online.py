@@ -29,11 +29,11 @@ from pgm.evidence import BoundEvidence
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array
 from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT
-from pgm.linearisers import TAYLOR
 from pgm.networks import DynamicBayesianNetwork
 from pgm.posteriors.belief_kind import FILTERED, PREDICTED
 from pgm.schedules import step_evidence
-from pgm.schedules.schedule import Filtering, FixedLag
+from pgm.schedules.online_schedule import online_schedule
+from pgm.schedules.schedule import FixedLag
 from pgm.variables import Variable
 
 
@@ -232,25 +232,11 @@ class TableSteps(InCode, Immutable):
 
 
 def online_tables(
-    model: DynamicBayesianNetwork,
-    lineariser: Any = TAYLOR,
-    schedule: Any = None,
-    lag: int | None = None,
+    model: DynamicBayesianNetwork, schedule: Any = None, lag: int | None = None
 ) -> TableSteps:
     """The filter of a network of tables, made by ``OnlineFilter(model, ...)``.
 
-    Its lag, in steps, is `lag` or that of a schedule `FixedLag`; else it has none. A lineariser
-    other than the default, a schedule other than `Filtering` or `FixedLag`, and a schedule beside
-    a `lag` raise `ModelError`.
+    Its lag, in steps, is `lag` or that of a schedule `FixedLag`; else it has none.
     """
-    if lineariser != TAYLOR:
-        raise ModelError(f"an online filter of tables linearises nothing: leave {lineariser!r} out")
-    if schedule is not None and lag is not None:
-        raise ModelError(f"lag={lag!r} beside {schedule!r}: an online filter takes one of them")
-    if lag is not None:
-        schedule = FixedLag(lag)
-    if schedule is not None and not isinstance(schedule, Filtering | FixedLag):
-        raise ModelError(
-            f"an online filter takes pgm.Filtering(...) or pgm.FixedLag(...), not {schedule!r}"
-        )
-    return TableSteps(model, schedule.lag if isinstance(schedule, FixedLag) else None)
+    chosen = online_schedule(schedule, lag)
+    return TableSteps(model, chosen.lag if isinstance(chosen, FixedLag) else None)

@@ -326,7 +326,7 @@ class TableSlices:
         Axes between those of the slice and of the runs are kept.
         """
         if self.plan.controls:
-            belief = self.semiring.total(belief, self.plan.controls, None)
+            belief = self.semiring.total(belief, self.plan.controls)
         return self.through("onward", step, belief)
 
     def backward(self, step: int, message: Array) -> Array:

@@ -7,7 +7,6 @@ update.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from reprlib import recursive_repr
 from typing import Any, ClassVar, Generic
 
 from pgm.arguments import public
@@ -17,7 +16,7 @@ from pgm.beliefs.own.run import run
 from pgm.beliefs.own.slices import Slice
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
-from pgm.display import titled
+from pgm.display import ByAttributes, titled
 from pgm.errors import ModelError, PgmError
 from pgm.evidence import BoundEvidence, Evidence
 from pgm.kernels.arrays import Array
@@ -28,7 +27,7 @@ from pgm.schedules.options import Call, refused
 
 
 @public
-class BeliefFamily(Generic[B]):
+class BeliefFamily(ByAttributes, Generic[B]):
     """A family of beliefs of a dynamic network's slices, such as ensembles.
 
     A family of your own is a subclass. It says how a belief begins, is predicted and takes the
@@ -82,11 +81,6 @@ class BeliefFamily(Generic[B]):
     takes: ClassVar[frozenset[str]] = frozenset()
     spare: ClassVar[str] = "is for beliefs that are Gaussian, and not for a family of your own"
     more: ClassVar[Mapping[str, str]] = {}
-
-    @recursive_repr()
-    def __repr__(self) -> str:
-        given = ", ".join(f"{name}={value!r}" for name, value in vars(self).items())
-        return f"{type(self).__name__}({given})"
 
     def require(self, model: DynamicBayesianNetwork) -> None:
         """Refuse, by a `ModelError`, a network that it cannot carry.
@@ -158,7 +152,7 @@ class BeliefFamily(Generic[B]):
         Parameters
         ----------
         at : Slice
-            The step.
+            The step; the transition from it to the next one is that of ``at.next``.
         known : object
             The step's belief given the measurements up to it.
         predicted : object
@@ -192,7 +186,7 @@ class BeliefFamily(Generic[B]):
         """
         raise ModelError(
             f"{self!r} shows nothing of its beliefs: define moments(belief), draws(belief) or "
-            "marginal(beliefs, scope, columns)"
+            "marginal(beliefs, asked)"
         )
 
     def draws(self, belief: Any) -> tuple[Array, Array | None] | None:

@@ -16,6 +16,7 @@ from pgm.display import InCode
 from pgm.display.shown import articled
 from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.factors import Gaussian
+from pgm.factors.arrays import covariance_fault, symmetrised
 from pgm.factors.scope import Scope, listed
 from pgm.kernels.arrays import Array, Integers
 from pgm.variables import Discrete
@@ -123,11 +124,12 @@ def _moments(family: BeliefFamily[Any], beliefs: Sequence[Any], asked: Asked) ->
                 f"({asked.runs}, {size}) and ({asked.runs}, {size}, {size}) were due: runs, "
                 "components of a slice"
             )
-        own = np.diagonal(cov, axis1=-2, axis2=-1)
-        if not (np.isfinite(mean).all() and np.isfinite(cov).all() and (own >= 0.0).all()):
+        cov = symmetrised(cov)
+        fault = covariance_fault(cov)
+        if fault or not np.isfinite(mean).all():
+            what = f"a covariance that {fault}" if fault else "a mean that is not finite"
             raise NumericalError(
-                f"{family!r}: moments(belief) has a mean or a covariance that is not finite, or a "
-                f"variance below zero, for the {_th(k, asked.steps)}"
+                f"{family!r}: moments(belief) has {what}, for the {_th(k, asked.steps)}"
             )
         means.append(mean[:, columns])
         covs.append(cov[:, columns[:, None], columns])

@@ -8,7 +8,7 @@ import numpy as np
 
 from pgm.beliefs.own.marginals import pair
 from pgm.beliefs.own.outcome import Hidden, OwnMarginals, OwnOutcome
-from pgm.beliefs.own.sealed import sealed
+from pgm.beliefs.own.sealed import handed_out, sealed
 from pgm.beliefs.own.slices import BACK, TAKEN, Slice
 from pgm.beliefs.own.status import status_of
 from pgm.beliefs.points.model import ParticleModel
@@ -49,7 +49,7 @@ class OwnChain:
 
     def predict(self, step: int, belief: Any) -> Any:
         """The family's belief over a step's slice."""
-        return sealed(self.family.predict(Slice(self.model, step), belief))
+        return sealed(self.family.predict(Slice(self.model, step), handed_out(belief)))
 
     def take(self, step: int, belief: Any) -> tuple[Any, Array]:
         """The family's belief given the measurements of a step, and their log-density, (runs,).
@@ -60,7 +60,7 @@ class OwnChain:
         at = Slice(self.model, step, TAKEN, self.update)
         if not at.measurements:
             return belief, np.zeros(at.runs)
-        found = self.family.take(at, belief)
+        found = self.family.take(at, handed_out(belief))
         belief, told = pair(self.family, "take(at, belief)", found, "the belief and a log-density")
         log_density = as_floats(told, f"{self.family!r}: the log-density of take", ModelError)
         if log_density.shape not in ((), (1,), (at.runs,)):
@@ -92,7 +92,8 @@ class OwnChain:
     def back(self, step: int, later: Any) -> Any:
         """The family's belief over a step's slice that knows what that of the next step knows."""
         at = Slice(self.model, step, BACK)
-        return sealed(self.family.back(at, self.known[step], self.predicted[step + 1], later))
+        known, predicted = self.known[step], self.predicted[step + 1]
+        return sealed(self.family.back(at, *map(handed_out, (known, predicted, later))))
 
     def smoothed(self, kind: Kind) -> list[Any]:
         """The beliefs of all steps that know the measurements up to a lag later, or all."""

@@ -19,13 +19,14 @@ from pgm.beliefs.points.streams import stream
 from pgm.cpds import CPD, ConditionalGaussian
 from pgm.display import InCode, titled
 from pgm.errors import ModelError
+from pgm.factors.scope import listed
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Mask
 from pgm.variables import Variable
 
 Generators = Sequence[np.random.Generator]
 # What a slice is handed out for, which are the purposes of its random numbers, too; see `streams`.
-MOVED, TAKEN, BACK = 0, 101, 102
+MOVED, TAKEN, BACK, NEXT = 0, 101, 102, 103
 
 
 class Slice(InCode):
@@ -52,6 +53,9 @@ class Slice(InCode):
     measurements : tuple of Measurement
         The measurements of the step, of each sensor in turn, of which some run took any; not of a
         prediction, which knows none.
+    next : Slice
+        On the way back the step after, whose `cpds`, `inputs`, `mean` and `log_density` are of the
+        transition from this step to that one.
 
     Examples
     --------
@@ -211,6 +215,16 @@ class Slice(InCode):
             if sensor.reading.taken[row].any()
         )
 
+    @cached_property
+    def next(self) -> Slice:
+        """The step after, to which the transition from this one leads."""
+        if self._purpose != BACK:
+            raise ModelError(
+                f"{self!r}: the step after is known on the way back alone, in back(at, known, "
+                "predicted, later)"
+            )
+        return Slice(self._model, self.step + 1, NEXT)
+
     def _none(self, points: Array) -> Array:
         """Zeros of the shape of points (runs, n, d), which is checked."""
         shape = np.shape(points)
@@ -291,7 +305,7 @@ class ConditionalAt(InCode):
         points : ndarray
             (runs, n, d), of the step.
         before : ndarray, optional
-            (runs, n, d), of the step before; the same as `points` if it is not given.
+            (runs, n, d), of the step before; needed where the CPD has parents there.
 
         Returns
         -------
@@ -306,7 +320,7 @@ class ConditionalAt(InCode):
             If the CPD's function is not finite there.
         """
         points = np.asarray(points)
-        some = self._at._some(points, before)
+        some = self._some(points, before)
         found = self._gaussian().mean(self._row, some)
         return _apart(np.broadcast_to(found, (len(self.angles), some.size)), points)
 
@@ -320,7 +334,7 @@ class ConditionalAt(InCode):
         generators : sequence of numpy.random.Generator
             One for each run, as of `Slice.generators`.
         before : ndarray, optional
-            (runs, n, d), of the step before; the same as `points` if it is not given.
+            (runs, n, d), of the step before; needed where the CPD has parents there.
 
         Returns
         -------
@@ -328,7 +342,7 @@ class ConditionalAt(InCode):
             (runs, n, k).
         """
         points = np.asarray(points)
-        some = self._at._some(points, before)
+        some = self._some(points, before)
         return _apart(self._law.draw(self._row, some, _drawing(points, generators)), points)
 
     def log_density(self, value: Array, points: Array, before: Array | None = None) -> Array:
@@ -341,7 +355,7 @@ class ConditionalAt(InCode):
         points : ndarray
             (runs, n, d), of the step.
         before : ndarray, optional
-            (runs, n, d), of the step before; the same as `points` if it is not given.
+            (runs, n, d), of the step before; needed where the CPD has parents there.
 
         Returns
         -------
@@ -349,13 +363,22 @@ class ConditionalAt(InCode):
             (runs, n).
         """
         points = np.asarray(points)
-        some = self._at._some(points, before)
+        some = self._some(points, before)
         child = np.ascontiguousarray(np.reshape(value, (-1, len(self.angles))).T, dtype=float)
         return self._law.log_density(self._row, some, child).reshape(points.shape[:2])
 
     def residual(self, a: Array, b: Array) -> Array:
         """The difference a − b of values of the child (..., k), angles wrapped to [−π, π)."""
         return difference(np.asarray(a, dtype=np.float64), np.asarray(b), self.angles)
+
+    def _some(self, points: Array, before: Array | None) -> Some:
+        """Points (runs, n, d) as `Some` particles, with those before where they are needed."""
+        past = [parent for parent in self.cpd.parents if parent.lag]
+        if past and before is None:
+            raise ModelError(
+                f"{self!r} is given {listed(past)}: give points of the step before, too, before="
+            )
+        return self._at._some(points, before)
 
     def _gaussian(self) -> GaussianLaw:
         """The law of a Gaussian CPD, of robust noise as of any; others are refused."""

@@ -45,7 +45,7 @@ def eliminate(query: QueryPlan, evidence: BoundStates) -> Array:
         table = elimination.eliminate(query.sums, *_tables(query, evidence, LOG_SUM_PRODUCT))
         axes = tuple(range(table.ndim - 1))
         with np.errstate(invalid="ignore", under="ignore"):
-            probabilities: Array = np.exp(table - LOG_SUM_PRODUCT.total(table, axes, None))
+            probabilities: Array = np.exp(table - LOG_SUM_PRODUCT.total(table, axes))
             return probabilities
 
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import pgm
-from pgm.schedules.loopy import Directed, run_loopy
+from pgm.schedules.loopy import run_loopy
+from pgm.schedules.rounds import Directed
 
 KINDS = (pgm.Flooding, pgm.Sequential, pgm.Residual)
 kinds = pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)

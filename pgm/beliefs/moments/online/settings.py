@@ -12,8 +12,9 @@ from pgm.errors import ModelError
 from pgm.networks import DynamicBayesianNetwork
 from pgm.schedules.argument_checks import require_gaussian, require_lineariser, require_plain
 from pgm.schedules.gates import Gate
+from pgm.schedules.online_schedule import online_schedule
 from pgm.schedules.options import is_left
-from pgm.schedules.schedule import ONCE, Filtering, FixedLag
+from pgm.schedules.schedule import Filtering, FixedLag
 
 
 def require_settings(
@@ -29,29 +30,13 @@ def require_settings(
     if not isinstance(model, DynamicBayesianNetwork):
         raise ModelError(f"a dynamic network was due, not {titled(model)}")
     require_lineariser(lineariser)
-    if lag is not None and schedule is not None:
-        raise ModelError(
-            f"lag={lag!r} beside {schedule!r}: an online filter takes one of them; a FixedLag "
-            "has iterations of its own"
-        )
-    if gate is not None and schedule is not None:
-        raise ModelError(
-            f"gate={gate!r} beside {schedule!r}, which has a gate of its own: give one of them"
-        )
-    if schedule is None and lag is None:
-        schedule = ONCE if gate is None else Filtering(gate=gate)
-    elif lag is not None:
-        schedule = FixedLag(lag, gate=gate)
-    if not isinstance(schedule, Filtering | FixedLag):
-        raise ModelError(
-            f"an online filter takes pgm.Filtering(...) or pgm.FixedLag(...), not {schedule!r}"
-        )
+    chosen = online_schedule(schedule, lag, gate)
     require_gaussian((*model.prior, *model.transition, *model.observation), "Gaussian beliefs")
     require_plain(model.transition)
-    require_sensors(model, schedule.gate)
+    require_sensors(model, chosen.gate)
     for cpd in model.prior:
         cpd.require_proper("an online filter begins at a belief, which has moments")
-    return schedule
+    return chosen
 
 
 def require_watch(watch: Any) -> bool:

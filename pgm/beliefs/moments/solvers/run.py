@@ -40,7 +40,15 @@ from pgm.linearisers import Lineariser
 from pgm.posteriors.belief_kind import FILTERED, SMOOTHED, Kind
 from pgm.posteriors.status import CLOSE_POINTS, FAR_APART, LAST_PLACE, Status
 from pgm.schedules import sweep
-from pgm.schedules.schedule import Calibration, Filtering, FixedLag, Schedule, Smoothing
+from pgm.schedules.schedule import (
+    Calibration,
+    Filtering,
+    FixedLag,
+    Loopy,
+    Schedule,
+    Smoothing,
+    require_known_options,
+)
 from pgm.schedules.starting_points import Start, over_runs, require_hidden
 from pgm.tracing import Judge, judged
 
@@ -73,16 +81,19 @@ class Solver(ABC):
         covariances; with None it makes its own.
         """
 
-    @abstractmethod
     def carefully(self, plan: ChainPlan, start: Array | None) -> ChainOutcome:
-        """The posterior computed in pairs of float64.
+        """The posterior computed in pairs of float64; a solver that has none refuses.
 
         `start` (T+1, runs, n) are means of the slices for the first linearisation, None if the user
         gave none. Sliding windows of a fixed lag choose float64 or pairs each for itself, here as
         in `solve`.
         """
+        raise NumericalError(
+            f"{self.schedule!r} is computed in float64 alone, which has too few digits for these "
+            "beliefs; pgm.Smoothing() has a pass in twice the digits"
+        )
 
-    def _posterior(
+    def outcome(
         self,
         plan: ChainPlan,
         kind: Kind,
@@ -94,7 +105,7 @@ class Solver(ABC):
         windows: Windows | None = None,
         error: Array | None = None,
     ) -> ChainOutcome:
-        """The posterior made of these results, its status completed.
+        """The answer to the call, made of these results, its status completed.
 
         `kind` tells which measurements its beliefs know, and `swept` is the forward pass. After
         smoothing `smoothed` are the beliefs, `reverse` is the reversed chain, if it has been made,
@@ -120,7 +131,7 @@ class FilterSolver(Solver):
         if self.balanced:
             self._refuse_nonlinear(plan)
             status = Status.of([], np.ones(plan.runs, dtype=bool), plan.lead)
-            return self._posterior(plan, FILTERED, parallel.whole(parallel.run(plan)), status)
+            return self.outcome(plan, FILTERED, parallel.whole(parallel.run(plan)), status)
         ahead: forward.WholePass | forward.BarePass
         if plan.runs >= forward.MANY and not any(sensor.exact for sensor in plan.sensors):
             # Of many runs only the beliefs, as long as nothing else is asked for.
@@ -130,16 +141,14 @@ class FilterSolver(Solver):
         for part in ahead:  # as `forward.sweep_all` does, of which a user's traceback need not tell
             with part.refusing():
                 sweep.forward(part.chain, plan.steps, part.record)
-        return self._posterior(plan, FILTERED, *ahead.result())
+        return self.outcome(plan, FILTERED, *ahead.result())
 
     def carefully(self, plan: ChainPlan, start: Array | None) -> ChainOutcome:
         """The filtered posterior step by step, each belief in pairs of float64."""
         if self.balanced:
             self._refuse_nonlinear(plan)
         swept, status = careful.sweep(plan, self.schedule)
-        return self._posterior(
-            plan, FILTERED, swept.forward, status, careful=swept, error=swept.error
-        )
+        return self.outcome(plan, FILTERED, swept.forward, status, careful=swept, error=swept.error)
 
     def _refuse_nonlinear(self, plan: ChainPlan) -> None:
         """Refuse nonlinear CPDs, and robust noise, for a balanced tree, with GraphError."""
@@ -189,7 +198,7 @@ class LagSolver(Solver):
         """
         slides = fixed_lag.slides(plan, self.schedule)
         found, status = (fixed_lag.slide if slides else once)(plan, self.schedule)
-        return self._posterior(
+        return self.outcome(
             plan,
             Kind(self.schedule.lag),
             found.forward,
@@ -217,13 +226,13 @@ class SmootherSolver(Solver):
         smooth = smoother.scan if self.balanced else smoother.smooth
         found, status = smooth(plan, self.schedule, start)
         ahead = parallel.whole(found.forward)
-        return self._posterior(plan, SMOOTHED, ahead, status, found.beliefs, found.reverse)
+        return self.outcome(plan, SMOOTHED, ahead, status, found.beliefs, found.reverse)
 
     def carefully(self, plan: ChainPlan, start: Array | None) -> ChainOutcome:
         """The smoothed posterior: sweeps in pairs of float64, iterated."""
         found, status = smoother.carefully(plan, self.schedule, start, reckoned=self.balanced)
         swept = found.careful
-        return self._posterior(
+        return self.outcome(
             plan,
             SMOOTHED,
             swept.forward,
@@ -382,8 +391,11 @@ SOLVERS: dict[type[Any], type[Solver]] = {
 def solver_of(graph: DynamicGraph, schedule: Schedule) -> Solver:
     """The solver for a schedule, or for the nearest of its base classes that has one.
 
-    The solver is made for the `graph`. A ModelError refuses a schedule for which there is none.
+    The solver is made for the `graph`. A ModelError refuses a schedule for which there is none, and
+    one with options of its own that has only its base's.
     """
+    if type(schedule) not in SOLVERS and not isinstance(schedule, Loopy):
+        require_known_options(schedule, "the solver of its base")
     for each in type(schedule).__mro__:
         if each in SOLVERS:
             return SOLVERS[each](graph, schedule)
