@@ -95,6 +95,8 @@ def misfit(
         return None
     name = function.__qualname__.removesuffix(".__init__").removesuffix(".__new__")
     made = name != function.__qualname__  # whose first argument is the value or class itself
+    if made and args:  # the class that was called, which may have its `__init__` from another
+        name = (args[0] if isinstance(args[0], type) else type(args[0])).__name__
     parameters = list(signature.parameters.values())[made:]
     args = args[made:]
     by_place = [p.name for p in parameters if p.kind is p.POSITIONAL_OR_KEYWORD]

@@ -8,13 +8,19 @@ import re
 import runpy
 import sys
 from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
 import pgm
+from pgm.beliefs.moments.passes import forward
+from pgm.beliefs.moments.passes.backward import Beliefs, Reverse
+from pgm.beliefs.moments.solvers.run import Solver
+from pgm.posteriors.status import Status
 from pgm.schedules import sweep
 from tests.schedules.test_sweep_families import Tables
 from tests.test_imports import LAYERS
@@ -34,9 +40,9 @@ EVIDENCE = {
 }
 
 
-def block(language):
-    (found,) = re.findall(rf"^```{language}\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL)
-    return found
+def block(language, which=0):
+    found = re.findall(rf"^```{language}\n(.*?)^```", PAGE, flags=re.MULTILINE | re.DOTALL)
+    return found[which]
 
 
 def model(called=lambda name: None):
@@ -105,6 +111,29 @@ def test_the_protocol_is_that_of_the_sweeps():
     assert_array_equal(names["belief"], last)
 
 
+def test_a_chains_schedule_of_ones_own_is_that_of_the_page():
+    names = {"Solver": Solver, "Reverse": Reverse, "Beliefs": Beliefs, "forward": forward}
+    names |= {"pgm": pgm, "np": np, "Status": Status, "dataclass": dataclass, "ClassVar": ClassVar}
+    exec(compile(block("python", 1), "architecture.md", "exec"), names)
+    graph = pgm.compile(model(), steps=T)
+    found, due = (
+        pgm.infer(graph, EVIDENCE, schedule=schedule)
+        for schedule in (names["OneBack"](), pgm.FixedLag(1))
+    )
+    assert found.kind == due.kind
+    assert_array_equal(found[x].mean, due[x].mean)
+    assert_array_equal(found[x].cov, due[x].cov)
+    flat = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(x, np.zeros(3), np.inf)], model().transition, model().observation
+    )
+    with pytest.raises(pgm.ModelError, match="a solver, of which particles would know nothing"):
+        pgm.infer(graph, EVIDENCE, schedule=names["OneBack"](), belief=pgm.Particles(9))
+    with pytest.raises(pgm.ModelError, match="a solver, of which an online filter would know"):
+        pgm.OnlineFilter(model(), schedule=names["OneBack"]())
+    with pytest.raises(pgm.NumericalError, match="in float64 alone, which has too few digits"):
+        pgm.infer(pgm.compile(flat, steps=T), EVIDENCE, schedule=names["OneBack"]())
+
+
 def frames():
     """The package's frames above the caller's caller, outermost first.
 
@@ -120,10 +149,10 @@ def frames():
     return found[::-1]
 
 
-def between(run):
+def between(call):
     """By function, the frames of its last call."""
     found = {}
-    run(model(lambda name: found.update({name: frames()})))
+    call(model(lambda name: found.update({name: frames()})))
     return found
 
 

@@ -44,9 +44,10 @@ class RobustNoise(ByAttributes, ABC):
     Attributes
     ----------
     graduated : bool
-        Whether the loss is approached by stages, from a convex one on (`first_stage`,
-        `next_stage`, `staged` and `staged_loss`), and measurements of a weight below ½ count as
-        rejected.
+        Whether the loss is approached by stages, from a convex one on: `first_stage`,
+        `next_stage`, `staged` and `staged_loss`. A stage is a number of your own for each run,
+        infinite where the loss is the one asked for. Measurements of a weight below ½ then count
+        as rejected for ``posterior.lost``; ``posterior.rejected`` has the decisions of gates alone.
 
     Examples
     --------
@@ -243,19 +244,62 @@ class RobustNoise(ByAttributes, ABC):
         return found
 
     def first_stage(self, largest: Array) -> Array:
-        """The stage to begin with of a graduated loss, where the largest squares are so large."""
+        """The stage to begin with, whose loss is convex or nearly so; of a graduated loss.
+
+        Parameters
+        ----------
+        largest : ndarray
+            (runs,): the largest square of each run at its first linearisation.
+
+        Returns
+        -------
+        ndarray
+            (runs,): a number for each run, as you count stages; infinite if none is needed.
+        """
         raise NotImplementedError(f"{self!r} is graduated: it needs first_stage(largest)")
 
     def next_stage(self, stage: Array) -> Array:
-        """The stage after another; infinite where the loss is the one asked for."""
+        """The stage of the next linearisation; infinite where the loss is the one asked for.
+
+        Parameters
+        ----------
+        stage : ndarray
+            (runs,).
+
+        Returns
+        -------
+        ndarray
+            (runs,).
+        """
         raise NotImplementedError(f"{self!r} is graduated: it needs next_stage(stage)")
 
     def staged(self, square: Array, stage: Array) -> Array:
-        """The weights of squares at a stage."""
+        """The weights of squares at a stage, as `slope` has them of the loss asked for.
+
+        Parameters
+        ----------
+        square, stage : ndarray
+            They broadcast; a stage may be infinite, and is never NaN here.
+
+        Returns
+        -------
+        ndarray
+        """
         raise NotImplementedError(f"{self!r} is graduated: it needs staged(square, stage)")
 
     def staged_loss(self, square: Array, stage: Array) -> Array:
-        """The loss of squares at a stage; a Gaussian's before the first, which is NaN."""
+        """The loss of squares at a stage.
+
+        Parameters
+        ----------
+        square, stage : ndarray
+            They broadcast. A stage may be infinite, and NaN before the first one, where the loss
+            is a Gaussian's, s / 2.
+
+        Returns
+        -------
+        ndarray
+        """
         raise NotImplementedError(f"{self!r} is graduated: it needs staged_loss(square, stage)")
 
 

@@ -34,7 +34,7 @@ from pgm.beliefs.own.family import BeliefFamily
 from pgm.compile import Balanced, DynamicGraph, compile
 from pgm.compile.machine import Choice
 from pgm.evidence import BoundEvidence, Evidence
-from pgm.inference.families import family_of
+from pgm.inference.families import answered, family_of
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.posteriors.posterior import Posterior
@@ -139,7 +139,7 @@ def filter(
     call = Call(schedule, lineariser, None, keep, executor, None, impossible)
     family, asked = over_time(model, evidence, call, steps, None, belief, compiled)
     with reporting(progress):
-        posterior = Posterior(family.infer(*asked))
+        posterior = answered(family, family.infer(*asked))
     return told(posterior, schedule)
 
 
@@ -237,7 +237,7 @@ def smooth(
     call = Call(schedule, lineariser, start, keep, executor, None, impossible)
     family, asked = over_time(model, evidence, call, steps, method, belief, compiled)
     with reporting(progress):
-        posterior = Posterior(family.infer(*asked))
+        posterior = answered(family, family.infer(*asked))
     return told(posterior, schedule)
 
 

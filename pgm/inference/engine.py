@@ -16,7 +16,7 @@ from pgm.compile import DynamicGraph
 from pgm.display import titled
 from pgm.errors import EvidenceError, GraphError, ModelError
 from pgm.evidence import Evidence
-from pgm.inference.families import family_of
+from pgm.inference.families import answered, family_of
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.posteriors.posterior import Posterior
 from pgm.progress import Progress, reporting
@@ -30,7 +30,7 @@ from pgm.schedules.schedule import (
     FixedLag,
     Loopy,
     Schedule,
-    require_known_options,
+    require_known,
 )
 from pgm.schedules.starting_points import Start
 from pgm.variables import Variable
@@ -183,7 +183,7 @@ def send(
         require(call.asked(graph), graph, OVER_TIME, family)
         bound = bind_chain(graph.model, evidence, graph.steps, identities=True, compiled=compiled)
         with reporting(progress):
-            return Posterior(family.infer(graph, bound, call))
+            return answered(family, family.infer(graph, bound, call))
     asked = call.asked(graph) if belief is None else {**call.asked(graph), "belief": belief}
     family = family_of(graph.network)
     if asked:
@@ -203,7 +203,7 @@ def _require_static(graph: ClusterGraph, schedule: Schedule | None) -> None:
             "with loops give pgm.Flooding(), pgm.Sequential() or pgm.Residual()"
         )
     if schedule is not None:
-        require_known_options(schedule, "a graph without time")
+        require_known(schedule, "a graph without time")
     if not graph.is_tree and not isinstance(schedule, Loopy):
         advice = f"and {schedule!r} is for trees; give"
         if schedule is None:

@@ -1,4 +1,7 @@
-"""The family of beliefs of a call: the one that the user gives, or that of the network's CPDs."""
+"""The family of beliefs of a call: the one that the user gives, or that of the network's CPDs.
+
+And the posterior of what it answers.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,10 @@ from typing import Any
 from pgm.beliefs.markov.family import TABLES
 from pgm.beliefs.moments.family import MOMENTS
 from pgm.beliefs.own.family import BeliefFamily, require_family
+from pgm.display import titled
+from pgm.errors import ModelError
+from pgm.posteriors.outcome import Outcome
+from pgm.posteriors.posterior import Posterior
 
 
 def family_of(model: Any, belief: Any = None) -> BeliefFamily[Any]:
@@ -19,3 +26,13 @@ def family_of(model: Any, belief: Any = None) -> BeliefFamily[Any]:
         found: BeliefFamily[Any] = belief
         return found
     return TABLES if model.discrete else MOMENTS
+
+
+def answered(family: BeliefFamily[Any], outcome: Any) -> Posterior[Any]:
+    """The posterior of a family's outcome; a ModelError refuses what is no `Outcome`."""
+    if not isinstance(outcome, Outcome):
+        raise ModelError(
+            f"{family!r}: infer(graph, bound, call) returned {titled(outcome)}; an Outcome of "
+            "pgm.posteriors.outcome was due"
+        )
+    return Posterior(outcome)

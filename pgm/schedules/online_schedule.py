@@ -10,7 +10,7 @@ from pgm.schedules.schedule import (
     ONCE,
     Filtering,
     FixedLag,
-    require_known_options,
+    require_known,
 )
 
 
@@ -32,5 +32,5 @@ def online_schedule(schedule: Any, lag: int | None, gate: Gate = None) -> Filter
         raise ModelError(
             f"an online filter takes pgm.Filtering(...) or pgm.FixedLag(...), not {schedule!r}"
         )
-    require_known_options(schedule, "an online filter")
+    require_known(schedule, "an online filter")
     return schedule

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, ClassVar
 
 from pgm.arguments import public
 from pgm.boundary import is_number, is_whole
@@ -21,9 +21,19 @@ from pgm.schedules.rounds import Directed, Messages, Step, in_turn, largest_firs
 TOLERANCE = 1e-6
 
 
+class OnChains(InCode):
+    """Base of the schedules for chains of slices.
+
+    solver: Of a schedule of one's own for Gaussian beliefs, the `Solver` that carries it out; None
+        of one that is run as its base.
+    """
+
+    solver: ClassVar[Any] = None
+
+
 @public
 @dataclass(frozen=True)
-class Filtering(InCode):
+class Filtering(OnChains):
     """Forward messages alone: each belief knows the measurements up to its step.
 
     A transition is linearised at the incoming message, a sensor at the predicted belief. With
@@ -86,7 +96,7 @@ ONCE = Filtering()
 
 @public
 @dataclass(frozen=True)
-class Calibration(InCode):
+class Calibration(OnChains):
     """Both passes over a tree: towards the root and back, so that each belief knows all evidence.
 
     Without nonlinear CPDs one iteration is exact. The first linearisation of nonlinear ones is at
@@ -182,7 +192,7 @@ class Smoothing(Calibration):
 
 @public
 @dataclass(frozen=True)
-class FixedLag(InCode):
+class FixedLag(OnChains):
     r"""Messages forward, and back over a lag: a belief knows the measurements up to a lag later.
 
     .. math:: p(x_t \mid z_0, \dots, z_{\min(t + L,\, T)})
@@ -462,30 +472,22 @@ class Residual(Loopy):
 Schedule = Filtering | FixedLag | Calibration | Loopy
 
 
-def own_options(schedule: Schedule) -> set[str]:
-    """The options of a schedule for chains that its base has not, by name.
+def require_known(schedule: Schedule, who: str) -> None:
+    """Refuse, by a ModelError, a schedule of one's own: with options, or a solver, of its own.
 
-    A subclass that only changes defaults has none, and is run as its base.
+    `who` would run it as its base, for the text. A subclass that only changes defaults passes.
     """
-    base = next(each for each in type(schedule).__mro__ if each.__module__ == __name__)
-    return set() if isinstance(schedule, Loopy) else vars(schedule).keys() - _names(base)
-
-
-def _names(base: Any) -> set[str]:
-    return {field.name for field in fields(base)}
-
-
-def require_known_options(schedule: Schedule, who: str) -> None:
-    """Refuse, by a ModelError, a schedule with options that its base has not.
-
-    `who` would run it as its base, for the text.
-    """
-    found = own_options(schedule)
-    if found:
+    if isinstance(schedule, Loopy):
+        return
+    base: Any = next(each for each in type(schedule).__mro__ if each.__module__ == __name__)
+    own = sorted(vars(schedule).keys() - {field.name for field in fields(base)})
+    if schedule.solver is not None:
+        own.append("a solver")
+    if own:
         raise ModelError(
-            f"{schedule!r} has {', '.join(sorted(found))}, of which {who} would know nothing: give "
-            "a schedule of pgm's own; one of yours for chains of Gaussian beliefs needs a solver, "
-            "in pgm.beliefs.moments.solvers.run.SOLVERS"
+            f"{schedule!r} has {', '.join(own)}, of which {who} would know nothing: give a "
+            f"schedule of pgm's own, like {base.__name__}; one of yours is carried out by a solver "
+            "for chains of Gaussian beliefs, which it names: solver = ..."
         )
 
 
@@ -498,10 +500,15 @@ def kind_of(schedule: Schedule | None, beliefs: str) -> Kind:
     """
     if schedule is None or type(schedule) is Calibration:
         schedule = Smoothing()
-    if not isinstance(schedule, Filtering | FixedLag | Smoothing):
+    if not isinstance(schedule, OnChains):
         raise ModelError(
             f"{beliefs} take pgm.Filtering(), pgm.FixedLag(...) or pgm.Smoothing(), not "
             f"{schedule!r}"
         )
-    require_known_options(schedule, beliefs)
-    return schedule.kind
+    require_known(schedule, beliefs)
+    if not isinstance(schedule, Filtering | FixedLag | Smoothing):
+        return SMOOTHED  # a calibration with other defaults
+    kind: Any = schedule.kind
+    if not isinstance(kind, Kind):
+        raise ModelError(f"{schedule!r}: its kind is {kind!r}; a pgm.Kind was due")
+    return kind

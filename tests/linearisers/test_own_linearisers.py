@@ -278,3 +278,90 @@ def test_a_need_that_is_no_answer():
     evidence = of_run(recording("plain"), 1)
     with pytest.raises(pgm.LinearisationError, match="needs_cov is 'perhaps'; True or False"):
         pgm.smooth(MODELS["plain"], evidence, lineariser=Odd(), iterations=3)
+
+
+class Tipped(pgm.StatisticalRegression):
+    """Points at a distance of ±scale √n along each axis: those of N(0, I) at a scale of one."""
+
+    def __init__(self, scale=1.0, drawn=False):
+        self.scale, self._drawn = scale, drawn
+
+    @property
+    def drawn(self):
+        return self._drawn
+
+    def points(self, dimension, name, step):
+        arm = self.scale * np.sqrt(dimension) * np.eye(dimension)
+        weights = np.full(2 * dimension, 0.5 / dimension)
+        return pgm.linearisers.Points(np.vstack([arm, -arm]), weights, weights, False)
+
+
+def test_a_rule_of_ones_own_is_told_by_its_parameters():
+    one, other = Tipped(), Tipped(2.0)
+    assert one != other
+    assert one == one
+    assert repr(other) == "Tipped(scale=2.0, _drawn=False)"
+    evidence = of_run(recording("plain"), 1)
+    found = pgm.compare(MODELS["plain"], evidence, linearisers=[one, Tipped(1.0, drawn=True)])
+    assert "Tipped(scale=1.0, _drawn=True)" in str(found)
+
+
+@pytest.mark.parametrize("scale", [1.1, 0.5, np.nan, 0.0])
+def test_points_with_other_moments_than_they_stand_for(scale):
+    evidence = of_run(recording("plain"), 1)
+    with pytest.raises(pgm.LinearisationError, match=r"are not those of N\(0, I\).*`drawn`"):
+        pgm.filter(MODELS["plain"], evidence, lineariser=Tipped(scale))
+
+
+@pytest.mark.parametrize("weights", ["mean_weights", "cov_weights"])
+def test_moments_are_of_both_weights(weights):
+    class Skew(pgm.StatisticalRegression):
+        def points(self, dimension, name, step):
+            arm = np.sqrt(dimension) * np.eye(dimension)
+            s = np.vstack([np.zeros(dimension), arm, -arm])
+            even = np.append(0.0, np.full(2 * dimension, 0.5 / dimension))
+            odd = np.append(0.5, 0.5 * even[1:])
+            pair = {"mean_weights": even, "cov_weights": even, weights: odd}
+            return pgm.linearisers.Points(s, **pair, centred=True)
+
+    with pytest.raises(pgm.LinearisationError, match=f"with their {weights} w, .* is off I by 0.5"):
+        pgm.filter(MODELS["plain"], of_run(recording("plain"), 1), lineariser=Skew())
+
+
+@pytest.mark.parametrize(
+    "rule",
+    [
+        pgm.Unscented(alpha=1e-6),
+        pgm.Unscented(alpha=1e-3, kappa=3.0),
+        pgm.Cubature(),
+        pgm.GaussHermite(2),
+        pgm.GaussHermite(20),
+    ],
+    ids=repr,
+)
+@pytest.mark.parametrize("dimension", [1, 2, 3])
+def test_points_that_ship_have_the_moments(rule, dimension):
+    assert rule.points(dimension, "y", 0).fault is None
+
+
+def test_an_error_that_is_shared_by_sightings():
+    """Where each sighting has an error of its own, a correlated one is none."""
+
+    class Shared(Prepared):
+        def __init__(self, grouped):
+            object.__setattr__(self, "grouped", grouped)
+
+        def prepare(self, template):
+            def line(function, mean, cov):
+                if self.grouped and function.group and not function.joint:
+                    return apart(line, function, mean, cov)
+                matrix, value, _ = tangent(function, mean, cov)
+                spread = np.multiply.outer(np.ones((len(value),) * 2), np.ones(value.shape[1:]))
+                return Line(matrix, value, spread)
+
+            return line
+
+    evidence = of_run(recording("plain"), 1)
+    with pytest.raises(pgm.LinearisationError, match=r"correlated between .* return pgm.linear"):
+        pgm.filter(MODELS["plain"], evidence, lineariser=Shared(grouped=False))
+    assert pgm.filter(MODELS["plain"], evidence, lineariser=Shared(grouped=True))

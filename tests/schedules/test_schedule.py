@@ -69,6 +69,44 @@ def test_a_subclass_is_run_as_its_base():
         pgm.infer(graph, {}, schedule=Hasty())
 
 
+@dataclass(frozen=True)
+class Blocks(pgm.Filtering):
+    size: int = 4
+
+
+@dataclass(frozen=True)
+class Gentle(pgm.Smoothing):
+    share: float = 0.5
+
+
+class Late(pgm.FixedLag):
+    def __init__(self, lag, wait):
+        super().__init__(lag)
+        object.__setattr__(self, "wait", wait)
+
+
+@pytest.mark.parametrize("schedule", [Blocks(), Gentle(), Late(2, 3)], ids=["a", "b", "c"])
+@pytest.mark.parametrize("way", ["chain", "particles", "online", "static"])
+def test_a_schedule_whose_options_nobody_knows_is_not_run_as_its_base(schedule, way):
+    x = pgm.Variable("x")
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(x, 0.0, 1.0)], [pgm.LinearGaussianCPD(x, {x.previous: 1.0}, cov=1.0)]
+    )
+    graph, tree = pgm.compile(model, 3), pgm.compile(pgm.BayesianNetwork(model.prior))
+    ways = {
+        "chain": lambda: pgm.infer(graph, {}, schedule=schedule),
+        "particles": lambda: pgm.infer(graph, {}, schedule=schedule, belief=pgm.Particles(9)),
+        "online": lambda: pgm.OnlineFilter(model, schedule=schedule),
+        "static": lambda: pgm.infer(tree, {}, schedule=schedule),
+    }
+    with pytest.raises(pgm.PgmError) as caught:
+        ways[way]()
+    smoother = isinstance(schedule, pgm.Smoothing)
+    if way != ("online" if smoother else "static"):
+        assert "which" in str(caught.value)
+        assert any(name in str(caught.value) for name in (" size,", " share,", " wait,"))
+
+
 def test_a_schedule_without_an_order_is_none():
     x = pgm.Variable("x")
     tree = pgm.compile(pgm.BayesianNetwork([pgm.GaussianCPD(x, 0.0, 1.0)]))

@@ -19,6 +19,7 @@ from pgm.compile import DynamicGraph
 from pgm.display import ByAttributes, titled
 from pgm.errors import ModelError, PgmError
 from pgm.evidence import BoundEvidence, Evidence
+from pgm.factors.scope import listed
 from pgm.kernels.arrays import Array
 from pgm.networks import DynamicBayesianNetwork
 from pgm.posteriors.figures import Threshold
@@ -81,6 +82,18 @@ class BeliefFamily(ByAttributes, Generic[B]):
     takes: ClassVar[frozenset[str]] = frozenset()
     spare: ClassVar[str] = "is for beliefs that are Gaussian, and not for a family of your own"
     more: ClassVar[Mapping[str, str]] = {}
+
+    def __init_subclass__(cls, **settings: Any) -> None:
+        super().__init_subclass__(**settings)
+        carrier = next(each for each in cls.__mro__ if "infer" in vars(each))
+        below = cls.__mro__[: cls.__mro__.index(carrier)]
+        idle = [name for name in _ASKED if any(name in vars(each) for each in below)]
+        if idle and carrier is not BeliefFamily:
+            raise ModelError(
+                f"{cls.__name__} has {', '.join(idle)}, which {carrier.__name__} never asks, as it "
+                "carries schedules out in its own way (infer, online); derive a family of your own "
+                "from pgm.BeliefFamily"
+            )
 
     def require(self, model: DynamicBayesianNetwork) -> None:
         """Refuse, by a `ModelError`, a network that it cannot carry.
@@ -169,7 +182,8 @@ class BeliefFamily(ByAttributes, Generic[B]):
     @property
     def flows_back(self) -> bool:
         """Whether it says how a belief flows back."""
-        return type(self).back is not BeliefFamily.back
+        back = self.back
+        return callable(back) and getattr(back, "__func__", back) is not BeliefFamily.back
 
     def moments(self, belief: Any) -> tuple[Array, Array]:
         """The mean (runs, d) and covariance (runs, d, d) of a belief over a slice.
@@ -264,7 +278,7 @@ class BeliefFamily(ByAttributes, Generic[B]):
 
     def infer_static(self, graph: ClusterGraph, evidence: Evidence, call: Call) -> Outcome[B]:
         """The outcome of a call's schedule on the graph of a network without time."""
-        raise NotImplementedError
+        raise ModelError(f"{self!r} is for dynamic networks, not for {titled(graph)}")
 
     def online(self, model: DynamicBayesianNetwork, options: dict[str, Any]) -> Any:
         """The steps of an online filter: `initial`, `predict` and `update` of its beliefs.
@@ -284,6 +298,10 @@ class BeliefFamily(ByAttributes, Generic[B]):
         return OwnSteps(model, self)
 
 
+# What is asked of a family whose beliefs are carried from slice to slice by the package.
+_ASKED = ("begin", "predict", "take", "back", "moments", "draws", "marginal", "numbers")
+
+
 def require_family(belief: Any, model: Any) -> None:
     """Refuse, by a ModelError, a `belief` that is no family, or a model that cannot have it."""
     if isinstance(belief, type) and issubclass(belief, BeliefFamily):
@@ -298,4 +316,15 @@ def require_family(belief: Any, model: Any) -> None:
         )
     if not isinstance(model, DynamicBayesianNetwork):
         raise ModelError(f"a dynamic network was due, not {titled(model)}")
+    if not isinstance(belief.warns, Mapping):
+        raise ModelError(
+            f"{belief!r}: warns maps names of numbers(belief) to pgm.Threshold(...); found "
+            f"{belief.warns!r}"
+        )
+    if belief.takes and type(belief).infer is BeliefFamily.infer:
+        raise ModelError(
+            f"{belief!r}: takes names options, {listed(belief.takes)}, and is for a family that "
+            "carries schedules out itself (infer, online); none of them comes to begin, predict, "
+            "take or back: leave takes out"
+        )
     belief.require(model)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pgm.beliefs.own.kept import handed_out
 from pgm.beliefs.points.cloud import Cloud
 from pgm.beliefs.points.components import parts
 from pgm.beliefs.points.particle_belief import ParticleBelief
@@ -73,6 +74,7 @@ def shown(family: BeliefFamily[Any], beliefs: Sequence[Any], asked: Asked) -> An
     if not beliefs:  # of a hidden control, which begins at step 1, where there is no such step
         wide = len(asked.columns)
         return _gaussian(asked, np.zeros((*asked.axes, wide)), np.zeros((*asked.axes, wide, wide)))
+    beliefs = [handed_out(belief) for belief in beliefs]
     found = family.marginal(beliefs, asked)
     if found is not None:
         return found
@@ -105,7 +107,20 @@ def with_moments(family: BeliefFamily[Any], found: Any, asked: Asked) -> Any:
             f"{whose} has a mean of shape {mean.shape} and a cov of shape {cov.shape}; {shapes[0]} "
             f"and {shapes[1]} were due: runs, steps if several are asked for, components"
         )
-    return _gaussian(asked, np.array(mean), np.array(cov))
+    return _gaussian(asked, np.array(mean), _covariance(whose, mean, cov))
+
+
+def _covariance(whose: str, mean: Array, cov: Array) -> Array:
+    """Covariances (..., k, k), symmetric to the last digit; a NumericalError refuses others.
+
+    It refuses means (..., k) that are not finite, too; `whose` they are, for the text.
+    """
+    cov = symmetrised(cov)
+    fault = covariance_fault(cov)
+    if fault or not np.isfinite(mean).all():
+        what = f"a covariance that {fault}" if fault else "a mean that is not finite"
+        raise NumericalError(f"{whose} has {what}")
+    return np.array(cov)
 
 
 def _gaussian(asked: Asked, mean: Array, cov: Array) -> Gaussian:
@@ -124,13 +139,8 @@ def _moments(family: BeliefFamily[Any], beliefs: Sequence[Any], asked: Asked) ->
                 f"({asked.runs}, {size}) and ({asked.runs}, {size}, {size}) were due: runs, "
                 "components of a slice"
             )
-        cov = symmetrised(cov)
-        fault = covariance_fault(cov)
-        if fault or not np.isfinite(mean).all():
-            what = f"a covariance that {fault}" if fault else "a mean that is not finite"
-            raise NumericalError(
-                f"{family!r}: moments(belief) has {what}, for the {_th(k, asked.steps)}"
-            )
+        whose = f"{family!r}: moments(belief), for the {_th(k, asked.steps)},"
+        cov = _covariance(whose, mean, cov)
         means.append(mean[:, columns])
         covs.append(cov[:, columns[:, None], columns])
     mean, cov, wide = np.stack(means, axis=1), np.stack(covs, axis=1), len(columns)

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pgm.beliefs.own.kept import handed_out, kept
 from pgm.beliefs.own.marginals import pair
 from pgm.beliefs.own.outcome import Hidden, OwnMarginals, OwnOutcome
-from pgm.beliefs.own.sealed import handed_out, sealed
 from pgm.beliefs.own.slices import BACK, TAKEN, Slice
 from pgm.beliefs.own.status import status_of
 from pgm.beliefs.points.model import ParticleModel
@@ -45,11 +45,12 @@ class OwnChain:
 
     def start(self) -> Any:
         """The family's belief over the slice at step 0."""
-        return sealed(self.family.begin(Slice(self.model, 0)))
+        return kept(self.family, "begin(at)", self.family.begin(Slice(self.model, 0)))
 
     def predict(self, step: int, belief: Any) -> Any:
         """The family's belief over a step's slice."""
-        return sealed(self.family.predict(Slice(self.model, step), handed_out(belief)))
+        found = self.family.predict(Slice(self.model, step), handed_out(belief))
+        return kept(self.family, "predict(at, belief)", found)
 
     def take(self, step: int, belief: Any) -> tuple[Any, Array]:
         """The family's belief given the measurements of a step, and their log-density, (runs,).
@@ -63,12 +64,12 @@ class OwnChain:
         found = self.family.take(at, handed_out(belief))
         belief, told = pair(self.family, "take(at, belief)", found, "the belief and a log-density")
         log_density = as_floats(told, f"{self.family!r}: the log-density of take", ModelError)
-        if log_density.shape not in ((), (1,), (at.runs,)):
+        if log_density.shape not in ((), (at.runs,)):
             raise ModelError(
                 f"{self.family!r}: the log-density of take(at, belief) has shape "
                 f"{log_density.shape} at step {step}; ({at.runs},), one a run, was due"
             )
-        log_density = np.broadcast_to(log_density.reshape(-1), (at.runs,))
+        log_density = np.broadcast_to(log_density, (at.runs,))
         bad = np.isnan(log_density) | (log_density == np.inf)
         if bad.any():
             place = int(bad.argmax())
@@ -81,7 +82,7 @@ class OwnChain:
                 step=step,
                 run=run,
             )
-        return sealed(belief), log_density
+        return kept(self.family, "take(at, belief)", belief), log_density
 
     def keep(self, step: int, predicted: Any, known: Any, log_density: Array | float) -> None:
         """Keep a step's beliefs and the log-density of its measurements."""
@@ -93,7 +94,8 @@ class OwnChain:
         """The family's belief over a step's slice that knows what that of the next step knows."""
         at = Slice(self.model, step, BACK)
         known, predicted = self.known[step], self.predicted[step + 1]
-        return sealed(self.family.back(at, *map(handed_out, (known, predicted, later))))
+        found = self.family.back(at, *map(handed_out, (known, predicted, later)))
+        return kept(self.family, "back(at, known, predicted, later)", found)
 
     def smoothed(self, kind: Kind) -> list[Any]:
         """The beliefs of all steps that know the measurements up to a lag later, or all."""

@@ -178,6 +178,45 @@ def test_sequential_goes_forth_and_back():
     assert ends == [(0, 1), (0, 3), (1, 2), (2, 3), (3, 2), (3, 0), (2, 1), (1, 0)]
 
 
+def of_turns(*turns):
+    """A schedule of one's own that sends some groups of messages."""
+
+    class Own(pgm.Loopy):
+        def turns(self, messages):
+            return turns
+
+    return Own(iterations=3)
+
+
+def test_an_order_of_ones_own_is_sent_as_it_is():
+    messages = ring()
+    status = run_loopy(messages, of_turns([3, 1], [0], [7, 6, 5], [4, 2]), ())
+    assert messages.sent == [[3, 1], [0], [7, 6, 5], [4, 2]] * status.iterations
+
+
+def test_a_message_that_is_sent_twice_has_its_larger_change():
+    there, again = ring(), ring()
+    single = run_loopy(there, of_turns(*([m] for m in range(8))), ())
+    twice = run_loopy(again, of_turns(*([m] for m in (*range(8), 0))), ())
+    assert twice.residuals[0] == single.residuals[0]
+
+
+@pytest.mark.parametrize(
+    ("turns", "text"),
+    [
+        ([range(7)], r"leaves out the messages \[7\], which would never be sent"),
+        ([range(9)], "has 8, which is no message"),
+        ([range(8), [-1]], "has -1, which is no message"),
+        ([range(8), ["a"]], "has 'a', which is no message"),
+        ([[0, 0, *range(1, 8)]], "has a message twice in one group"),
+        ([3], r"groups of the numbers 0 to 7 of messages, as \[\[0, 1\], \[2\]\], were due"),
+    ],
+)
+def test_turns_are_groups_of_messages(turns, text):
+    with pytest.raises(pgm.ModelError, match=text):
+        run_loopy(ring(), of_turns(*turns), ())
+
+
 def test_residual_sends_the_message_that_would_change_most():
     messages = ring(runs=2, damping=0.3)
     largest = []

@@ -68,6 +68,37 @@ def test_online_an_update_has_no_inputs(ask):
         online(asking("take", ask))
 
 
+def test_on_the_way_back_the_transition_is_that_to_the_next_step():
+    found, drawn = {}, {}
+
+    def ask(at, known, predicted, later):
+        found[at.step] = at.inputs[u].item() if at.step else 0.0, at.next.inputs[u].item()
+        assert at.next.step == at.step + 1
+        moved = at.next.mean(known)
+        assert_allclose(moved, known + found[at.step][1], rtol=1e-14)
+        assert at.next.log_density(later, known).shape == known.shape[:2]
+        drawn[at.step] = at.generators(0)[0].normal(), at.next.generators(0)[0].normal()
+
+    pgm.smooth(MODEL, EVIDENCE, belief=asking("back", ask))
+    assert found == {2: (10.0, 100.0), 1: (1.0, 10.0), 0: (0.0, 1.0)}
+    assert len({each for pair in drawn.values() for each in pair}) == 6
+
+
+@pytest.mark.parametrize("method", ["begin", "predict", "take"])
+def test_on_the_way_forward_there_is_no_next_step(method):
+    with pytest.raises(pgm.ModelError, match="the step after is known on the way back alone"):
+        offline(asking(method, lambda at, *beliefs: at.next))
+
+
+def test_a_transition_asked_by_itself_needs_the_points_before():
+    def ask(at, belief):
+        (cpd,) = at.cpds
+        cpd.mean(belief)
+
+    with pytest.raises(pgm.ModelError, match=r"is given x\[t-1\]: give points of the step before"):
+        offline(asking("predict", ask))
+
+
 @pytest.mark.parametrize("run", [online, offline])
 @pytest.mark.parametrize("method", ["begin", "predict"])
 def test_a_prediction_knows_no_measurements(run, method):

@@ -126,7 +126,7 @@ class Faulty(Gamma):
         ("moments", None, pgm.ModelError, "a mean and a covariance, not NoneType"),
         ("moments", (np.zeros((1, 2)), np.zeros((1, 2, 2))), pgm.ModelError, "were due"),
         ("moments", (np.full((1, 1), np.nan), np.ones((1, 1, 1))), pgm.NumericalError, "of step 0"),
-        ("moments", (np.zeros((1, 1)), -np.ones((1, 1, 1))), pgm.NumericalError, "below zero"),
+        ("moments", (np.zeros((1, 1)), -np.ones((1, 1, 1))), pgm.NumericalError, "variance -1"),
         ("draws", np.zeros((1, 3, 1)), pgm.ModelError, "points and their log-weights, not ndarray"),
         (
             "draws",
@@ -171,7 +171,7 @@ def test_points_of_a_wrong_shape_are_refused():
         pgm.filter(MODEL, {count: COUNTS, dose: DOSES}, belief=Flat(2.0, 1.0))
 
 
-def test_beliefs_are_kept_as_they_were():
+def test_an_array_that_is_changed_in_place_is_an_error():
     class Rash(Gamma):
         def predict(self, at, belief):
             belief *= self.forget
@@ -179,6 +179,128 @@ def test_beliefs_are_kept_as_they_were():
 
     with pytest.raises(ValueError, match="read-only"):
         pgm.filter(MODEL, {count: COUNTS, dose: DOSES}, belief=Rash(2.0, 1.0))
+
+
+class Slots:
+    __slots__ = ("parts",)
+
+    def __init__(self, parts):
+        self.parts = parts
+
+
+class Plain:
+    def __init__(self, parts):
+        self.parts = parts
+
+
+@pytest.mark.parametrize("made", [list, Slots, Plain], ids=["a list", "slots", "an object"])
+def test_a_belief_that_is_changed_in_place_shows_each_step_as_it_was(made):
+    """Its parts (2, 1) are changed by each method, and so is a buffer that they are views of."""
+
+    def parts(belief):
+        return belief[0] if made is list else belief.parts
+
+    class Rash(Gamma):
+        def __init__(self):
+            super().__init__(2.0, 1.0)
+            self.buffer = np.empty((2, 1))
+
+        def _again(self, belief):
+            self.buffer[:] = belief
+            view = self.buffer[:]
+            return [view] if made is list else made(view)
+
+        def begin(self, at):
+            return self._again(super().begin(at))
+
+        def predict(self, at, belief):
+            parts(belief)[:] = super().predict(at, parts(belief))
+            return belief
+
+        def take(self, at, belief):
+            known, log_density = super().take(at, parts(belief))
+            return self._again(known), log_density
+
+        def moments(self, belief):
+            return super().moments(parts(belief))
+
+        def numbers(self, belief):
+            return super().numbers(parts(belief))
+
+    evidence = {count: COUNTS, dose: DOSES}
+    due, found = (pgm.filter(MODEL, evidence, belief=each) for each in (FAMILY, Rash()))
+    assert_allclose(found[rate].mean, due[rate].mean, rtol=1e-14)
+    assert_allclose(found.predicted[rate].mean, due.predicted[rate].mean, rtol=1e-14)
+    robot = pgm.OnlineFilter(MODEL, belief=Rash())
+    first = robot.initial()
+    mean = first[rate].mean
+    robot.predict(first)
+    assert_allclose(first[rate].mean, mean, rtol=0.0)
+
+
+@pytest.mark.parametrize(
+    ("method", "value", "text"),
+    [
+        ("begin", None, r"begin\(at\) returned None; a belief was due"),
+        ("predict", None, r"predict\(at, belief\) returned None"),
+        ("begin", iter([]), "cannot be copied, as those of all steps are: TypeError"),
+    ],
+)
+def test_a_belief_is_a_value_that_can_be_copied(method, value, text):
+    made = Faulty(method, (x for x in ()) if method == "begin" and value else value)
+    with pytest.raises(pgm.ModelError, match=text):
+        pgm.filter(MODEL, {count: COUNTS, dose: DOSES}, belief=made)
+
+
+def test_options_that_no_method_is_told_of_are_not_taken():
+    class Taking(Gamma):
+        takes = frozenset({"gate"})
+
+    evidence = {count: COUNTS, dose: DOSES}
+    with pytest.raises(pgm.ModelError, match="takes names options, 'gate', and is for a family"):
+        pgm.filter(MODEL, evidence, belief=Taking(2.0, 1.0))
+
+
+@pytest.mark.parametrize("back", [None, pgm.BeliefFamily.back], ids=["none", "the base's"])
+def test_a_family_whose_back_is_none_is_filtered_alone(back):
+    class Ahead(Gamma):
+        pass
+
+    Ahead.back = back
+    assert not Ahead(2.0, 1.0).flows_back
+    with pytest.raises(pgm.ModelError, match="says not how its beliefs flow back"):
+        pgm.smooth(MODEL, {count: COUNTS, dose: DOSES}, belief=Ahead(2.0, 1.0))
+
+
+def test_a_back_of_one_value_alone_is_one():
+    family = Gamma(2.0, 1.0)
+    family.back = lambda at, known, predicted, later: known
+    assert family.flows_back
+    smoothed = pgm.smooth(MODEL, {count: COUNTS, dose: DOSES}, belief=family)
+    assert_allclose(smoothed[rate].mean, smoothed.filtered[rate].mean, rtol=0.0)
+
+
+@pytest.mark.parametrize("base", [pgm.Grid, pgm.Particles])
+@pytest.mark.parametrize("method", ["begin", "take", "moments", "numbers"])
+def test_a_method_that_a_family_would_never_be_asked_is_refused(base, method):
+    with pytest.raises(pgm.ModelError, match=f"Mine has {method}, which {base.__name__} never"):
+        type("Mine", (base,), {method: lambda *_: None})
+    assert issubclass(type("Named", (base,), {"beliefs": "mine"}), base)
+
+
+def test_an_outcome_is_one():
+    class Odd(Gamma):
+        def infer(self, graph, bound, call):
+            return 3
+
+    with pytest.raises(pgm.ModelError, match="returned 3; an Outcome"):
+        pgm.filter(MODEL, {count: COUNTS, dose: DOSES}, belief=Odd(2.0, 1.0))
+
+
+def test_a_family_is_shown_in_brief():
+    family = Gamma(2.0, 1.0)
+    family.cells = np.linspace(0.0, 1.0, 400)
+    assert "cells=array of shape (400,)" in repr(family)
 
 
 def test_a_missing_reading_that_a_family_forgot_is_named():

@@ -44,10 +44,10 @@ from pgm.schedules.schedule import (
     Calibration,
     Filtering,
     FixedLag,
-    Loopy,
+    OnChains,
     Schedule,
     Smoothing,
-    require_known_options,
+    require_known,
 )
 from pgm.schedules.starting_points import Start, over_runs, require_hidden
 from pgm.tracing import Judge, judged
@@ -391,11 +391,14 @@ SOLVERS: dict[type[Any], type[Solver]] = {
 def solver_of(graph: DynamicGraph, schedule: Schedule) -> Solver:
     """The solver for a schedule, or for the nearest of its base classes that has one.
 
-    The solver is made for the `graph`. A ModelError refuses a schedule for which there is none, and
-    one with options of its own that has only its base's.
+    One of a user's own names its solver. The solver is made for the `graph`. A ModelError refuses a
+    schedule for which there is none, and one with options of its own that has only its base's.
     """
-    if type(schedule) not in SOLVERS and not isinstance(schedule, Loopy):
-        require_known_options(schedule, "the solver of its base")
+    if isinstance(schedule, OnChains):
+        if schedule.solver is not None:
+            found: Solver = schedule.solver(graph, schedule)
+            return found
+        require_known(schedule, "the solver of its base")
     for each in type(schedule).__mro__:
         if each in SOLVERS:
             return SOLVERS[each](graph, schedule)
