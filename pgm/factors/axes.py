@@ -97,6 +97,25 @@ def require_positive(scope: States, largest: Array) -> None:
         )
 
 
+def require_known(scope: States, largest: Array) -> None:
+    """Refuse tables of which one is NaN, by the largest entry of each.
+
+    Such a table stands for a run whose evidence is impossible, where that is allowed.
+    """
+    lost = np.argwhere(np.isnan(largest))
+    if lost.shape[0]:
+        first = tuple(map(int, lost[0]))
+        # A table does not know which of its axes are of runs, and which of steps.
+        where = f" at index {first[0] if len(first) == 1 else first} of its runs, steps" * bool(
+            first
+        )
+        raise NumericalError(
+            f"the table over {names(scope)} is NaN{where}, as a belief is whose evidence is "
+            "impossible: it has neither draws nor a largest entry; take the tables whose values "
+            "are not NaN"
+        )
+
+
 def _is_within(own: tuple[int, ...], lead: tuple[int, ...]) -> bool:
     try:
         return np.broadcast_shapes(own, lead) == lead
