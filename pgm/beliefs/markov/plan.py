@@ -150,7 +150,8 @@ class RowTables:
         self, plan: SlicePlan, cpd: TableCPD, inputs: Mapping[Variable, Any], first: int
     ) -> None:
         self.cpd, self.inputs = cpd, inputs
-        self.called = InputTables(cpd, inputs, lambda row: row + first)
+        rows = max(map(len, inputs.values()), default=0)
+        self.called = InputTables(cpd, inputs, range(first, first + rows))
         self.labels = plan.hidden(cpd)
         self.observed = tuple(v for v in cpd.given if v not in plan.labels)
         self.index: dict[tuple[int, ...], Any] = {}

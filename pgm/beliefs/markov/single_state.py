@@ -161,7 +161,8 @@ class DirectChain(StateChain):
 
         Where numbers may lose a state they are made by `StateChain`, step by step.
         """
-        found, known = np.empty_like(self.known), np.asarray(self.known)
+        known = np.asarray(self.known)
+        found = self.room(known[0])  # which pickling may have laid out otherwise
         precise = all(_joined(found[rows], known[rows]) for rows in self._messages(found))
         return found if precise else super().smoothed_beliefs()
 

@@ -41,7 +41,7 @@ class Weights:
     def __init__(self, plan: SlicePlan, reading: Reading, runs: int, batch: bool) -> None:
         self.reading, self.runs, self.batch = reading, runs, batch
         self.cpd = cast(TableCPD, reading.cpd)
-        self.called = InputTables(self.cpd, reading.inputs, lambda row: int(reading.step[row]))
+        self.called = InputTables(self.cpd, reading.inputs, reading.step)
         self.observed = tuple(v for v in self.cpd.given if v not in plan.labels)
         hidden = [v for v in self.cpd.given if v in plan.labels]
         self.order = [v for v in plan.slice if v in hidden]
