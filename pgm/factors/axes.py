@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.boundary import as_floats, is_whole, masked_whole
-from pgm.errors import EvidenceError, ModelError, NumericalError
+from pgm.errors import EvidenceError, GraphError, ModelError, NumericalError
 from pgm.factors.scope import Place, Scope, as_scope, in_run, listed, names, namesake
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Discrete, Variable
@@ -44,6 +44,22 @@ def discrete(scope: Scope) -> States:
 def sizes(scope: States) -> tuple[int, ...]:
     """The number of states of each variable."""
     return tuple(variable.size for variable in scope)
+
+
+def require_axes(scope: States, what: str, advice: str = "") -> None:
+    """Refuse, by a `GraphError`, a table over more variables than NumPy's arrays have axes for.
+
+    `what` names the table in the error's text, as "the joint"; `advice` is what to do instead of
+    leaving variables out of the network, as "ask for fewer, or ".
+    """
+    if len(scope) > AXES:
+        single = list(dict.fromkeys(v.template for v in scope if v.size == 1))
+        raise GraphError(
+            f"{what} over ({listed(scope)}) is a table of too many axes: NumPy's arrays have them "
+            f"for {AXES} variables; {advice}leave variables of one state, ({listed(single)}), out "
+            "of the network",
+            variable=single[0] if single else scope[0],
+        )
 
 
 def as_lead(scope: States, lead: int | tuple[int, ...]) -> tuple[int, ...]:
