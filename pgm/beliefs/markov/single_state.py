@@ -154,7 +154,7 @@ class DirectChain(StateChain):
 
     def _map(self, step: int) -> Transition:
         """The matrix of the transition into a step."""
-        move: Any = self.slices.factors(step, "onward")[0]
+        move: Any = self.slices.factors(step, self.slices.plan.onward)[0]
         found: Transition = move.maps[0][0]
         return found
 
