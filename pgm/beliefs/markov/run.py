@@ -33,8 +33,8 @@ def run(
     """The posterior after the messages of a filter, a fixed-lag smoother or a smoother.
 
     `schedule` is a `Filtering`, `FixedLag` or `Smoothing`; None or a `Calibration` smooths. Beliefs
-    that would not fit memory raise `GraphError`, and so does a balanced tree. Impossible evidence
-    raises `ImpossibleEvidence` if `impossible` is "raise", and gives NaN if "allow".
+    that would not fit memory raise `GraphError`. Impossible evidence raises `ImpossibleEvidence` if
+    `impossible` is "raise", and gives NaN if "allow".
     """
     allow = allows(impossible)
     kind = kind_of(schedule, "tables")
