@@ -17,7 +17,7 @@ def run_errors(posterior: pgm.results.Posterior, truth: Array) -> dict[str, Arra
 
     Parameters
     ----------
-    posterior : ChainPosterior or KeptPosterior
+    posterior : Posterior
     truth : ndarray
         (runs, T+1, 3) [m, m, rad].
 

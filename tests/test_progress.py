@@ -88,8 +88,13 @@ def stages(call):
         ),
         (
             lambda p: pgm.smooth(HIDDEN, {tested: [1] * 6 + [-1]}, progress=p),
-            [],  # of one run the sweep is a single call
+            [(7, 7)],  # of one state variable step 0 is no step of the loop
         ),
+        (
+            lambda p: pgm.filter(HIDDEN, {tested: [1] * 100}, progress=p),
+            [(10, 10), (10, 10)],  # ten blocks of ten steps, side by side: what each does, then all
+        ),
+        (lambda p: pgm.smooth(HIDDEN, {tested: [[1] * 100] * 3}, lag=2, progress=p), [(100, 100)]),
         (
             lambda p: pgm.most_probable(pgm.compile(HIDDEN, 6), {tested: [1] * 6}, progress=p),
             [(7, 7), (6, 6)],
@@ -153,6 +158,11 @@ def test_an_error_ends_the_call_and_the_report():
     assert calls == [0, 1, 2, 3, 4]
     pgm.filter(MODEL, EVIDENCE)
     assert calls == [0, 1, 2, 3, 4]
+    for evidence in ([1] * 7, [[1] * 100] * 3, [1] * 100):
+        calls.clear()
+        with pytest.raises(Enough):
+            pgm.smooth(HIDDEN, {tested: evidence}, progress=stop)
+        assert calls == [0, 1, 2, 3, 4]
 
 
 def test_an_error_within_leaves_no_report_behind():

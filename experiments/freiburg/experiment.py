@@ -240,7 +240,7 @@ def divergences(
     ----------
     reference : Gaussian
         Of the pose, over steps 0..T: the moments of any filter that knows better.
-    posteriors : mapping of str to ChainPosterior
+    posteriors : mapping of str to Posterior
     """
     found = {}
     for label, posterior in posteriors.items():

@@ -24,7 +24,7 @@ class Gridded:
 
     Attributes
     ----------
-    posterior : GridPosterior
+    posterior : Posterior
         Smoothed; ``.filtered`` is its forward sweep.
     seconds : float
         Of filter and smoother together.
@@ -69,7 +69,7 @@ def compared(
     Parameters
     ----------
     log : Log
-    posterior : GridPosterior
+    posterior : Posterior
         Smoothed. The model is one, however its ranges are linearised.
     grouped : bool
         Whether sigma points see the ranges of a step as one vector.

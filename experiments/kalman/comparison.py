@@ -27,7 +27,7 @@ class Solved:
         (runs, T+1, n).
     evidence : mapping
         Controls (T, 2) and readings (runs, T, 2) at steps 1..T.
-    filtered, smoothed : ChainPosterior
+    filtered, smoothed : Posterior
     """
 
     truth: Array

@@ -158,7 +158,7 @@ class Gridded:
     ----------
     first : int
         The step of the drive that is its step 0.
-    grid : GridPosterior
+    grid : Posterior
     followed : dict of str to Followed
         Of grid and particles.
     """

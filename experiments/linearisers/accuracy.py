@@ -57,7 +57,7 @@ class Outcome:
 
     Attributes
     ----------
-    posterior : ChainPosterior
+    posterior : Posterior
         What the filter found.
     divergence : ndarray
         KL(truth ‖ belief) at step 1, (runs,), in nats.
@@ -101,7 +101,7 @@ class Trial:
     network : DynamicBayesianNetwork
     sample : Sample
         Poses (runs, 2, 3) and readings (runs, 1, d).
-    best : ChainPosterior
+    best : Posterior
         Its prediction has the moments of very many samples, the same for all simulations.
     """
 

@@ -26,7 +26,7 @@ LONG = 2**8
 MATRICES = 2**15
 # The first axes of a table, by how many they are: NumPy's arrays have up to 64.
 FIRST = [tuple(range(count)) for count in range(65)]
-# Labels below this are einsum's own.
+# How many labels einsum has: the numbers from 0 on, of variables and of axes of the tail.
 LETTERS = 52
 
 
@@ -142,7 +142,9 @@ class TableAlgebra(Algebra[Any]):
             moved: Array = move.along(array, axis, self.semiring, back=back)
             return moved
         if self.fused and len(factors) == 2:
-            return self._fused(step, factors)
+            tail = max([table.ndim - len(s) for table, s in zip(factors, step.scopes, strict=True)])
+            if len(step.scope) + tail <= LETTERS:
+                return self._fused(step, factors)
         found = self.total(self.product(step, factors), step.scope, step.left)
         if self.scaled:
             axes = tuple(range(len(step.left)))

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.boundary import as_floats, is_whole, masked_whole
-from pgm.errors import EvidenceError, ModelError, NumericalError
+from pgm.errors import EvidenceError, GraphError, ModelError, NumericalError
 from pgm.factors.scope import Place, Scope, as_scope, in_run, listed, names, namesake
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Discrete, Variable
@@ -44,6 +44,22 @@ def discrete(scope: Scope) -> States:
 def sizes(scope: States) -> tuple[int, ...]:
     """The number of states of each variable."""
     return tuple(variable.size for variable in scope)
+
+
+def require_axes(scope: States, what: str, advice: str = "") -> None:
+    """Refuse, by a `GraphError`, a table over more variables than NumPy's arrays have axes for.
+
+    `what` names the table in the error's text, as "the joint"; `advice` is what to do instead of
+    leaving variables out of the network, as "ask for fewer, or ".
+    """
+    if len(scope) > AXES:
+        single = list(dict.fromkeys(v.template for v in scope if v.size == 1))
+        raise GraphError(
+            f"{what} over ({listed(scope)}) is a table of too many axes: NumPy's arrays have them "
+            f"for {AXES} variables; {advice}leave variables of one state, ({listed(single)}), out "
+            "of the network",
+            variable=single[0] if single else scope[0],
+        )
 
 
 def as_lead(scope: States, lead: int | tuple[int, ...]) -> tuple[int, ...]:
@@ -94,6 +110,25 @@ def require_positive(scope: States, largest: Array) -> None:
         raise NumericalError(
             f"the table over {names(scope)} is all zero{where}: it has neither "
             "probabilities nor a largest entry; the factors it is made of contradict each other"
+        )
+
+
+def require_known(scope: States, largest: Array) -> None:
+    """Refuse tables of which one is NaN, by the largest entry of each.
+
+    Such a table stands for a run whose evidence is impossible, where that is allowed.
+    """
+    lost = np.argwhere(np.isnan(largest))
+    if lost.shape[0]:
+        first = tuple(map(int, lost[0]))
+        # A table does not know which of its axes are of runs, and which of steps.
+        where = f" at index {first[0] if len(first) == 1 else first} of its runs, steps" * bool(
+            first
+        )
+        raise NumericalError(
+            f"the table over {names(scope)} is NaN{where}, as a belief is whose evidence is "
+            "impossible: it has neither draws nor a largest entry; take the tables whose values "
+            "are not NaN"
         )
 
 

@@ -28,11 +28,8 @@ def as_scope(
     """A variable or several, as a tuple, each once; in a set only where order does not matter."""
     items = as_tuple(scope)
     result: Scope = (scope,) if items is None else items
-    if ordered and is_unordered(scope):
-        raise ModelError(
-            f"{what} is a set, which has no order; give a tuple, since the order of the variables "
-            "says which entries belong to which"
-        )
+    if ordered:
+        require_order(scope, what)
     for variable in result:
         if not isinstance(variable, Variable):
             raise ModelError(f"{what} holds variables, not {variable!r}; give the variable itself")
@@ -42,6 +39,15 @@ def as_scope(
     if len(result) > 1:
         one_name_each(result)
     return result
+
+
+def require_order(scope: object, what: str) -> None:
+    """Refuse a set of variables, since the entries and axes of arrays stand in an order."""
+    if is_unordered(scope):
+        raise ModelError(
+            f"{what} is a set, which has no order; give a tuple, since the order of the variables "
+            "says which entries belong to which"
+        )
 
 
 def one_name_each(variables: Iterable[Variable]) -> None:

@@ -20,6 +20,7 @@ from pgm.factors.axes import (
     as_states,
     at,
     axes_of,
+    require_known,
     require_positive,
     sizes,
     spread,
@@ -65,7 +66,8 @@ class Table(FramedTable, Shown, NoArray, Immutable):
         If arguments do not fit, here and in all methods: a variable is not in the scope or named
         twice, a state is none of its variable's.
     NumericalError
-        Raised by `normalised`, `probabilities` and `argmax`, if the table is all zero.
+        Raised by `normalised`, `probabilities`, `argmax` and `sample`, if the table is all zero; by
+        the latter two also if it is NaN, as the belief of a run of impossible evidence is.
 
     References
     ----------
@@ -262,7 +264,7 @@ class Table(FramedTable, Shown, NoArray, Immutable):
     def argmax(self) -> dict[Discrete, str] | dict[Discrete, Integers]:
         """The states of the largest entry, the first of equals: names; of stacks, indices (...)."""
         lead = self.log_scale.shape
-        best = self._positive().reshape((*lead, math.prod(sizes(self.scope)))).argmax(axis=-1)
+        best = self._drawable().reshape((*lead, math.prod(sizes(self.scope)))).argmax(axis=-1)
         index = unravelled(best, sizes(self.scope))
         if lead:
             return dict(zip(self.scope, index, strict=True))
@@ -287,7 +289,7 @@ class Table(FramedTable, Shown, NoArray, Immutable):
             (*size, ..., number of variables), in the order of the scope.
         """
         shape, lead = as_lengths(size, "of each table"), self.log_scale.shape
-        total = np.cumsum(self._positive().reshape(math.prod(lead), -1), axis=1)
+        total = np.cumsum(self._drawable().reshape(math.prod(lead), -1), axis=1)
         level = as_generator(rng).random((math.prod(shape), len(total))) * total[:, -1]
         drawn = np.empty(level.shape, dtype=np.intp)
         for table, ends in enumerate(total):
@@ -295,6 +297,12 @@ class Table(FramedTable, Shown, NoArray, Immutable):
             drawn[:, table] = np.searchsorted(ends[:-1], level[:, table], side="right")
         index = unravelled(drawn.reshape((*shape, *lead)), sizes(self.scope))
         return np.stack(index, axis=-1)
+
+    def _drawable(self) -> Array:
+        # Of NaN NumPy finds the first entry to be the largest, and draws the last.
+        values = self._positive()
+        require_known(self.scope, kernel.largest(values, len(self.scope)))
+        return values
 
     def _positive(self) -> Array:
         values, _ = self._rescaled

@@ -17,7 +17,8 @@ The options of all functions are these, in a few words; `filter` and `infer` tel
 - `method` is `Balanced()` for a balanced tree; None for a chain.
 - `keep` names the variables whose marginals are kept; None for all.
 - `executor` is a pool of processes or threads that works on parts of the runs; None for none.
-- `belief` is a `Grid` or `Particles`; None for Gaussians, or for tables of discrete variables.
+- `belief` is a family of beliefs, `Grid`, `Particles` or one of the user's own; None for Gaussians,
+  or for tables of discrete variables.
 - `compiled` says whether sweeps run in machine code; with None they do where they are long.
 - `progress` says whether bars show how far the work is.
 - `impossible` says what is done with runs whose evidence has probability zero, if the network is

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,8 @@ Apply = Callable[[Array, Array], object]
 # The masses of rows, and of the belief that each row was made from, (steps, [runs]) both: their
 # ratio is p(z_t | z before t), but for the factor of the weights.
 Masses = tuple[Array, Array]
+# counted(items, what, total) gives the items of a loop, and may tell of their progress.
+Counted = Callable[[Iterable[Any], str, int], Iterable[Any]]
 # The number of steps from one scaling of a belief to the next.
 EVERY = 8
 
@@ -80,6 +83,11 @@ def backward(applies: Iterable[Apply], weights: Array, rows: Array, every: int =
         message = row
 
 
+def _uncounted(items: Iterable[Any], what: str, total: int) -> Iterable[Any]:
+    """The items themselves, of which nothing is told."""
+    return items
+
+
 class Blocks:
     """The forward and backward sweeps of one run of T steps and few states, in blocks of √T steps.
 
@@ -89,11 +97,12 @@ class Blocks:
     its own, whose logarithm is stored. A scale common to all rows could let a row that matters
     underflow: that of a state which is likely before the block, but from which the block's
     measurements are far less likely than from another one. `matrix` (states, states) is the
-    transition, the same in all steps, parents first; `weights` is (steps, states).
+    transition, the same in all steps, parents first; `weights` is (steps, states). `counted` is
+    told of each loop over the steps of a block, if it is given.
     """
 
-    def __init__(self, matrix: Array, weights: Array) -> None:
-        self.matrix, self.steps = matrix, len(weights)
+    def __init__(self, matrix: Array, weights: Array, counted: Counted = _uncounted) -> None:
+        self.matrix, self.steps, self.counted = matrix, len(weights), counted
         self.size = weights.shape[1]
         self.length = max(1, math.isqrt(self.steps))
         self.count = -(-self.steps // self.length)
@@ -114,7 +123,7 @@ class Blocks:
         held = np.repeat(np.eye(size)[:, None], count, axis=1)
         spare = np.empty(held.shape)
         self.scale = np.zeros((size, count))
-        for k, weight in enumerate(self.weights):
+        for k, weight in enumerate(self.counted(self.weights, "blocks", self.length)):
             np.dot(held.reshape(-1, size), self.matrix, out=spare.reshape(-1, size))
             np.multiply(spare, weight, spare)
             if k >= self.last:
@@ -138,7 +147,8 @@ class Blocks:
         held = self._starts(belief)
         found = np.empty(self.weights.shape)
         before = np.ones((self.length, self.count))
-        for k, (weight, row) in enumerate(zip(self.weights, found, strict=True)):
+        weights = self.counted(self.weights, "forward", self.length)
+        for k, (weight, row) in enumerate(zip(weights, found, strict=True)):
             np.dot(held, self.matrix, out=row)
             np.multiply(row, weight, row)
             held = row
@@ -159,7 +169,7 @@ class Blocks:
         ends = self._ends()
         found = np.empty(self.weights.shape)
         held, product = ends, np.empty(ends.shape)
-        for k in range(self.length - 1, -1, -1):
+        for k in self.counted(range(self.length - 1, -1, -1), "back", self.length):
             np.multiply(held, self.weights[k], product)
             row = found[k]
             np.dot(product, turned, out=row)

@@ -666,3 +666,26 @@ def test_every_marginal_can_be_drawn_from():
     }.items():
         assert posterior[x].sample(5, rng=0).shape == (5, 3, 1), belief
     assert pgm.filter(still, {wet: [1, 0]})[rain].sample(5, rng=0).shape == (5, 3, 1)
+
+
+def test_beliefs_of_impossible_evidence_have_neither_draws_nor_a_largest_entry():
+    seen = pgm.Discrete("seen", states=2)
+    sensor = pgm.TableCPD(seen, given=B, table=[[1.0, 0.0]] * 3)
+    still = pgm.TableCPD(B, given=B.previous, table=np.eye(3))
+    prior = pgm.TableCPD(B, table=[0.0, 0.5, 0.5])
+    net = pgm.BayesianNetwork([prior, sensor])
+    model = pgm.DynamicBayesianNetwork(prior=[prior], transition=[still], observation=[sensor])
+    allow = {"impossible": "allow"}
+    evidence = {seen: [0, 1, -1]}
+    runs = {seen: [[0, 0], [1, 0]]}
+    for belief, place in (
+        (pgm.infer(pgm.compile(net), evidence, **allow)[B], " at index 1"),
+        (pgm.query(net, B, evidence, **allow), " at index 1"),
+        (pgm.query(net, B, {seen: 1}, **allow), ","),
+        (pgm.filter(model, evidence, **allow)[B], " at index 2"),
+        (pgm.filter(model, runs, **allow)[B], r" at index \(1, 1\)"),
+    ):
+        for call in (belief.argmax, lambda belief=belief: belief.sample(4, rng=0)):
+            with pytest.raises(pgm.NumericalError, match=rf"over \(b\) is NaN{place}.*impossible"):
+                call()
+        assert np.isnan(belief.probabilities).any()

@@ -13,8 +13,8 @@ from pgm.beliefs.discrete.storage import Storage, sepset_between
 from pgm.clustergraph.structure import Forest
 from pgm.elimination import Plan, TableAlgebra, by_fill, eliminate
 from pgm.errors import GraphError
-from pgm.factors.axes import AXES, States, sizes
-from pgm.factors.scope import names
+from pgm.factors.axes import States, require_axes, sizes
+from pgm.factors.scope import listed
 from pgm.kernels.arrays import Array
 from pgm.kernels.semirings import SUM_PRODUCT
 from pgm.resources import gibibytes
@@ -107,11 +107,13 @@ def _given(scope: States, values: Array, sepset: States) -> Array:
 def _require_room(plan: Plan, variables: Sequence[Discrete], runs: int) -> None:
     """Refuse, by a GraphError, a product of more than a gibibyte, or over too many variables."""
     for step, entries in zip(plan.steps, plan.products, strict=True):
-        if len(step.factors) > 1 and (entries * runs > limits.LIMIT or len(step.scope) > AXES):
+        if len(step.factors) > 1:
             scope = [variables[x] for x in step.scope]
-            raise GraphError(
-                f"the joint needs a table over {names(scope)}, {len(scope)} variables and "
-                f"{gibibytes(entries * runs)}, where {AXES} variables and "
-                f"{gibibytes(limits.LIMIT)} are the limit; ask for fewer variables at once, "
-                "with fewer runs, or pgm.query, which may need less"
-            )
+            if entries * runs > limits.LIMIT:
+                raise GraphError(
+                    f"the joint needs a table that is too large: over ({listed(scope)}), "
+                    f"{gibibytes(entries * runs)}, where {gibibytes(limits.LIMIT)} is the limit. "
+                    "Ask for fewer variables at once, with fewer runs, or by pgm.query, which may "
+                    "need less"
+                )
+            require_axes(tuple(scope), "the joint", "ask for fewer at once, or ")

@@ -26,7 +26,7 @@ from pgm.display import Summary
 from pgm.errors import EvidenceError, GraphError
 from pgm.factors import Table
 from pgm.factors.axes import States, sizes
-from pgm.factors.scope import Scope, as_scope, names, namesake
+from pgm.factors.scope import Scope, as_scope, listed, namesake
 from pgm.kernels.arrays import Array, frozen
 from pgm.kernels.semirings import exp
 from pgm.posteriors.outcome import TABLES, Outcome
@@ -110,11 +110,11 @@ class DiscreteOutcome(Outcome[Table]):
         scope: States = tuple(self._require_hidden(v) for v in as_scope(variables))
         if not scope:
             raise EvidenceError("joint takes one or more variables")
-        self._require_room(scope, f"the joint over {names(scope)}")
+        self._require_room(scope, f"the joint over ({listed(scope)})")
         storage = self._beliefs.storage
         if not self.graph.is_tree and holder(storage, scope) is None:
             raise GraphError(
-                f"no cluster holds all of {names(scope)}, and on a graph with loops only "
+                f"no cluster holds all of ({listed(scope)}), and on a graph with loops only "
                 "variables of one cluster have a joint; compile a junction tree"
             )
         return self._table(scope, self._beliefs.read(lambda t: joint(storage, t, scope)))
@@ -148,7 +148,7 @@ class DiscreteOutcome(Outcome[Table]):
             )
         shared = sepset_between(self.graph, i, j)
         scope = axes_left(self._beliefs.evidence, shared)
-        self._require_room(scope, f"the message over {names(scope)}")
+        self._require_room(scope, f"the message over ({listed(scope)})")
         values, log_scale = self._beliefs.message(i, j)
         return self._table(scope, values[put_in(self._beliefs.evidence, shared)], log_scale)
 
@@ -163,7 +163,7 @@ class DiscreteOutcome(Outcome[Table]):
         storage, evidence = self._beliefs.storage, self._beliefs.evidence
         put = put_in(evidence, storage.scopes[index])
         scope = axes_left(evidence, storage.scopes[index])
-        self._require_room(scope, f"the belief over {names(scope)}")
+        self._require_room(scope, f"the belief over ({listed(scope)})")
         values = self._beliefs.read(lambda tables: storage.table(tables, index)[put])
         return self._table(scope, values, self._beliefs.log_total(index))
 
@@ -178,7 +178,7 @@ class DiscreteOutcome(Outcome[Table]):
         storage, evidence = self._beliefs.storage, self._beliefs.evidence
         put = put_in(evidence, storage.scopes[index])
         scope = axes_left(evidence, storage.scopes[index])
-        self._require_room(scope, f"the potential over {names(scope)}")
+        self._require_room(scope, f"the potential over ({listed(scope)})")
         logs = entered(storage, evidence, index)[put]
         top = logs.max(axis=tuple(range(logs.ndim - 1)))
         top = np.where(top == -np.inf, 0.0, top)

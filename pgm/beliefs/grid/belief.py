@@ -31,7 +31,7 @@ class GridBelief(PointMassBelief):
     Leading axes are independent beliefs: runs, and, where `steps` says so, steps in time. Means and
     covariances are those of the point masses. Those of an angle come from its differences, wrapped
     to [−π, π), from the circular mean μ°, the direction of Σ p_k (cos c_k, sin c_k): the mean is μ°
-    plus the mean difference.
+    plus the mean difference, wrapped to [−π, π).
 
     Attributes
     ----------
@@ -77,11 +77,12 @@ class GridBelief(PointMassBelief):
         )
 
     def _mean(self) -> Array:
-        """The means (..., n); an angle's mean is its circular mean plus the mean offset from it."""
-        each = [
-            axis.reference + about + offset
-            for axis, (about, _, offset) in zip(self._parts, self._moments, strict=True)
-        ]
+        """The means (..., n); an angle's is its circular mean plus the mean offset, wrapped."""
+        each = []
+        for axis, (about, _, offset) in zip(self._parts, self._moments, strict=True):
+            mean = axis.reference + about + offset
+            # Near the cut the offset may lead out of [−π, π).
+            each.append(wrap(mean) if axis.angle else mean)
         return np.stack(each, axis=-1)
 
     def _cov(self) -> Array:

@@ -5,13 +5,13 @@ A *row* is the place of a step, or of a measurement, along the first axis of the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from pgm.cpds import TableCPD
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, Integers
 from pgm.variables import Discrete, Variable
 
 
@@ -25,14 +25,14 @@ class InputTables:
 
     inputs: The values of each input at all rows: of a vector (rows, runs or 1, d), of a discrete
         variable the indices of its states, (rows, runs or 1, 1).
-    step: A function of a row that gives its time step, which errors name.
+    steps: The time step of each row, which errors name.
     smallest: The smallest positive entry of all tables returned up to now, at most 1.
     """
 
     def __init__(
-        self, cpd: TableCPD, inputs: Mapping[Variable, Any], step: Callable[[int], int]
+        self, cpd: TableCPD, inputs: Mapping[Variable, Any], steps: Sequence[int] | Integers
     ) -> None:
-        self.cpd, self.inputs, self.step = cpd, inputs, step
+        self.cpd, self.inputs, self.steps = cpd, inputs, steps
         self.smallest = 1.0
 
     def at(self, row: int) -> Array:
@@ -42,7 +42,7 @@ class InputTables:
             rows = self.inputs[v][row]
             values[v] = rows[:, 0] if isinstance(v, Discrete) else rows
         runs = max(len(rows) for rows in values.values())
-        step = self.step(row)
+        step = int(self.steps[row])
         if runs == 1:  # a single value, as a function of one robot takes it
             tables = self.cpd.at_inputs({v: a[0] for v, a in values.items()}, step=step)[None]
         else:

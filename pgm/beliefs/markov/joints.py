@@ -12,7 +12,7 @@ import numpy as np
 
 from pgm.beliefs.markov.chain import StateChain
 from pgm.beliefs.markov.plan import SlicePlan, TableSlices
-from pgm.factors.axes import States, sizes
+from pgm.factors.axes import States, discrete, require_axes, sizes
 from pgm.kernels.arrays import Array
 from pgm.posteriors.belief_kind import Kind
 
@@ -26,16 +26,23 @@ def pair(chain: StateChain, plan: SlicePlan, step: int, message: Array) -> Array
     step: The step of the slice, 1 or later.
     message: The backward message to the slice, from measurements after the step, (*slice, *runs).
     """
+    _require_pairs(plan)
     slices: Any = chain.slices
     semiring = chain.semiring
     belief = chain.known[step - 1]
     if plan.controls:
         belief = semiring.total(belief, plan.controls)
-    found = slices.through("pairs", step, belief)
+    found = slices.through(plan.pairs, step, belief)
     weights, _ = slices.likelihood(step)
     own = message if weights is None else semiring.times(message, weights)
     found = semiring.times(found, own)  # the slice's axes are the last before the runs
     return chain.numbers(semiring.over(found, chain.total(found)))
+
+
+def _require_pairs(plan: SlicePlan) -> None:
+    """Refuse, by a `GraphError`, slices two of which have more variables than arrays have axes."""
+    before = discrete(tuple(v.previous for v in plan.states))
+    require_axes((*before, *plan.slice), "the joint of two steps")
 
 
 def potential(
@@ -53,9 +60,10 @@ def potential(
     weights, log_scale = slices.given_likelihood(step)
     if not step:
         return slices.prior(), weights, log_scale
+    _require_pairs(plan)
     runs = chain.known[0].shape[len(plan.shape) :]
     ones = np.full((*sizes(plan.states), *runs), chain.semiring.one)
-    found = slices.through("pairs", step, ones)
+    found = slices.through(plan.pairs, step, ones)
     return found, weights, log_scale
 
 
@@ -64,40 +72,41 @@ def joint(chain: StateChain, plan: SlicePlan, scope: States, kind: Kind) -> Arra
 
     `scope` are hidden variables, each at a step, as ``x.at(3)``. The joint is given the
     measurements that a belief of the same `kind` (filtered, fixed-lag, smoothed) is given at the
-    latest of these steps. A forward message goes from the first of the steps to the latest; from
-    the step of each variable on it has one more axis, of that variable's state. At the latest step
-    it is multiplied by the backward message.
+    latest of these steps. A forward message goes from the first of the steps to the latest, and
+    keeps the variables of the scope that it passes. At the latest step it is multiplied by the
+    backward message.
     """
     slices: TableSlices = chain.slices  # type: ignore[assignment]
     semiring, axes = chain.semiring, len(plan.shape)
-    ordered = sorted(scope, key=lambda v: v.step or 0)
-    step, end = ordered[0].step or 0, ordered[-1].step or 0
-    array = chain.known[step]
-    passed = 0
-    for variable in ordered:
-        while step < (variable.step or 0):
-            step += 1
+    at: dict[int, States] = {}
+    for variable in scope:
+        at[variable.step or 0] = (*at.get(variable.step or 0, ()), variable)
+    passed: States = ()
+    array = chain.known[min(at)]
+    end = max(at)
+    for step in range(min(at) + 1, end + 1):
+        kept = at.get(step - 1, ())
+        if kept:
+            array = slices.keeping(step, array, tuple([plan.labels[v.template] for v in kept]))
+            passed = (*kept, *passed)
+        else:
             array = slices.forward(step, array)
-            weights, _ = slices.likelihood(step)
-            if weights is not None:
-                array = semiring.times(array, _behind(weights, axes, passed))
-            top = array.max(axis=tuple(range(array.ndim - chain.batch)))
-            array = semiring.over(array, top)
-        if step < end:
-            array = _kept(array, plan.labels[variable.template], axes + passed, chain)
-            passed += 1
-    last = kind.last(step, slices.steps)
+        weights, _ = slices.likelihood(step)
+        if weights is not None:
+            array = semiring.times(array, _behind(weights, axes, len(passed)))
+        top = array.max(axis=tuple(range(array.ndim - chain.batch)))
+        array = semiring.over(array, top)
+    last = kind.last(end, slices.steps)
     message = np.full(chain.known[last].shape, semiring.one)
-    for before in range(last - 1, step - 1, -1):
+    for before in range(last - 1, end - 1, -1):
         message = chain.back(before, message)
-    array = semiring.times(array, _behind(message, axes, passed))
-    here = [plan.labels[v.template] for v in ordered[passed:]]
+    array = semiring.times(array, _behind(message, axes, len(passed)))
+    here = {plan.labels[v.template]: v for v in at[end]}
     others = tuple(axis for axis in range(axes) if axis not in here)
     array = semiring.total(array, others) if others else array
     array = chain.numbers(semiring.over(array, chain.total(array)))
     # The axes that are left: variables of the last slice in its order, then those that have passed.
-    stand = sorted(ordered[passed:], key=lambda v: plan.labels[v.template])
-    stand += ordered[:passed]
+    stand = [*(here[label] for label in sorted(here)), *passed]
     order = [stand.index(v) for v in scope]
     return array.transpose(*order, *range(len(order), array.ndim))
 
@@ -109,18 +118,3 @@ def _behind(values: Array, axes: int, passed: int) -> Array:
     passed: The number of variables of earlier slices, and of new axes.
     """
     return values.reshape(*values.shape[:axes], *(1,) * passed, *values.shape[axes:])
-
-
-def _kept(array: Array, axis: int, place: int, chain: StateChain) -> Array:
-    """An array with a copy of its axis `axis` as the new axis `place`, which is behind it.
-
-    Entries are the semiring's zero where the indices along the two axes differ. The transition may
-    then sum `axis` out, while its copy stays.
-    """
-    semiring, size = chain.semiring, array.shape[axis]
-    same = np.where(np.eye(size, dtype=bool), semiring.one, semiring.zero)
-    wide = np.expand_dims(array, place)
-    shape = [1] * wide.ndim
-    shape[axis] = shape[place] = size
-    found: Array = semiring.times(wide, same.reshape(shape))
-    return found

@@ -99,7 +99,7 @@ def _scores(slices: TableSlices, step: int, states: Integers) -> Array:
     plan = slices.plan
     count, runs = len(plan.slice), states.shape[1]
     total: Array = np.zeros((runs, *(v.size for v in plan.states)))
-    for rows, factor in zip(slices.rows, slices.factors(step, "onward"), strict=True):
+    for rows, factor in zip(slices.rows, slices.factors(step, plan.onward), strict=True):
         labels: tuple[int, ...] = rows.labels
         before = [x for x in labels if x >= count]
         if isinstance(factor, Move):

@@ -25,7 +25,7 @@ from pgm.compile import DynamicGraph
 from pgm.display import Summary
 from pgm.errors import GraphError
 from pgm.factors import Table
-from pgm.factors.axes import discrete, sizes
+from pgm.factors.axes import discrete, require_axes, sizes
 from pgm.factors.scope import Scope
 from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.posteriors.belief_kind import FILTERED, PREDICTED, SMOOTHED, Kind
@@ -175,7 +175,8 @@ class StateOutcome(Outcome[Table]):
         ModelError
             If a variable is given twice.
         GraphError
-            If the table, or a table on the way to it, would not fit memory.
+            If the table, or a table on the way to it, would not fit memory, or has more axes than
+            NumPy's arrays.
         """
         scope = discrete(require_at_steps(self.graph.layout, variables, self.graph.steps))
         # Arrays on the way hold those of earlier slices, and the whole of the last one.
@@ -183,6 +184,8 @@ class StateOutcome(Outcome[Table]):
         before = discrete(tuple(v for v in scope if v.step != end))
         entries = math.prod((*sizes(before), *self._plan.shape))
         require_runs(entries, self._slices.bound.runs, f"the joint of {len(scope)} variables")
+        widest = self._plan.widest(len(before))
+        require_axes((*before, *widest), "the joint", "ask for fewer at once, or ")
         values = joint(self._chain, self._plan, scope, self.kind)
         values = blank(values, self._lost, self.kind.last(end, self.graph.steps))
         return Table._plain(scope, frozen(self._over_runs(values, len(scope))))

@@ -33,13 +33,13 @@ from pgm.elimination import (
     next_smallest,
 )
 from pgm.evidence import BoundEvidence
-from pgm.factors.axes import discrete, sizes
+from pgm.factors.axes import AXES, discrete, sizes
 from pgm.factors.scope import in_run
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.semirings import SUM_PRODUCT, Semiring
 from pgm.kernels.stochastic import Dense
 from pgm.schedules.impossible import ImpossibleEvidence
-from pgm.variables import Variable
+from pgm.variables import Discrete, Variable
 
 ADVICE = (
     "Leave it out; or, if it can happen, replace the zeros that forbid it in the CPDs' tables by "
@@ -57,7 +57,7 @@ class SlicePlan:
     states: The variables of the slice that are states, in its order.
     labels: A number for each variable. A variable of the slice has the number of its axis; the
         states at the step before, ``x.previous``, have the numbers after these, in the order of
-        `states`.
+        `states`, and the controls at the step before the last ones, in the order of the slice.
     sizes: The number of states of each variable, by label.
     shape, first_shape: The shape of a belief without runs, at steps from 1 on and at step 0.
     """
@@ -66,8 +66,9 @@ class SlicePlan:
         self.layout, self.model = layout, layout.model
         self.slice, self.states = discrete(layout.slice), discrete(layout.states)
         now: dict[Variable, Label] = {v: k for k, v in enumerate(self.slice)}
+        controls = [v for v in self.slice if v not in self.states]
         before: dict[Variable, Label] = {
-            v.previous: len(now) + k for k, v in enumerate(self.states)
+            v.previous: len(now) + k for k, v in enumerate((*self.states, *controls))
         }
         self.labels = now | before
         self.sizes = dict(
@@ -105,6 +106,24 @@ class SlicePlan:
         """The product for a joint of neighbours, p(x | x') belief(x'), with axes x', then x."""
         return self._sum(self._before, (*self._before, *self._now))
 
+    def keeping(self, kept: Scope) -> Plan:
+        """The sum of a forward message that keeps variables of the slice before.
+
+        `kept` are their labels in the slice. The message is over the whole slice before, controls
+        too, and the result over the slice, and then those kept.
+        """
+        found = self._keeping.get(kept)
+        if found is None:
+            before = [self.labels[v.previous] for v in self.slice]
+            own = tuple([before[k] for k in kept])
+            found = self._keeping[kept] = self._sum(tuple(before), (*self._now, *own), self._maps)
+        return found
+
+    @cached_property
+    def _keeping(self) -> dict[Scope, Plan]:
+        """The cache of `keeping`."""
+        return {}
+
     def _sum(
         self, of: Scope, wanted: Scope, maps: Sequence[bool] = (), *, back: bool = False
     ) -> Plan:
@@ -128,6 +147,26 @@ class SlicePlan:
         tables = [self.hidden(cpd) for cpd in self.model.prior]
         return next_smallest(tables, states, self.sizes)
 
+    def scope(self, labels: Scope) -> tuple[Discrete, ...]:
+        """The variables of some labels."""
+        known = discrete(tuple(self.labels))
+        return tuple([known[x] for x in labels])
+
+    def widest(self, more: int = 0) -> tuple[Discrete, ...]:
+        """The most variables that a table has on the way from a step to the next, or back.
+
+        The tables of a sensor, which have its observed parents besides the slice, count as well. If
+        no table can have too many axes, with `more` of them besides, it is the slice.
+        """
+        if len(self.labels) + len(self.model.inputs) + more <= AXES:
+            return self.slice
+        ways = (self.prior, self.onward, self.back)
+        found = [self.slice, *(self.scope(step.scope) for way in ways for step in way.steps)]
+        for cpd in self.model.observation:
+            observed = tuple(v for v in cpd.given if v not in self.labels)
+            found.append((*self.slice, *discrete(observed)))
+        return max(found, key=len)
+
     @cached_property
     def controls(self) -> tuple[int, ...]:
         """The axes of hidden controls, which the next slice does not depend on."""
@@ -150,7 +189,8 @@ class RowTables:
         self, plan: SlicePlan, cpd: TableCPD, inputs: Mapping[Variable, Any], first: int
     ) -> None:
         self.cpd, self.inputs = cpd, inputs
-        self.called = InputTables(cpd, inputs, lambda row: row + first)
+        rows = max(map(len, inputs.values()), default=0)
+        self.called = InputTables(cpd, inputs, range(first, first + rows))
         self.labels = plan.hidden(cpd)
         self.observed = tuple(v for v in cpd.given if v not in plan.labels)
         self.index: dict[tuple[int, ...], Any] = {}
@@ -327,7 +367,14 @@ class TableSlices:
         """
         if self.plan.controls:
             belief = self.semiring.total(belief, self.plan.controls)
-        return self.through("onward", step, belief)
+        return self.through(self.plan.onward, step, belief)
+
+    def keeping(self, step: int, belief: Array, kept: Scope) -> Array:
+        """The predicted belief with some variables of the slice before, (*slice, *kept, ...).
+
+        kept: Their labels in the slice.
+        """
+        return self.through(self.plan.keeping(kept), step, belief)
 
     def backward(self, step: int, message: Array) -> Array:
         """The sum Σ_x p(x | x') message(x), x being the slice of `step` and x' the one before.
@@ -337,17 +384,15 @@ class TableSlices:
         if self.plan.controls:
             rest = message.shape[len(self.plan.shape) :]
             message = np.broadcast_to(message, (*self.plan.shape, *rest))
-        found = self.through("back", step, message)
+        found = self.through(self.plan.back, step, message)
         return np.expand_dims(found, self.plan.controls) if self.plan.controls else found
 
-    def through(self, way: str, step: int, array: Array) -> Array:
+    def through(self, plan: Plan, step: int, array: Array) -> Array:
         """An array times the tables of the transition into a step, summed as a plan has it.
 
-        `way` is the name of the plan in `SlicePlan`: ``"onward"``, ``"back"`` or ``"pairs"``. Axes
-        between those of variables and of runs are kept.
+        The plan is one of `SlicePlan`. Axes between those of variables and of runs are kept.
         """
-        plan: Plan = getattr(self.plan, way)
-        tables: tuple[Any, ...] = (array, *self.factors(step, way))
+        tables: tuple[Any, ...] = (array, *self.factors(step, plan))
         found: Array = eliminate(plan, tables, self._algebra)
         return found
 
@@ -356,15 +401,15 @@ class TableSlices:
         """The arithmetic of the tables; that they do not underflow is seen by `smallest`."""
         return TableAlgebra(self.semiring, self.plan.sizes, watched=False)
 
-    def factors(self, step: int, way: str) -> Sequence[Entries]:
-        """The tables of the transition into a step, as `through` takes them."""
-        fixed = self._fixed.get(way)
+    def factors(self, step: int, plan: Plan) -> Sequence[Entries]:
+        """The tables of the transition into a step, as `through` takes them for a plan."""
+        fixed = self._fixed.get(plan)
         if fixed is not None:
             return fixed
-        maps, row = getattr(self.plan, way).maps, step - self.first
+        maps, row = plan.maps, step - self.first
         found = [r.factor(row, self.semiring, as_map=k in maps) for k, r in enumerate(self.rows, 1)]
         if not any(rows.inputs for rows in self.rows):
-            self._fixed[way] = found
+            self._fixed[plan] = found
         return found
 
     @cached_property
@@ -379,7 +424,7 @@ class TableSlices:
 
         They are None where the tables may differ by step.
         """
-        return None if any(rows.inputs for rows in self.rows) else self.factors(1, "onward")
+        return None if any(rows.inputs for rows in self.rows) else self.factors(1, self.plan.onward)
 
     def weights_of(self, part: range) -> tuple[Array, Array]:
         """The weights of the measurements of some steps, (steps, *slice, [runs]), and log-scales.
@@ -419,8 +464,8 @@ class TableSlices:
         return found, scales + np.log(top)
 
     @cached_property
-    def _fixed(self) -> dict[str, list[Entries]]:
-        """The cache of `factors`: by the name of a plan, the tables of the transition.
+    def _fixed(self) -> dict[Plan, list[Entries]]:
+        """The cache of `factors`: by plan, the tables of the transition.
 
         It is filled where no CPD of the transition has inputs: all steps have the same tables.
         """

@@ -18,6 +18,7 @@ from pgm.beliefs.markov.single_state import DirectChain
 from pgm.compile import DynamicGraph
 from pgm.errors import GraphError
 from pgm.evidence import BoundEvidence
+from pgm.factors.axes import require_axes
 from pgm.kernels.semirings import LOG_SUM_PRODUCT
 from pgm.posteriors.belief_kind import FILTERED
 from pgm.posteriors.status import Status
@@ -32,8 +33,8 @@ def run(
     """The posterior after the messages of a filter, a fixed-lag smoother or a smoother.
 
     `schedule` is a `Filtering`, `FixedLag` or `Smoothing`; None or a `Calibration` smooths. Beliefs
-    that would not fit memory raise `GraphError`, and so does a balanced tree. Impossible evidence
-    raises `ImpossibleEvidence` if `impossible` is "raise", and gives NaN if "allow".
+    that would not fit memory raise `GraphError`. Impossible evidence raises `ImpossibleEvidence` if
+    `impossible` is "raise", and gives NaN if "allow".
     """
     allow = allows(impossible)
     kind = kind_of(schedule, "tables")
@@ -98,7 +99,8 @@ def _without_impossible(slices: TableSlices) -> StateChain:
 def require_beliefs(plan: SlicePlan, bound: BoundEvidence, sets: int) -> None:
     """Raise `GraphError` if the beliefs, or the tables of one step's message, do not fit memory.
 
-    `sets` is how many beliefs are kept for each step and run.
+    It is raised also for tables of more variables than NumPy's arrays have axes for. `sets` is how
+    many beliefs are kept for each step and run.
     """
     size = math.prod(plan.shape)
     require_memory(
@@ -113,3 +115,4 @@ def require_beliefs(plan: SlicePlan, bound: BoundEvidence, sets: int) -> None:
         "give fewer runs or steps to a call",
         error=GraphError,
     )
+    require_axes(plan.widest(), "the message from a step to the next")

@@ -59,7 +59,9 @@ class DirectChain(StateChain):
             if self._blocks is not None:
                 totals, before = self._blocks.forward(belief, own)
             else:
-                totals, before = markov.forward(self._applies(part), weights, belief, own)
+                # The steps of a part, if it is the only one; else parts are counted.
+                applies = counted(self._applies(part), "forward", len(part))
+                totals, before = markov.forward(applies, weights, belief, own)
             if not totals.min() > TINY:
                 return self
             logs[place] = np.log(totals / before) + scales
@@ -83,7 +85,7 @@ class DirectChain(StateChain):
         if self.slices.constant is None or not isinstance(each, Dense):
             return None
         weights, _ = self._weights(range(1, steps + 1))
-        return markov.Blocks(each.matrix, weights)
+        return markov.Blocks(each.matrix, weights, counted)
 
     @cached_property
     def _by_runs(self) -> bool:
@@ -152,7 +154,7 @@ class DirectChain(StateChain):
 
     def _map(self, step: int) -> Transition:
         """The matrix of the transition into a step."""
-        move: Any = self.slices.factors(step, "onward")[0]
+        move: Any = self.slices.factors(step, self.slices.plan.onward)[0]
         found: Transition = move.maps[0][0]
         return found
 
@@ -161,7 +163,8 @@ class DirectChain(StateChain):
 
         Where numbers may lose a state they are made by `StateChain`, step by step.
         """
-        found, known = np.empty_like(self.known), np.asarray(self.known)
+        known = np.asarray(self.known)
+        found = self.room(known[0])  # which pickling may have laid out otherwise
         precise = all(_joined(found[rows], known[rows]) for rows in self._messages(found))
         return found if precise else super().smoothed_beliefs()
 
@@ -177,9 +180,9 @@ class DirectChain(StateChain):
             yield slice(None)
             return
         found[-1] = 1.0
-        for part in reversed(self._parts):
+        for part in counted(self._parts[::-1], "back"):
             weights, _ = self._weights(part)
-            applies = self._applies(part[::-1], back=True)
+            applies = counted(self._applies(part[::-1], back=True), "back", len(part))
             markov.backward(applies, weights, found[part.start - 1 : part.stop])
             first = found[part.start - 1]  # scaled: a part may be too short for the sweep to do so
             total = first.sum(axis=0)
@@ -206,7 +209,7 @@ class DirectChain(StateChain):
             return None
         weights, _ = self.slices.weights_of(range(1, steps + 1))
         found = np.ones(np.shape(self.known))
-        for ahead in range(min(lag, steps), 0, -1):
+        for ahead in counted(range(min(lag, steps), 0, -1), "back"):
             # Of the windows that do not reach beyond the last step.
             rows = found[: steps + 1 - ahead]
             rows[...] = each.backward(rows * weights[ahead - 1 :], 1)

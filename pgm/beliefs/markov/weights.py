@@ -16,10 +16,11 @@ import numpy as np
 
 from pgm.beliefs.markov.input_tables import InputTables, smallest_entry
 from pgm.cpds import TableCPD
+from pgm.elimination import Plan, TableAlgebra, eliminate, next_smallest
 from pgm.errors import EvidenceError
 from pgm.evidence import Reading
 from pgm.kernels.arrays import Array
-from pgm.kernels.semirings import SUM_PRODUCT, Semiring, log_sum
+from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
 
 if TYPE_CHECKING:
     from pgm.beliefs.markov.plan import SlicePlan
@@ -41,7 +42,7 @@ class Weights:
     def __init__(self, plan: SlicePlan, reading: Reading, runs: int, batch: bool) -> None:
         self.reading, self.runs, self.batch = reading, runs, batch
         self.cpd = cast(TableCPD, reading.cpd)
-        self.called = InputTables(self.cpd, reading.inputs, lambda row: int(reading.step[row]))
+        self.called = InputTables(self.cpd, reading.inputs, reading.step)
         self.observed = tuple(v for v in self.cpd.given if v not in plan.labels)
         hidden = [v for v in self.cpd.given if v in plan.labels]
         self.order = [v for v in plan.slice if v in hidden]
@@ -199,17 +200,22 @@ class Weights:
         places: For each of the other axes the index that each run selects, (runs or 1,).
         """
         values = (self._scaled if semiring.linear else self.reading.values)[row]
-        runs = max([len(values), *(len(p) for p in places)])
+        # Sums over what was measured, also on the way of maxima over the states.
+        numbers = SUM_PRODUCT if semiring.linear else LOG_SUM_PRODUCT
         own = columns[tuple(places)] if places else columns[None]
-        own = np.broadcast_to(own, (runs, *own.shape[1:]))
-        values = np.broadcast_to(values, (runs, values.shape[1]))
-        if semiring.linear:
-            found: Array = np.einsum("rk,rk...->r...", values, own)
-        else:
-            with np.errstate(divide="ignore"):
-                logs = np.log(values).reshape(*values.shape, *(1,) * len(self.shape))
-                found = log_sum(logs + np.log(own), 1)
-        return self._over_runs(found[0]) if runs == 1 else np.moveaxis(found, 0, -1)
+        factors = [
+            numbers.entries(each[0] if len(each) == 1 else np.moveaxis(each, 0, -1))
+            for each in (values, own)
+        ]
+        plan = self._sum
+        found: Array = eliminate(plan, factors, TableAlgebra(numbers, plan.sizes, watched=False))
+        return self._over_runs(found) if len(values) == len(own) == 1 else found
+
+    @cached_property
+    def _sum(self) -> Plan:
+        """The sum Σ_z w(z) p(z | x) over a sensor's states: z has the label 0, x those after it."""
+        sizes = dict(enumerate((self.cpd.child.size, *self.shape)))
+        return next_smallest([(0,), tuple(sizes)], tuple(sizes)[1:], sizes)
 
     def _over_runs(self, single: Array) -> Array:
         """Weights (*slice) that all runs share, as (*slice, 1) if beliefs have an axis of runs."""

@@ -43,8 +43,8 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
     def mean(self) -> Array:
         """The means, (..., n).
 
-        The mean of an angle is its circular mean plus the mean of the differences from that, which
-        are wrapped to [−π, π).
+        The mean of an angle is its circular mean plus the mean of the differences from that; both
+        they and the mean are wrapped to [−π, π).
         """
         return closed(self._mean())
 

@@ -21,7 +21,8 @@ class PointFilter(InCode, Immutable, Generic[Belief]):
     """Base of online filters by point masses; their methods return new beliefs and change none.
 
     model: The network that is filtered.
-    belief: The user's choice of beliefs, a `Grid` or `Particles`.
+    belief: The family of beliefs that the user gave, with its settings: which cells, or how many
+        draws.
     """
 
     model: DynamicBayesianNetwork
@@ -41,7 +42,7 @@ class PointFilter(InCode, Immutable, Generic[Belief]):
 
         Parameters
         ----------
-        belief : OnlineGridBelief or OnlineParticleBelief
+        belief : OnlineBelief
             A belief of this filter.
         inputs : mapping of Variable to array_like
             Values (..., d) of the transition's inputs.
@@ -64,7 +65,7 @@ class PointFilter(InCode, Immutable, Generic[Belief]):
 
         Parameters
         ----------
-        belief : OnlineGridBelief or OnlineParticleBelief
+        belief : OnlineBelief
             A belief of this filter.
         readings : mapping of Variable to array_like
             By sensor, its measurement (..., d), or several as `pgm.sightings`; by input of a

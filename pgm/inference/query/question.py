@@ -16,7 +16,7 @@ import numpy as np
 from pgm.arguments import public
 from pgm.beliefs.discrete.run import of_tree
 from pgm.beliefs.discrete.run_pieces import pieces
-from pgm.boundary import as_tuple, is_unordered
+from pgm.boundary import as_tuple
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
 from pgm.display import titled
@@ -25,7 +25,7 @@ from pgm.evidence import Evidence
 from pgm.evidence.static import BoundStates, bind_discrete
 from pgm.factors import Table
 from pgm.factors.axes import States, as_states, sizes
-from pgm.factors.scope import names, unknown_name
+from pgm.factors.scope import listed, require_order, unknown_name
 from pgm.inference.query.elimination import NOTHING, eliminate, require_possible
 from pgm.inference.query.left_out import Contradiction, contradictions
 from pgm.inference.query.plan import QueryPlan
@@ -94,8 +94,8 @@ def query(
         If the network is dynamic or continuous, or if a table on the way, or the answer over all
         runs, is too large.
     ModelError
-        If `network` is no network, one of the variables is asked for twice, or `impossible` is
-        neither ``"raise"`` nor ``"allow"``.
+        If `network` is no network, one of the variables is asked for twice, or several as a set,
+        which has no order, or `impossible` is neither ``"raise"`` nor ``"allow"``.
 
     References
     ----------
@@ -119,7 +119,7 @@ def query(
     scope = _wanted(variables, known, bound)
     if bound.runs > 1:
         entries = math.prod(sizes(scope))
-        limits.require_runs(entries, bound.runs, f"the joint over {names(scope)}")
+        limits.require_runs(entries, bound.runs, f"the joint over ({listed(scope)})")
     requisite = Requisite.of(asked, scope, bound)
     allow = allows(impossible)
     elsewhere = contradictions(requisite.left_out, bound)
@@ -183,9 +183,10 @@ def _wanted(variables: Any, known: frozenset[Variable], evidence: BoundStates) -
 
     `variables` is what the user gave, one variable or several; `known` are the network's variables.
     Raises an EvidenceError if no variable is asked for, or one that is not in the network or is
-    observed in all runs; a ModelError if one is asked for twice.
+    observed in all runs; a ModelError if one is asked for twice, or several as a set.
     """
-    several = None if is_unordered(variables) else as_tuple(variables)
+    require_order(variables, "what is asked for")
+    several = as_tuple(variables)
     found = (variables,) if several is None else several
     for variable in found:
         if not isinstance(variable, Variable) or variable not in known:

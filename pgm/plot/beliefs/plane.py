@@ -13,7 +13,7 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 
 from pgm.arguments import public
-from pgm.boundary import as_floats, as_tuple
+from pgm.boundary import as_floats, as_tuple, is_unordered
 from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.factors import Gaussian
@@ -303,9 +303,10 @@ def plane_of(
         )
     straight = tuple(name for name in belief.components if name not in belief.angles)
     pair = straight[:2] if components is None else as_tuple(components)
-    if pair is None or len(pair) != 2:
+    if pair is None or len(pair) != 2 or is_unordered(components):
         raise ModelError(
-            f"a map is of two components, not {components or pair!r}; {titled(belief)}"
+            f"a map is of two components, the first to the right, not {components or pair!r}; "
+            f"{titled(belief)}"
         )
     belief.marginal(*pair)  # refuses those that are none
     if heading is None:

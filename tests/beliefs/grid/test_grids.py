@@ -95,6 +95,24 @@ def test_an_angle_has_moments_across_the_cut():
     assert_allclose(one.cov, other.cov, atol=1e-12)
 
 
+def test_the_mean_of_an_angle_is_wrapped():
+    """Where the offset from the circular mean leads across the cut, as it does of particles."""
+    h = pgm.Variable("h", angles=("h",))
+    drift = pgm.LinearGaussianCPD(h, {h.previous: 1.0}, cov=0.01)
+    outside = 0
+    for middle in np.linspace(-3.1, 3.1, 21):
+        parts = [pgm.GaussianCPD(h, middle, 0.01), pgm.GaussianCPD(h, middle + 1.9, 0.3)]
+        model = pgm.DynamicBayesianNetwork([pgm.MixtureCPD(parts, weights=[0.6, 0.4])], [drift])
+        found = pgm.filter(model, {}, steps=1, belief=pgm.Grid({"h": 90}))[h]
+        values, centres = found.values[0], found.centres[0]
+        circular = np.angle(values @ np.exp(1j * centres))
+        apart = (centres - circular + np.pi) % (2.0 * np.pi) - np.pi
+        due = circular + values @ apart
+        outside += not -np.pi <= due < np.pi
+        assert_allclose(found.mean[0, 0], (due + np.pi) % (2.0 * np.pi) - np.pi, atol=1e-12)
+    assert outside
+
+
 def test_what_leaves_is_counted_and_warned_of():
     on = pgm.Grid({"place": (-3.0, 3.0, 60)})
     leaving = line(cov=0.1, mean=2.4, noise=0.05)

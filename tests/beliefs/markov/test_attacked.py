@@ -180,3 +180,94 @@ def test_tables_on_the_way_that_would_not_fit_are_refused(monkeypatch):
     assert asked[0] == 40**5
     with pytest.raises(pgm.GraphError, match="would take"):
         require_memory(10**15, "it", "take less", error=pgm.GraphError)
+
+
+def crowd(count):
+    """Two binary variables, with a sensor of both, among many of one state; they and all."""
+    rng = np.random.default_rng(2)
+    a, b = pgm.Discrete("a", 2), pgm.Discrete("b", 2)
+    cpds = [
+        pgm.TableCPD(a, given=a.previous, table=drawn(rng, 2, 2)),
+        pgm.TableCPD(b, given=(b.previous, a), table=drawn(rng, 2, 2, 2)),
+    ]
+    prior = [pgm.TableCPD(v, table=drawn(rng, 2)) for v in (a, b)]
+    single = [pgm.Discrete(f"s{k}", 1) for k in range(count)]
+    network = pgm.DynamicBayesianNetwork(
+        prior=[pgm.TableCPD(v, table=[1.0]) for v in single] + prior,
+        transition=[pgm.TableCPD(v, given=v.previous, table=[[1.0]]) for v in single] + cpds,
+        observation=[pgm.TableCPD(Z, given=(a, b), table=drawn(rng, 2, 2, 2))],
+    )
+    return network, a, b, single
+
+
+@pytest.mark.parametrize("readings", [[0, 1, 1], [[0, 1, 1], [1, 0, -1]]])
+@pytest.mark.parametrize("count", [51, 57])
+def test_more_variables_than_einsum_has_letters(count, readings):
+    network, a, b, single = crowd(count)
+    few, *_ = crowd(0)
+    found, due = (pgm.smooth(net, {Z: readings}) for net in (network, few))
+    for v in (a, b):
+        assert_allclose(found[v].values, due[v].values, rtol=1e-12)
+        assert_allclose(found.filtered[v].values, due.filtered[v].values, rtol=1e-12)
+    assert_allclose(found.log_evidence, due.log_evidence, rtol=1e-12)
+    scope = (a.at(3), b.at(2))
+    if count < 57:
+        assert_allclose(found.joint(*scope).values, due.joint(*scope).values, rtol=1e-12)
+    assert found.joint(*(v.at(1) for v in single)).values.size == np.size(due.log_evidence)
+    path, best = (pgm.most_probable(pgm.compile(net, 3), {Z: readings}) for net in (network, few))
+    assert_allclose(path.log_probability, best.log_probability, rtol=1e-12)
+    beliefs = []
+    for net in (network, few):
+        online = pgm.OnlineFilter(net)
+        beliefs.append(online.update(online.predict(online.initial()), {Z: 1})[b].values)
+    assert_allclose(*beliefs, rtol=1e-12)
+
+
+def test_more_variables_than_arrays_have_axes():
+    network, a, b, _ = crowd(58)
+    too_many = (
+        r"to the next over \(.* \(61 in all\)\) is a table of too many axes: NumPy's arrays "
+        r"have them for 60 variables; leave variables of one state, \(s0, s1, .*\), out of the"
+    )
+    for call in (
+        lambda: pgm.filter(network, {Z: [0]}),
+        lambda: pgm.smooth(network, {Z: [[0], [1]]}, lag=1, steps=1),
+        lambda: pgm.most_probable(pgm.compile(network, 1), {Z: [0]}),
+        lambda: pgm.OnlineFilter(network),
+    ):
+        with pytest.raises(pgm.GraphError, match=too_many):
+            call()
+    network, a, b, _ = crowd(57)
+    posterior = pgm.smooth(network, {Z: [0, 1]})
+    with pytest.raises(pgm.GraphError, match=r"the joint over .* \(62 in all\).*; ask for fewer"):
+        posterior.joint(a.at(1), b.at(1), a.at(2))
+    for call in (posterior.belief, posterior.potential):
+        with pytest.raises(pgm.GraphError, match=r"the joint of two steps over .* \(118 in all\)"):
+            call(2)
+
+
+@pytest.mark.parametrize("tiny", [0.0, 2.0])
+def test_joints_with_controls(monkeypatch, tiny):
+    """A control that is asked for stays on the way, although no later slice depends on it."""
+    if tiny:
+        monkeypatch.setattr(run, "TINY", tiny)
+    rng = np.random.default_rng(1)
+    x, y, c = pgm.Discrete("x", 3), pgm.Discrete("y", 2), pgm.Discrete("c", 2)
+    network = pgm.DynamicBayesianNetwork(
+        prior=[pgm.TableCPD(x, table=drawn(rng, 3)), pgm.TableCPD(y, x, table=drawn(rng, 3, 2))],
+        transition=[
+            pgm.TableCPD(c, table=[0.3, 0.7]),
+            pgm.TableCPD(x, given=(x.previous, c), table=drawn(rng, 3, 2, 3)),
+            pgm.TableCPD(y, given=(y.previous, x), table=drawn(rng, 2, 3, 2)),
+        ],
+        observation=[pgm.TableCPD(Z, given=y, table=SEEN)],
+    )
+    posterior = pgm.smooth(network, {Z: [1, 0, 1, 0]})
+    due = unrolled(network, {Z.at(k): z for k, z in enumerate((1, 0, 1, 0), 1)}, 4)
+    for scope in (
+        (x.at(0), c.at(1)),
+        (c.at(1), y.at(3), x.at(3), c.at(2)),
+        (y.at(0), c.at(4), y.at(4), x.at(0)),
+        (c.at(3), y.at(2), c.at(2), x.at(2), y.at(3)),
+    ):
+        assert_allclose(posterior.joint(*scope).values, due.joint(*scope).values, rtol=1e-12)

@@ -1,9 +1,12 @@
 """Discrete dynamic networks against the enumeration of all paths."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 from markov.worlds import WORLDS
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 import pgm
 from pgm.beliefs.markov import run
@@ -181,3 +184,37 @@ def test_what_tables_take_not():
     for named in ({"keep": world.slices}, {"lineariser": pgm.Unscented()}):
         with pytest.raises(pgm.ModelError, match="is for networks of Gaussian CPDs"):
             pgm.infer(graph, world.evidence, **named)
+
+
+@pytest.mark.usefixtures("arithmetic")
+@pytest.mark.parametrize("schedule", [pgm.Filtering(), pgm.FixedLag(1), pgm.Smoothing()])
+def test_a_posterior_is_pickled(world, schedule):
+    graph = pgm.compile(world.model, world.steps)
+    due = pgm.infer(graph, world.evidence, schedule=schedule)
+    x, y = world.slices[0], world.slices[-1]
+    scope = (y.at(3), x.at(1))
+    # Functions within functions are copied, but not pickled.
+    called = any(cpd.function is not None for cpd in world.model.transition)
+    again = copy.deepcopy if called else lambda value: pickle.loads(pickle.dumps(value))
+    fresh = again(due)  # before its beliefs are made
+    joint = due.joint(*scope).values
+    for found in (fresh, again(due)):
+        for variable in hidden(world):
+            assert_array_equal(found[variable].values, due[variable].values)
+            assert_array_equal(found.filtered[variable].values, due.filtered[variable].values)
+        assert_array_equal(found.joint(*scope).values, joint)
+        assert found.log_evidence == due.log_evidence
+        assert found.belief(2).log_total == due.belief(2).log_total
+        assert repr(found) == repr(due)
+
+
+def test_a_posterior_of_many_runs_is_pickled():
+    world = WORLDS["dense"](np.random.default_rng(5))
+    (z,) = world.model.sensors
+    due = pgm.smooth(world.model, {z: [[0, 1, 2], [1, 0, -1]]})
+    found = pickle.loads(pickle.dumps(due))
+    x = world.slices[0]
+    assert_array_equal(found[x].values, due[x].values)
+    assert_array_equal(found.log_evidence, due.log_evidence)
+    marginals = pickle.loads(pickle.dumps(due.filtered))
+    assert_array_equal(marginals[x].values, due.filtered[x].values)

@@ -31,6 +31,10 @@ def test_observed_and_unknown_variables():
         pgm.query(net, [])
     with pytest.raises(pgm.ModelError, match="holds xray twice"):
         pgm.query(net, [xray, xray])
+    for asked in ({xray, visit}, frozenset((xray, visit))):
+        with pytest.raises(pgm.ModelError, match="asked for is a set, which has no order; give a"):
+            pgm.query(net, asked)
+    assert pgm.query(net, {xray}).scope == (xray,)
 
 
 def test_evidence_that_does_not_fit():
