@@ -16,7 +16,7 @@ from pgm.arguments import public
 from pgm.boundary import is_whole
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.compile.dynamic import DynamicGraph, SliceGraph
-from pgm.compile.machine import Choice, as_choice
+from pgm.compile.machine import Choice, as_choice, without_machine_code
 from pgm.compile.methods import JunctionTree
 from pgm.display import InCode, titled
 from pgm.errors import GraphError, ModelError
@@ -236,10 +236,7 @@ def compile(
             f"{titled(model)} has no time, so it is not compiled for steps; leave out steps"
         )
     if compiled is not None:
-        raise GraphError(
-            f"compiled= is for the chain of a dynamic network, and {titled(model)} has no time; "
-            "leave it out"
-        )
+        raise without_machine_code("static", model)
     if method is None:
         return TREE(model)
     if isinstance(method, Balanced):
@@ -280,15 +277,9 @@ def _dynamic(model: DynamicBayesianNetwork, steps: Any, method: Any, compiled: A
     )
     choice = as_choice(compiled, "pgm.compile(...)")
     if choice and model.discrete:
-        raise ModelError(
-            f"compiled= is for networks of Gaussian CPDs, and {titled(model)} is of tables: leave "
-            "it out"
-        )
+        raise without_machine_code("tables", model)
     if method is None:
         return SliceGraph(model, int(steps), choice)
     if choice:
-        raise GraphError(
-            f"{method!r} is solved in rounds by NumPy: leave out compiled=, or the method, since "
-            "machine code goes along the chain of slices"
-        )
+        raise without_machine_code("rounds", method)
     return BalancedGraph(model, int(steps), False)

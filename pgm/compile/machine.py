@@ -12,8 +12,8 @@ import numpy as np
 from pgm.arguments import public
 from pgm.boundary import is_number, is_whole
 from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, NonlinearGaussianCPD
-from pgm.display import InCode, Told
-from pgm.errors import ModelError
+from pgm.display import InCode, Told, titled
+from pgm.errors import GraphError, ModelError, PgmError
 from pgm.kernels import roots
 from pgm.linearisers import (
     Cubature,
@@ -81,6 +81,34 @@ def as_choice(compiled: Any, what: str) -> Choice:
     if compiled:
         optional("numba", f"{what.removesuffix(')')}, compiled=True)", "sepset[fast]")
     return compiled
+
+
+# Why compiled= is refused, and the remedy, of a network without time, one of tables, and a method.
+_NO_USE: dict[str, tuple[type[PgmError], str]] = {
+    "static": (
+        GraphError,
+        "compiled= is for the chain of a dynamic network, and {of} has no time; leave it out",
+    ),
+    "tables": (
+        ModelError,
+        "compiled= is for networks of Gaussian CPDs, and {of} is of tables: leave it out",
+    ),
+    "rounds": (
+        GraphError,
+        "{of} is solved in rounds by NumPy: leave out compiled=, or the method, since machine code "
+        "goes along the chain of slices",
+    ),
+}
+
+
+def without_machine_code(why: str, of: object) -> PgmError:
+    """The error for `compiled=` where there is no machine code.
+
+    `why` is ``"static"``, ``"tables"`` or ``"rounds"``; `of` is the network, its graph, or the
+    method.
+    """
+    error, text = _NO_USE[why]
+    return error(text.format(of=titled(of)))
 
 
 class Compilation(Told[CPD]):

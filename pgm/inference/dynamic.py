@@ -46,7 +46,7 @@ from pgm.schedules.convergence import told
 from pgm.schedules.damping import Damping
 from pgm.schedules.gates import Gate
 from pgm.schedules.impossible import RAISE
-from pgm.schedules.options import OVER_TIME, Call, require
+from pgm.schedules.options import Call, require_over_time
 from pgm.schedules.schedule import TOLERANCE, Filtering, FixedLag, Smoothing
 from pgm.schedules.starting_points import Start
 from pgm.variables import Variable
@@ -260,5 +260,5 @@ def over_time(
     graph = compile(model, bound.steps, method=method, compiled=compiled)
     family = family_of(graph.model, belief)
     call = call._replace(compiled=graph.layout.compiled or None)
-    require(call.asked(graph), graph, OVER_TIME, family)
+    require_over_time(call, graph, family)
     return family, (graph, bound, call)

@@ -24,7 +24,7 @@ from pgm.schedules.argument_checks import require_lineariser
 from pgm.schedules.binding import bind_chain
 from pgm.schedules.convergence import told
 from pgm.schedules.impossible import RAISE
-from pgm.schedules.options import IDLE, OVER_TIME, STATIC, Call, require
+from pgm.schedules.options import IDLE, STATIC, Call, Scheduled, require, require_over_time
 from pgm.schedules.schedule import (
     Filtering,
     FixedLag,
@@ -180,7 +180,7 @@ def send(
         compiled = graph.layout.compiled
         family = family_of(graph.model, belief)
         call = call._replace(compiled=compiled or None)
-        require(call.asked(graph), graph, OVER_TIME, family)
+        require_over_time(call, graph, family)
         bound = bind_chain(graph.model, evidence, graph.steps, identities=True, compiled=compiled)
         with reporting(progress):
             return answered(family, family.infer(graph, bound, call))
@@ -190,6 +190,8 @@ def send(
         require(asked, graph, STATIC)
         require({n: v for n, v in asked.items() if n not in IDLE}, graph, family)
     _require_static(graph, schedule)
+    if asked and schedule is not None:
+        require(asked, graph, Scheduled(schedule))
     with reporting(progress):
         return Posterior(family.infer_static(graph, evidence, call))
 

@@ -1,7 +1,7 @@
-"""The options of a call, and who has a use for them: graphs, families of beliefs.
+"""The options of a call, and who has a use for them: graphs, schedules, families of beliefs.
 
 Each party of a call lists the options that it takes. One function, `require`, compares a call with
-that, and words the refusal with the remedy.
+that, and raises the party's refusal, which has the remedy.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from pgm.boundary import is_number
 from pgm.compile import BalancedGraph
 from pgm.display import titled
-from pgm.errors import GraphError, ModelError, PgmError
+from pgm.errors import EvidenceError, GraphError, ModelError, PgmError
 from pgm.linearisers import TAYLOR
 from pgm.schedules.impossible import RAISE
 from pgm.schedules.schedule import ONCE, Loopy, Schedule
@@ -92,7 +92,7 @@ def asked_online(given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class Party(Protocol):
-    """A party of a call: the graph, or the family of beliefs.
+    """A party of a call: the graph, by its method, the schedule, or the family of beliefs.
 
     takes: The options that it has a use for.
     """
@@ -121,6 +121,17 @@ def require(given: Mapping[str, Any], of: object, *parties: Party) -> None:
                 raise party.refusal(option, of)
 
 
+def require_over_time(call: Call, graph: Any, family: Party) -> None:
+    """Raise the refusal of an option that the graph, the family or the schedule has no use for.
+
+    `graph` is one of a dynamic network.
+    """
+    if asked := call.asked(graph):
+        require(asked, graph, BALANCED if "method" in asked else OVER_TIME, family)
+        if call.schedule is not None:
+            require(asked, graph, Scheduled(call.schedule))
+
+
 class OverTime(NamedTuple):
     """Graphs of dynamic networks, which take every option but those of networks without time."""
 
@@ -128,6 +139,25 @@ class OverTime(NamedTuple):
 
     def refusal(self, option: str, of: object) -> PgmError:
         """The error for an option of networks without time."""
+        return refused(option, of)
+
+
+class OfBalanced(NamedTuple):
+    """Balanced trees, on which nothing is decided along a chain; `pgm.compile` refuses compiled=.
+
+    takes: The options of graphs of dynamic networks, but a gate.
+    """
+
+    takes: frozenset[str] = OverTime().takes - {"gate"}
+
+    def refusal(self, option: str, of: object) -> PgmError:
+        """The error for a gate, or an option of networks without time."""
+        if option == "gate":
+            return GraphError(
+                "gate= decides at one predicted belief after another, and "
+                f"{titled(of)} solves for all steps at once: leave it out, or compile without "
+                "pgm.Balanced()"
+            )
         return refused(option, of)
 
 
@@ -160,7 +190,66 @@ class Static(NamedTuple):
         )
 
 
-OVER_TIME, STATIC = OverTime(), Static()
+class Paths(NamedTuple):
+    """Most probable paths of dynamic networks of tables, found for all runs at once."""
+
+    takes: frozenset[str] = frozenset()
+
+    def refusal(self, option: str, of: object) -> PgmError:
+        """The error for a method, or an option of assignments of networks without time."""
+        if option == "method":
+            return refused(option, of, "tables")
+        return GraphError(
+            "memory= and executor= are for networks without time; of a dynamic one give fewer "
+            "runs to a call"
+        )
+
+
+OVER_TIME, BALANCED, STATIC, PATHS = OverTime(), OfBalanced(), Static(), Paths()
+
+
+class Scheduled(NamedTuple):
+    """A schedule, which lists the options that the messages it sends have a use for."""
+
+    schedule: Schedule
+
+    @property
+    def takes(self) -> frozenset[str]:
+        """The options that the schedule has a use for."""
+        return self.schedule.takes
+
+    def refusal(self, option: str, of: object) -> PgmError:
+        """The error for an option that the schedule has no use for, with the remedy."""
+        if option not in _OF_SCHEDULES:
+            return ModelError(f"{option}= is not for {self.schedule!r}: leave it out")
+        error, text = _OF_SCHEDULES[option]
+        kind = type(self.schedule).__name__
+        return error(text.format(schedule=self.schedule, kind=kind, of=titled(of)))
+
+
+# The refusals of a schedule, by option: {schedule} is its text, {kind} its class, {of} the graph.
+_OF_SCHEDULES: dict[str, tuple[type[PgmError], str]] = {
+    "start": (
+        EvidenceError,
+        "a start is for smoothing all at once, not {schedule!r}, which linearises at beliefs: "
+        "leave start= out, or smooth by pgm.Smoothing()",
+    ),
+    "method": (
+        GraphError,
+        "{schedule!r} goes along a chain of slices, step after step, which {of} is not: compile "
+        "without pgm.Balanced()",
+    ),
+    "memory": (
+        GraphError,
+        "memory= is for two passes over a tree: {kind} lets all runs go round {of} together; to "
+        "hold less at a time, give fewer runs to a call",
+    ),
+    "impossible": (
+        GraphError,
+        "impossible= is for two passes over a tree: messages that go round, as {kind} sends them "
+        "on {of}, need not find out that evidence is impossible; leave it out",
+    ),
+}
 
 _NOTHING = (
     "{beliefs} need no linearising, so that there is nothing to iterate or damp; leave iterations "

@@ -19,6 +19,15 @@ from pgm.schedules.rounds import Directed, Messages, Step, in_turn, largest_firs
 # Standard deviations by which a mean may still move at what counts as a fixed point: nothing that
 # an estimate could show, and within reach of float64 and of ten linearisations of most recordings.
 TOLERANCE = 1e-6
+# The options of a call, with those of the schedule, that every schedule has a use for. Each class
+# lists its own in `takes`, which `pgm.schedules.options` compares with a call; a schedule of a
+# user's own takes those of its base, unless it says otherwise.
+_EVERY = frozenset(
+    {
+        *("lineariser", "keep", "executor", "compiled"),
+        *("iterations", "damping", "gate"),
+    }
+)
 
 
 class OnChains(InCode):
@@ -77,6 +86,7 @@ class Filtering(OnChains):
     tolerance: float = TOLERANCE
     damping: Damping = 0.0
     gate: Gate = None
+    takes: ClassVar[frozenset[str]] = _EVERY | {"method", "impossible"}
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "gate", as_gate(type(self).__name__, self.gate))
@@ -127,6 +137,7 @@ class Calibration(OnChains):
 
     iterations: int = 1
     tolerance: float = TOLERANCE
+    takes: ClassVar[frozenset[str]] = _EVERY | {"method", "start", "memory", "impossible"}
 
     def __post_init__(self) -> None:
         require_count(self, _LINEARISATIONS, self.iterations)
@@ -247,6 +258,7 @@ class FixedLag(OnChains):
     tolerance: float = TOLERANCE
     damping: Damping = 0.0
     gate: Gate = None
+    takes: ClassVar[frozenset[str]] = _EVERY | {"impossible"}
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "gate", as_gate(type(self).__name__, self.gate))
@@ -321,6 +333,8 @@ class Loopy(InCode):
     iterations: int = 1000
     tolerance: float = 1e-10
     damping: float = 0.0
+    # Those over time too, as a chain refuses the schedule itself.
+    takes: ClassVar[frozenset[str]] = _EVERY | {"method", "start"}
 
     def __post_init__(self) -> None:
         require_count(self, "iterations", self.iterations)

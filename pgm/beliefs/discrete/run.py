@@ -10,12 +10,10 @@ from pgm.beliefs.discrete.first_beliefs import FirstBeliefs
 from pgm.beliefs.discrete.loopy_messages import LoopyBeliefs, TableMessages
 from pgm.beliefs.discrete.outcome import DiscreteOutcome
 from pgm.clustergraph import ClusterGraph
-from pgm.display import titled
-from pgm.errors import GraphError
 from pgm.evidence import Evidence
 from pgm.evidence.static import BoundStates, bind_discrete
 from pgm.posteriors.status import Status
-from pgm.schedules.impossible import ALLOW, RAISE, allows
+from pgm.schedules.impossible import RAISE, allows
 from pgm.schedules.limits import Room
 from pgm.schedules.loopy import run_loopy
 from pgm.schedules.schedule import Loopy, Schedule
@@ -31,8 +29,8 @@ def run(
     """The posterior of a discrete network, computed by messages on its cluster graph.
 
     The schedules `Flooding`, `Sequential` and `Residual` send messages on a graph of any shape;
-    with them `memory` and ``impossible="allow"`` are refused with a `GraphError`. Any other
-    schedule, or None, stands for exact inference; the graph must then have no loops.
+    `memory` and `impossible` are not for them. Any other schedule, or None, stands for exact
+    inference; the graph must then have no loops.
 
     evidence: Of each observed variable, its state, or an array with a state for each run; or soft
         weights of its states.
@@ -43,18 +41,6 @@ def run(
     bound = bind_discrete(graph.network._places.keys(), evidence)
     allow = allows(impossible)
     if isinstance(schedule, Loopy):
-        if allow:
-            raise GraphError(
-                f'impossible="{ALLOW}" is for two passes over a tree: messages that go round, as '
-                f"{type(schedule).__name__} sends them on {titled(graph)}, need not find out that "
-                "evidence is impossible"
-            )
-        if memory is not None:
-            raise GraphError(
-                f"memory= is for two passes over a tree: {type(schedule).__name__} lets all runs "
-                f"go round {titled(graph)} together; to hold less at a time, give fewer runs to a "
-                "call"
-            )
         messages = TableMessages(graph, bound, schedule.damping)
         status = run_loopy(messages, schedule, bound.lead)
         return DiscreteOutcome(graph, status, LoopyBeliefs.of(messages))

@@ -10,6 +10,7 @@ from pgm.beliefs.markov.run import run
 from pgm.beliefs.own.family import BeliefFamily
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
+from pgm.compile.machine import without_machine_code
 from pgm.errors import EvidenceError, ModelError, PgmError
 from pgm.evidence import BoundEvidence, Evidence
 from pgm.factors import Table
@@ -29,10 +30,12 @@ class Tables(BeliefFamily[Table]):
 
     def refusal(self, option: str, of: object) -> PgmError:
         """The error for an option that tables have no use for, with the remedy."""
-        if option in ("gate", "watch", "compiled"):
+        if option == "compiled":
+            return without_machine_code("tables", of)
+        if option in ("gate", "watch"):
             return ModelError(
                 f"{option}= is for beliefs that are Gaussian, whose innovations have a "
-                "covariance, and whose steps machine code has: leave it out"
+                "covariance: leave it out"
             )
         if option == "start":
             return EvidenceError("a start is for nonlinear CPDs; a discrete network has none")

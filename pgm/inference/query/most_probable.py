@@ -29,7 +29,6 @@ from pgm.beliefs.discrete.place import steps
 from pgm.beliefs.discrete.run_pieces import Distinct, some_runs, tree_pieces
 from pgm.beliefs.discrete.tree_passes import collect, enter
 from pgm.beliefs.discrete.tree_plan import Stack, TreePlan, plan_for
-from pgm.beliefs.markov.family import TABLES
 from pgm.beliefs.markov.most_probable_path import most_probable_path
 from pgm.beliefs.markov.plan import SlicePlan, TableSlices
 from pgm.beliefs.markov.run import require_beliefs
@@ -49,7 +48,7 @@ from pgm.posteriors.summaries import spread
 from pgm.progress import Progress, counted, reporting
 from pgm.schedules.binding import bind_chain
 from pgm.schedules.limits import Room, require_runs
-from pgm.schedules.options import Call, require
+from pgm.schedules.options import PATHS, Call, require
 from pgm.variables import Discrete, Variable
 from pgm.workers.workers import Workers
 
@@ -224,11 +223,8 @@ def most_probable(
             "records pgm.records(table, network) makes it"
         )
     if isinstance(graph, DynamicGraph) and graph.model.discrete:
-        if memory is not None or executor is not None:
-            raise GraphError(
-                "memory= and executor= are for networks without time; of a dynamic one give fewer "
-                "runs to a call"
-            )
+        call = Call(executor=executor, memory=memory)
+        require(call.asked(graph), graph, PATHS)
         with reporting(progress):
             return _most_probable_path(graph, evidence)
     if isinstance(graph, DynamicGraph) or not graph.network.discrete:
@@ -266,7 +262,6 @@ def _most_probable_path(graph: DynamicGraph, evidence: Evidence) -> MostProbable
     (*runs, T+1); of a control, which has no step 0, (*runs, T). *runs are the user's axes of runs.
     """
     bound = bind_chain(graph.model, evidence, graph.steps)
-    require(Call().asked(graph), graph, TABLES)
     plan = SlicePlan(graph.layout)
     require_beliefs(plan, bound, 1)
     path, log_probability = most_probable_path(TableSlices(plan, bound))

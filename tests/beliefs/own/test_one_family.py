@@ -1,72 +1,19 @@
 """What was written for each kind of belief is written once, and asks the family, never the kind."""
 
-import ast
 import copy
 import inspect
 import pickle
-import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import pgm
 from pgm.beliefs.own import family as belief_family
-from pgm.examples import b, pair, walk, x, z
+from pgm.examples import b, pair, rainy, walk, wet, x, z
 from pgm.inference import families
-from pgm.schedules import options
 from tests.beliefs.own.ensemble import EnsembleKalman
 
-PACKAGE = Path(pgm.__file__).parent
 DOOR = pgm.Discrete("door", states=("open", "shut"))
-SOURCES = {path: path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py")}
-FOLDERS = {"beliefs", "inference", "posteriors", "schedules"}
-FAMILIES = (
-    r"Grid|Particles|Moments|Tables|GridSettings|ParticleSettings|\w+Outcome|\w+Steps|"
-    r"GridStatus|ParticleStatus|OnlineStates|Online\w+Belief"
-)
-
-
-def classes(pattern):
-    """The public classes of the package by that name."""
-    found = [
-        node.name
-        for source in SOURCES.values()
-        for node in ast.parse(source).body
-        if isinstance(node, ast.ClassDef) and re.fullmatch(pattern, node.name)
-    ]
-    return sorted(found)
-
-
-def test_there_is_one_class_of_results_and_one_online_filter():
-    assert classes(r"\w*Posterior") == ["Posterior"]
-    assert classes(r"\w*OnlineFilter") == ["OnlineFilter"]
-    assert classes(r"\w*Status") == ["FitStatus", "Status"]  # the former of a search for parameters
-
-
-def test_nobody_asks_what_kind_a_family_is():
-    asked = re.compile(rf"isinstance\([^)]*\b({FAMILIES})\b")
-    outside = [path for path in SOURCES if path.relative_to(PACKAGE).parts[0] != "beliefs"]
-    assert not [path for path in outside if asked.search(SOURCES[path])]
-
-
-def test_a_signature_stands_once():
-    assert not [
-        path
-        for path, source in SOURCES.items()
-        if FOLDERS & set(path.parts) and re.search(r"^ *@overload", source, re.MULTILINE)
-    ]
-
-
-def test_no_option_is_named_in_two_refusals():
-    """Options that a party has no use for are refused by `options.require` alone."""
-    for option in (*options.Call._fields, "belief", "watch"):
-        named = re.compile(rf'["f ]{option}= (is|are) for ')
-        # `most_probable` maximises, and has options of its own.
-        where = [
-            p.name for p, s in SOURCES.items() if named.search(s) and p.name != "most_probable.py"
-        ]
-        assert len(where) <= 1 + (option in ("memory", "compiled")), (option, where)
 
 
 def taking_a_belief():
@@ -206,14 +153,30 @@ def test_an_online_filter_is_subclassed_patched_and_copied(name, monkeypatch):
 
 
 HMM = ONLINE["tables"][0]
+WALK = pgm.compile(walk, 1)
+LOOPS = pgm.compile(pair, method=pgm.Bethe())
 ANSWERS = {
     "moments": lambda: pgm.filter(walk, {z: [[4.0]]}),
+    "inferred": lambda: pgm.infer(WALK, {z: [[4.0]]}),
+    **{
+        f"inferred {name}": lambda name=name: pgm.infer(WALK, {z: [[4.0]]}, belief=ONLINE[name][1])
+        for name in ("grid", "ensemble")
+    },
     "kept": lambda: pgm.smooth(walk, {z: [[4.0]]}, keep=x),
+    "smoothed grid": lambda: pgm.smooth(walk, {z: [[4.0]]}, belief=ONLINE["grid"][1]),
     "grid": lambda: pgm.filter(walk, {z: [[4.0]]}, belief=ONLINE["grid"][1]),
     "particles": lambda: pgm.smooth(walk, {z: [[4.0]]}, belief=pgm.Particles(500, seed=0)),
+    "inferred particles": lambda: pgm.infer(WALK, {z: [[4.0]]}, belief=pgm.Particles(500, seed=0)),
     "ensemble": lambda: pgm.smooth(walk, {z: [[4.0]]}, belief=ONLINE["ensemble"][1]),
     "tables": lambda: pgm.filter(HMM, {}, steps=2),
     "static": lambda: pgm.infer(pgm.compile(pair), {b: [2.0]}),
+    "loops": lambda: pgm.infer(LOOPS, {b: [2.0]}, schedule=pgm.Flooding()),
+    "static tables": lambda: pgm.infer(pgm.compile(rainy), {wet: "yes"}),
+    "loops of tables": lambda: pgm.infer(
+        pgm.compile(rainy, method=pgm.Bethe()), {wet: "yes"}, schedule=pgm.Flooding()
+    ),
+    "balanced": lambda: pgm.smooth(walk, {z: [[4.0]]}, method=pgm.Balanced()),
+    "lagged": lambda: pgm.smooth(HMM, {}, steps=2, lag=1),
     **{f"online {name}": lambda name=name: _at_step_1(*FILTERS[name]) for name in FILTERS},
 }
 PROPERTIES = ("associations", "filtered", "innovations", "lost", "predicted", "rejected", "weights")
@@ -223,6 +186,23 @@ PROPERTIES += ("lagged", "lost_since")
 def _at_step_1(model, options):
     robot = pgm.OnlineFilter(model, **options)
     return robot.predict(robot.initial())
+
+
+@pytest.mark.parametrize("name", [name for name in ANSWERS if not name.startswith("online ")])
+def test_every_answer_is_of_one_class_and_so_is_its_status(name):
+    found = ANSWERS[name]()
+    assert type(found) is pgm.results.Posterior
+    assert type(found.status) is pgm.results.Status
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_every_online_filter_is_of_one_class(name):
+    model, options = FILTERS[name]
+    robot = pgm.OnlineFilter(model, **options)
+    assert type(robot) is type(robot.renewed()) is pgm.OnlineFilter
+    first = robot.initial()
+    assert isinstance(first, pgm.results.OnlineBelief)
+    assert type(first) is type(robot.predict(first)) is type(robot.update(first, {}))
 
 
 @pytest.mark.parametrize("name", ANSWERS)

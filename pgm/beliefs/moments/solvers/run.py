@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -56,21 +56,12 @@ from pgm.tracing import Judge, judged
 class Solver(ABC):
     """A solver of chains by one kind of schedule.
 
-    `starts` says whether a user may give means at which everything is linearised first. A solver is
-    made for a graph and a schedule; if the graph is a balanced tree, and the schedule has a gate
-    that rejects measurements, that raises GraphError.
+    A solver is made for a graph and a schedule, whose options are those that both take.
     """
-
-    starts: ClassVar[bool] = False
 
     def __init__(self, graph: DynamicGraph, schedule: Any) -> None:
         self.graph, self.schedule = graph, schedule
         self.balanced = isinstance(graph, BalancedGraph)
-        if self.balanced and getattr(schedule, "gate", None) is not None:
-            raise GraphError(
-                f"{schedule!r}: a gate decides at one predicted belief after another, and "
-                f"{titled(graph)} solves for all steps at once: compile without pgm.Balanced()"
-            )
 
     @abstractmethod
     def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainOutcome:
@@ -166,17 +157,8 @@ class LagSolver(Solver):
     """The solver for fixed-lag smoothing: backward messages over a lag.
 
     Where CPDs are linearised again, a window, the last lag + 1 steps, slides along the chain, and
-    each window is solved in float64 or in pairs of float64, as its digits need. To make this solver
-    for a balanced tree raises GraphError.
+    each window is solved in float64 or in pairs of float64, as its digits need.
     """
-
-    def __init__(self, graph: DynamicGraph, schedule: FixedLag) -> None:
-        super().__init__(graph, schedule)
-        if self.balanced:
-            raise GraphError(
-                f"{schedule!r} goes along a chain of slices, step after step, which "
-                f"{titled(graph)} is not: compile without pgm.Balanced()"
-            )
 
     def solve(self, plan: ChainPlan, start: Array | None, room: Room | None) -> ChainOutcome:
         """The posterior by one forward pass and one pass back over the lag, or window by window."""
@@ -213,8 +195,6 @@ class LagSolver(Solver):
 
 class SmootherSolver(Solver):
     """The solver for smoothing: messages forward and back, iterated."""
-
-    starts = True
 
     def __init__(self, graph: DynamicGraph, schedule: Calibration) -> None:
         if not isinstance(schedule, Smoothing):
@@ -253,21 +233,17 @@ def run(
 ) -> ChainOutcome:
     """The posterior of a chain given its evidence, by a schedule, smoothing if that is None.
 
-    `start` maps hidden variables to means for the first linearisation; an EvidenceError refuses it
-    unless the schedule smooths all at once. `room` is a pair of arrays (T+1, runs, ...) in which a
-    filter may leave means and covariances; with None it makes its own. A fixed lag of 0 is a
-    filter. NumPy's warnings are silenced, since results that are not finite are refused at the end;
-    the status tells how many digits are lost, of which the caller warns. Functions may be replaced
-    by traces, programs recorded from a call; where one proves wrong, all is done again.
+    `start` maps hidden variables to means for the first linearisation; `schedules/options.py` has
+    refused it to schedules that have no use for one. `room` is a pair of arrays (T+1, runs, ...) in
+    which a filter may leave means and covariances; with None it makes its own. A fixed lag of 0 is
+    a filter. NumPy's warnings are silenced, since results that are not finite are refused at the
+    end; the status tells how many digits are lost, of which the caller warns. Functions may be
+    replaced by traces, programs recorded from a call; where one proves wrong, all is done again.
     """
     schedule = Smoothing() if schedule is None else schedule
-    if isinstance(schedule, FixedLag) and not schedule.lag and not isinstance(graph, BalancedGraph):
+    if isinstance(schedule, FixedLag) and not schedule.lag:
         schedule = schedule.filtering
     solver = solver_of(graph, schedule)
-    if start is not None and not solver.starts:
-        raise EvidenceError(
-            f"a start is for smoothing all at once, not {schedule!r}, which linearises at beliefs"
-        )
     given = None if start is None else _start(graph.layout, bound, start)
     for judge in judged():
         found: ChainOutcome | None = None
