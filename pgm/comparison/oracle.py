@@ -17,7 +17,6 @@ from pgm.inference import (
     FixedLag,
     GridBelief,
     Kind,
-    Posterior,
     Smoothing,
     infer,
 )
@@ -47,8 +46,8 @@ class Oracle(Protocol):
     """
 
     @property
-    def kind(self) -> Kind:
-        """The kind of its beliefs: the measurements that they know."""
+    def kind(self) -> Kind | None:
+        """The kind of its beliefs: the measurements that they know; one without is refused."""
 
     def __getitem__(self, variable: Variable, /) -> Any:
         """The marginal over steps 0..T: a `Gaussian`, `GridBelief` or `ParticleBelief`."""
@@ -132,7 +131,7 @@ def _of_each_kind(
             # A filtered posterior is its own forward sweep.
             yield kind, (oracle if kind == oracle.kind else oracle.filtered), np.nan  # type: ignore[attr-defined]
         return
-    ran: dict[Kind, Posterior[Any]] = {}
+    ran: dict[Kind, Any] = {}
     # The smoother first: the filter's beliefs come with it.
     for kind in sorted(compared.kinds, key=lambda kind: -kind.lag):
         seconds = np.nan

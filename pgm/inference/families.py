@@ -7,15 +7,17 @@ from typing import Any
 from pgm.beliefs.markov.family import TABLES
 from pgm.beliefs.moments.family import MOMENTS
 from pgm.beliefs.own.family import BeliefFamily, require_family
+from pgm.posteriors.outcome import B
 
 
-def family_of(model: Any, belief: Any = None) -> BeliefFamily[Any]:
+def family_of(model: Any, belief: BeliefFamily[B] | None = None) -> BeliefFamily[B]:
     """The given family, or tables of a discrete network, or moments of any other.
 
     A `belief` that is no family, or a model that cannot have it, is a ModelError.
     """
     if belief is not None:
         require_family(belief, model)
-        found: BeliefFamily[Any] = belief
-        return found
-    return TABLES if model.discrete else MOMENTS
+        return belief
+    # B is Any here, as it is of every call without belief=: which one the network decides.
+    found: BeliefFamily[Any] = TABLES if model.discrete else MOMENTS
+    return found

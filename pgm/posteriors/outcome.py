@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Generic
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol
 
 from pgm.display import Shown
 from pgm.errors import EvidenceError, GraphError, PgmError, Unanswered
@@ -12,16 +12,21 @@ from pgm.evidence import Reading
 from pgm.factors.scope import Scope
 from pgm.kernels.arrays import Array
 from pgm.posteriors.belief_kind import Kind
+from pgm.posteriors.status import Status
 from pgm.variables import Variable
 
-if TYPE_CHECKING:  # `Posterior` alone stands for that of any beliefs
+# The type of marginals. `Posterior` alone stands for that of any beliefs, and a call without a
+# family returns such a one, as its marginals depend on the network.
+if TYPE_CHECKING:
     from typing_extensions import TypeVar
 
     B = TypeVar("B", default=Any)
+    B_co = TypeVar("B_co", covariant=True, default=Any)
 else:
     from typing import TypeVar
 
     B = TypeVar("B")
+    B_co = TypeVar("B_co", covariant=True)
 
 # What a posterior can be asked for beside marginals and joints: in words, and the error of a family
 # that has no answer.
@@ -44,6 +49,25 @@ QUESTIONS: dict[str, tuple[str, type[PgmError]]] = {
 # balanced tree, moments or tables of a network without time; or the marginals of variables alone.
 CHAIN, SLICES, BALANCED, NETWORK, TABLES = "chain", "slices", "balanced", "network", "tables"
 MARGINALS = "marginals"
+
+
+class OverTime(Protocol[B_co]):
+    """Marginals at all steps, of one pass: what ``posterior.filtered`` and ``.predicted`` are.
+
+    A `Posterior` where the family keeps so much of the pass, else marginals and their kind alone.
+    """
+
+    @property
+    def kind(self) -> Kind:
+        """Which measurements the marginals know."""
+
+    def __getitem__(self, variable: Variable, /) -> B_co:
+        """The marginal of a variable at its steps, ``x``, or at one of them, ``x.at(3)``."""
+
+    if TYPE_CHECKING:  # of a pass that is a posterior, all that this has
+
+        def __getattr__(self, name: str) -> Any:
+            """What some families have of a pass, such as a grid's log-evidence."""
 
 
 class Outcome(Shown, ABC, Generic[B]):
@@ -70,7 +94,7 @@ class Outcome(Shown, ABC, Generic[B]):
             """The cluster graph on which the schedule ran."""
 
         @property
-        def status(self) -> Any:
+        def status(self) -> Status:
             """How the schedule went."""
 
         @property
