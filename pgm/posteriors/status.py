@@ -151,15 +151,12 @@ class Status(Shown, Immutable):
         return MappingProxyType({}) if self._figures is None else self._figures.numbers
 
     @classmethod
-    def of_figures(
-        cls, figures: Figures, lead: tuple[int, ...], converged: Mask | None = None
-    ) -> Status:
+    def of_figures(cls, figures: Figures, lead: tuple[int, ...], converged: bool = True) -> Status:
         """The status of a family with figures of its own, of which nothing was iterated.
 
-        `converged` is True of all runs, (*lead), if it is not given.
+        `converged` tells it of all runs together, which have the axes `lead`.
         """
-        every = np.ones(lead, dtype=bool) if converged is None else converged
-        return cls(1, np.zeros((0, *lead)), every, _figures=figures)
+        return cls(1, np.zeros((0, *lead)), np.full(lead, converged), _figures=figures)
 
     @classmethod
     def of(cls, residuals: list[Array], converged: Mask, lead: tuple[int, ...]) -> Status:
