@@ -17,6 +17,8 @@ from pgm.posteriors.figures import Figures
 
 # Digits of a mean, counted from its standard deviation, below which the user is warned.
 ENOUGH_DIGITS = 6.0
+# What all figures have for a status, and is no figure.
+_INSIDE = frozenset(dir(Figures))
 # Residuals that a summary shows at the most.
 FEW = 8
 # Why digits are few, and what helps.
@@ -144,6 +146,11 @@ class Status(Shown, Immutable):
             return getattr(figures, name)
         except AttributeError:
             raise AttributeError(f"{type(self).__name__} has no attribute {name!r}") from None
+
+    def __dir__(self) -> list[str]:
+        found = () if self._figures is None else (*self.numbers, *dir(self._figures))
+        more = (name for name in found if not name.startswith("_") and name not in _INSIDE)
+        return sorted({*super().__dir__(), *more})
 
     @property
     def numbers(self) -> Mapping[str, Any]:
