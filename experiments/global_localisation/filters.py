@@ -63,7 +63,7 @@ def beliefs(robot: Any, first: Any, drives: Drives) -> Iterator[Any]:
 
     Parameters
     ----------
-    robot : OnlineParticles or OnlineGrid
+    robot : OnlineFilter
     first : OnlineBelief
         The robot's ``initial()``, which takes a while on a grid.
     drives : Drives
