@@ -234,13 +234,18 @@ class Status(Shown, Immutable):
         return Status(**same | changes)
 
     @property
+    def _told(self) -> str:
+        """The family's own figures in words; empty where it has none."""
+        return "" if self._figures is None else "; ".join(self._figures.phrases)
+
+    @property
     def _title(self) -> str:
         lost = ""
         if self.digits is not None and (least := self.digits.min(initial=np.inf)) < ENOUGH_DIGITS:
             lost = f", {max(least, 0.0):.1f} digits left"
         left = self.compilation.startswith(("not compiled", "compiled, but"))
-        if self._figures is not None and (phrases := self._figures.phrases):
-            return f"Status({'; '.join(phrases)})"
+        if told := self._told:
+            return f"Status({told})"
         return f"Status({self._went()}{lost}{f'; {self.compilation}' if left else ''})"
 
     def _summary(self) -> Summary:
