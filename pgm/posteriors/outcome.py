@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol
 
+from pgm.clustergraph import Cluster
 from pgm.display import Shown
 from pgm.errors import EvidenceError, GraphError, PgmError, Unanswered
 from pgm.evidence import Reading
@@ -130,6 +131,19 @@ class Outcome(Shown, ABC, Generic[B]):
     def readings(self) -> Sequence[Reading]:
         """The measurements that a page shows beside marginals, sensor by sensor."""
         return ()
+
+    def scope(self, cluster: Cluster) -> Scope:
+        """The variables of a cluster without evidence, in the order of its scope."""
+        hidden, over_time = frozenset(self._hidden), self.kind is not None
+        return tuple(v for v in cluster.scope if (v.template if over_time else v) in hidden)
+
+    def entered(self, run: int) -> Mapping[Variable, Any]:
+        """The evidence of a run of a network without time, as a page shows it beside clusters.
+
+        By variable an array (d,), NaN where nothing was observed, or the name of a state, None of
+        one that was not observed in this run. `run` counts the runs, flattened.
+        """
+        return {}
 
     def refusal(self, question: str) -> PgmError:
         """The error for one of `QUESTIONS` that this outcome cannot answer."""
