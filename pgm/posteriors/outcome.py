@@ -13,6 +13,7 @@ from pgm.evidence import Reading
 from pgm.factors.scope import Scope
 from pgm.kernels.arrays import Array
 from pgm.posteriors.belief_kind import Kind
+from pgm.posteriors.shown_slices import Room, ShownMarginals, ShownSlices
 from pgm.posteriors.status import Status
 from pgm.variables import Variable
 
@@ -81,8 +82,9 @@ class Outcome(Shown, ABC, Generic[B]):
 
     # Of which beliefs, in the text of a refusal: a plural.
     beliefs: ClassVar[str] = "these beliefs"
-    # The form in which they are kept, by which pages and audits read them; a page's name for their
-    # graph, and why it shows no messages; whether a path can be drawn through their marginals.
+    # The form in which they are kept, by which a page shows slices or clusters, and an audit draws;
+    # a page's name for their graph, and why it shows no messages; whether a path can be drawn
+    # through their marginals.
     form: ClassVar[str] = MARGINALS
     called: ClassVar[str] = "chain"
     silent: ClassVar[str] = "these beliefs go from slice to slice, and no messages are kept"
@@ -131,6 +133,13 @@ class Outcome(Shown, ABC, Generic[B]):
     def readings(self) -> Sequence[Reading]:
         """The measurements that a page shows beside marginals, sensor by sensor."""
         return ()
+
+    def slices(self, span: range, room: Room) -> ShownSlices:
+        """What a page shows of the slices of these steps, of beliefs over time.
+
+        Unless a family has messages to show, that is the marginals of variables that have moments.
+        """
+        return ShownMarginals(self, span, room)
 
     def scope(self, cluster: Cluster) -> Scope:
         """The variables of a cluster without evidence, in the order of its scope."""
