@@ -148,46 +148,25 @@ _LATER = {
 }
 
 
-# Names of the version before, each with the one that stands for it.
-_MOVED = {
-    **{
-        name: f"pgm.results.{name}"
-        for name in (
-            "Associations",
-            "Audit",
-            "Cluster",
-            "Comparison",
-            "Fit",
-            "FitStatus",
-            "GridBelief",
-            "GridFigures",
-            "Lost",
-            "MostProbable",
-            "OnlineBelief",
-            "ParticleBelief",
-            "ParticleFigures",
-            "Posterior",
-            "Rejections",
-            "Stamped",
-            "Status",
-            "Timeline",
-        )
-    },
-    **dict.fromkeys(
-        (
-            "ChainPosterior",
-            "GridPosterior",
-            "KeptPosterior",
-            "ParticlePosterior",
-            "StatePosterior",
-        ),
-        "pgm.results.Posterior",
-    ),
-    **dict.fromkeys(("OnlineGrid", "OnlineParticles", "OnlineTables"), "pgm.OnlineFilter"),
-    "GridStatus": "pgm.results.GridFigures",
-    "ParticleStatus": "pgm.results.ParticleFigures",
-    **dict.fromkeys(("OnlineGridBelief", "OnlineParticleBelief"), "pgm.results.OnlineBelief"),
-}
+# Results, which had their names here in the version before.
+_MOVED = (
+    "Associations",
+    "Audit",
+    "Cluster",
+    "Comparison",
+    "Fit",
+    "FitStatus",
+    "GridBelief",
+    "Lost",
+    "MostProbable",
+    "OnlineBelief",
+    "ParticleBelief",
+    "Posterior",
+    "Rejections",
+    "Stamped",
+    "Status",
+    "Timeline",
+)
 
 
 def _pictures() -> Callable[[Any], str]:
@@ -216,10 +195,11 @@ if not TYPE_CHECKING:  # to type checkers it would say that every name exists
             if name in names:
                 return getattr(import_module(module), name)
         if name in _MOVED:
-            warn(f"pgm.{name} is {_MOVED[name]} now", DeprecationWarning, stacklevel=2)
-            module, _, new = _MOVED[name].rpartition(".")
-            return getattr(import_module(module), new)
-        raise AttributeError(f"module 'pgm' has no attribute {name!r}")
+            warn(f"pgm.{name} is pgm.results.{name} now", DeprecationWarning, stacklevel=2)
+            return getattr(import_module("pgm.results"), name)
+        from pgm.inference.old_names import old
+
+        return old("pgm", name)
 
 
 def __dir__() -> list[str]:

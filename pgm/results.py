@@ -1,12 +1,15 @@
 """Results and statuses, which calls return: for annotations and ``isinstance``.
 
+Those of all families of beliefs are of one class: ``posterior.log_evidence_kind`` tells which is
+of a `Grid` or of `Particles`, and the figures that these have are attributes of their `Status`.
+
 ================= ==================================== ========================================
 name              what it is                           what returns it
 ================= ==================================== ========================================
 `Posterior`       beliefs, log-evidence, and more      `pgm.filter`, `pgm.smooth`, `pgm.infer`
 `Status`          iterations, convergence, digits      ``posterior.status``
-`GridFigures`     figures in the status of a grid      ``posterior.status``, of a `Grid`
-`ParticleFigures` figures in the status of particles   ``posterior.status``, of `Particles`
+`GridFigures`     what a grid's status has besides     `Status`, as attributes and ``numbers``
+`ParticleFigures` what that of particles has besides   `Status`, as attributes and ``numbers``
 `GridBelief`      probabilities of cells               ``posterior[x]``, of a `Grid`
 `ParticleBelief`  weighted draws                       ``posterior[x]``, of `Particles`
 `Innovations`     measurements less predictions        ``posterior.innovations[z]``

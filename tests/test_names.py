@@ -103,6 +103,51 @@ def test_type_checkers_know_them(tmp_path):
         assert word in error
 
 
+# What type checkers know of what is returned, in the script below.
+TYPES = {
+    "pgm.filter(walk, {}, belief=grid)[x]": "GridBelief",
+    "pgm.smooth(walk, {}, belief=grid).joint(x)": "GridBelief",
+    "pgm.infer(pgm.compile(walk, 3), {}, belief=cloud)[x]": "ParticleBelief",
+    "pgm.filter(walk, {}, belief=cloud).filtered[x]": "ParticleBelief",
+    "pgm.smooth(walk, {}, belief=own).predicted[x]": "tuple[int, str]",
+    "pgm.filter(walk, {}, belief=plain)[x]": "Any",
+    "pgm.filter(walk, {}, belief=chosen)": "Posterior[Any]",
+    "pgm.filter(walk, {})": "Posterior[Any]",
+    "pgm.infer(pgm.compile(walk, 3), {})[x]": "Any",
+    "pgm.filter(walk, {}).status": "Status",
+    "pgm.filter(walk, {}).filtered.kind": "Kind",
+    "pgm.filter(walk, {}, belief=grid).filtered.log_evidence": "Any",
+    "pgm.filter(walk, {}).kind": "Kind | None",
+    "robot.initial()": "OnlineBelief",
+    "robot.predict(robot.initial())": "OnlineBelief",
+    "robot.update(robot.initial(), {}).status": "Status",
+}
+RETURNED = """\
+import pgm
+from pgm.examples import walk, x
+
+class Own(pgm.BeliefFamily[tuple[int, str]]): ...
+class Plain(pgm.BeliefFamily): ...
+
+grid, cloud, own, plain = pgm.Grid({"x": (0.0, 1.0, 9)}), pgm.Particles(9, seed=0), Own(), Plain()
+robot = pgm.OnlineFilter(walk, belief=grid)
+def of_an_argument(chosen: pgm.BeliefFamily | None) -> None:
+"""
+
+
+def test_type_checkers_know_what_is_returned(tmp_path):
+    """The marginals of the family that was given, and Any where the network decides."""
+    pytest.importorskip("mypy")
+    script = tmp_path / "script.py"
+    asked = "".join(f"    reveal_type({each})\n" for each in TYPES)
+    script.write_text(RETURNED + asked, encoding="utf-8")
+    command = [sys.executable, "-m", "mypy", str(script)]
+    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    told = [re.sub(r"\b(\w+\.)+", "", each) for each in re.findall(r'type is "(.*)"', run.stdout)]
+    assert dict(zip(TYPES, told, strict=True)) == TYPES, run.stdout + run.stderr
+    assert run.returncode == 0, run.stdout
+
+
 def test_the_package_says_that_it_is_typed():
     assert resources.files("pgm").joinpath("py.typed").is_file()
 

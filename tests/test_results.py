@@ -10,7 +10,8 @@ import pytest
 
 import pgm
 from pgm import results
-from pgm.examples import rain, rainy, squares, walk, wet, x, z
+from pgm.examples import rain, rainy, squares, still, walk, wet, x, z
+from tests.beliefs.own.ensemble import EnsembleKalman
 
 GIVEN = {z: [[2.0], [3.0]]}
 LOG = {"odometry": {pgm.Variable("u"): pgm.stamped([0.0, 1.0, 2.0], [1.0, 1.0, 1.0])}}
@@ -64,23 +65,38 @@ CALLS = {
     "Status": lambda: pgm.smooth(walk, GIVEN).status,
     "Timeline": lambda: pgm.timeline(**LOG),
 }
-# By the name of the version before, where it stands now.
-OLD = {
-    name: f"pgm.results.{name}"
-    for name in results.__all__
-    if name
-    not in (
-        *("Compilation", "ControlReport", "Derivatives"),
-        *("Innovations", "ReadingReport", "Row", "Sample"),
-    )
-}
-OLD |= dict.fromkeys(
-    ("ChainPosterior", "GridPosterior", "KeptPosterior", "ParticlePosterior", "StatePosterior"),
-    "pgm.results.Posterior",
+# Those that had the same name before, in the package itself.
+OLD = sorted(
+    set(results.__all__)
+    - {"Compilation", "ControlReport", "Derivatives", "GridFigures", "Innovations"}
+    - {"ParticleFigures", "ReadingReport", "Row", "Sample"}
 )
-OLD |= dict.fromkeys(("OnlineGridBelief", "OnlineParticleBelief"), "pgm.results.OnlineBelief")
-OLD |= dict.fromkeys(("OnlineGrid", "OnlineParticles", "OnlineTables"), "pgm.OnlineFilter")
-OLD |= {"GridStatus": "pgm.results.GridFigures", "ParticleStatus": "pgm.results.ParticleFigures"}
+# What posteriors, statuses and filters are of, by the name of their class before.
+POSTERIORS = {
+    "Posterior": lambda: pgm.infer(pgm.compile(rainy), {rain: "no"}),
+    "ChainPosterior": lambda: pgm.filter(walk, GIVEN),
+    "KeptPosterior": lambda: pgm.filter(walk, GIVEN, keep=x),
+    "StatePosterior": lambda: pgm.filter(still, {wet: ["no", "yes"]}),
+    "GridPosterior": lambda: pgm.filter(walk, GIVEN, belief=GRID),
+    "ParticlePosterior": lambda: pgm.filter(walk, GIVEN, belief=CLOUD),
+}
+STATUSES = {"GridStatus": "GridPosterior", "ParticleStatus": "ParticlePosterior"}
+ROBOTS = {"OnlineFilter": None, "OnlineGrid": GRID, "OnlineParticles": CLOUD}
+BELIEFS = {"OnlineGridBelief": "OnlineGrid", "OnlineParticleBelief": "OnlineParticles"}
+PARTS = {
+    **dict.fromkeys(sorted(set(POSTERIORS) - {"Posterior"}), "pgm.results.Posterior"),
+    **dict.fromkeys(STATUSES, "pgm.results.Status"),
+    **dict.fromkeys(sorted(set(ROBOTS) - {"OnlineFilter"}), "pgm.OnlineFilter"),
+    **dict.fromkeys(BELIEFS, "pgm.results.OnlineBelief"),
+}
+
+
+def named(name, package=pgm):
+    """What an old name stands for, of which its note tells."""
+    with pytest.warns(DeprecationWarning, match=rf"^{package.__name__}\.{name} is pgm\.") as told:
+        found = getattr(package, name)
+    assert [each.filename for each in told] == [__file__]
+    return found
 
 
 @pytest.mark.parametrize("name", results.__all__)
@@ -115,19 +131,119 @@ def test_the_table_tells_of_no_others():
     assert [name for name in dir(results) if not name.startswith("__")] == results.__all__
 
 
-@pytest.mark.parametrize(("name", "new"), OLD.items())
-def test_an_old_name_tells_the_new_one_and_is_the_same(name, new):
-    space, _, last = new.rpartition(".")
-    due = getattr(sys.modules[space], last)
-    with pytest.warns(DeprecationWarning, match=rf"^pgm\.{name} is {new} now$") as told:
-        assert getattr(pgm, name) is due
+@pytest.mark.parametrize("name", OLD)
+def test_an_old_name_tells_the_new_one_and_is_the_same(name):
+    with pytest.warns(
+        DeprecationWarning, match=rf"^pgm\.{name} is pgm\.results\.{name} now$"
+    ) as told:
+        assert getattr(pgm, name) is getattr(results, name)
     assert [each.filename for each in told] == [__file__]
+
+
+@pytest.mark.parametrize("package", [pgm, pgm.inference])
+@pytest.mark.parametrize(("name", "new"), PARTS.items())
+def test_a_class_of_one_family_tells_what_stands_for_it_and_how_the_family_is_told(
+    package, name, new
+):
+    told = rf"^{package.__name__}\.{name} is {new} now, .*(: pgm\.|ask )"
+    with pytest.warns(DeprecationWarning, match=told) as notes:
+        found = getattr(package, name)
+    assert [each.filename for each in notes] == [__file__]
+    space, _, last = new.rpartition(".")
+    assert issubclass(found, getattr(sys.modules[space], last))
+    assert found.__name__ == name
+    assert inspect.getdoc(found)
+
+
+@pytest.mark.parametrize("name", sorted(set(POSTERIORS) - {"Posterior"}))
+def test_isinstance_tells_posteriors_apart_as_it_did(name):
+    whole = named(name)
+    of = [each for each, make in POSTERIORS.items() if isinstance(make(), whole)]
+    assert of == [name]
+    assert not isinstance(3, whole)
+
+
+def test_a_balanced_tree_was_a_chain_too():
+    found = pgm.smooth(walk, GIVEN, method=pgm.Balanced())
+    assert isinstance(found, named("ChainPosterior"))
+
+
+@pytest.mark.parametrize("name", STATUSES)
+def test_isinstance_tells_statuses_apart_as_it_did(name):
+    whole = named(name)
+    of = [each for each, make in POSTERIORS.items() if isinstance(make().status, whole)]
+    assert of == [STATUSES[name]]
+    robots = [
+        each
+        for each, belief in ROBOTS.items()
+        if isinstance(pgm.OnlineFilter(walk, belief=belief).initial().status, whole)
+    ]
+    assert robots == [{"GridStatus": "OnlineGrid"}.get(name, "OnlineParticles")]
+
+
+@pytest.mark.parametrize("name", BELIEFS)
+def test_isinstance_tells_online_beliefs_apart_as_it_did(name):
+    whole = named(name)
+    of = [
+        each
+        for each, belief in ROBOTS.items()
+        if isinstance(pgm.OnlineFilter(walk, belief=belief).initial(), whole)
+    ]
+    assert of == [BELIEFS[name]]
+
+
+@pytest.mark.parametrize("name", sorted(set(ROBOTS) - {"OnlineFilter"}))
+def test_an_online_filter_is_made_by_its_old_name(name):
+    """The belief was the second argument, which is a lineariser now."""
+    made = named(name)
+    for robot in (made(walk, ROBOTS[name]), made(walk, belief=ROBOTS[name])):
+        for each in (robot, robot.renewed(), pickle.loads(pickle.dumps(robot))):
+            assert isinstance(each, made)
+            belief = each.update(each.predict(each.initial()), {z: [4.0]})
+            assert belief.step == 1
+        due = pgm.OnlineFilter(walk, belief=ROBOTS[name])
+        assert repr(robot) == repr(due)
+        assert belief[x].mean == due.update(due.predict(due.initial()), {z: [4.0]})[x].mean
+    of = [
+        each
+        for each, belief in ROBOTS.items()
+        if isinstance(pgm.OnlineFilter(walk, belief=belief), made)
+    ]
+    assert of == [name]
+
+    class Mine(made):
+        """A subclass of a user's own."""
+
+    assert isinstance(Mine(walk, ROBOTS[name]), Mine)
+    assert not isinstance(due, Mine)
+
+
+@pytest.mark.parametrize(
+    "name", ["GridFigures", "ParticleFigures", "OnlineTables", "GridPosteriors"]
+)
+@pytest.mark.parametrize("package", [pgm, pgm.inference])
+def test_what_never_was_a_name(package, name):
+    if package is pgm or name not in results.__all__:
+        with pytest.raises(AttributeError, match=f"'{package.__name__}' has no attribute '{name}'"):
+            getattr(package, name)
+
+
+def test_dir_of_a_status_has_the_figures_of_its_family():
+    for make in POSTERIORS.values():
+        status = make().status
+        assert set(status.numbers) <= set(dir(status))
+        assert {"converged", "numbers"} <= set(dir(status))
+        assert all(hasattr(status, each) for each in dir(status))
+    assert {"outside", "added", "coarse"} <= set(dir(pgm.filter(walk, GIVEN, belief=GRID).status))
+    assert {"effective", "few"} <= set(dir(pgm.filter(walk, GIVEN, belief=CLOUD).status))
+    assert "members" in dir(pgm.filter(walk, GIVEN, belief=EnsembleKalman(40)).status)
+    assert not {"phrases", "on_a_line", "outside"} & set(dir(pgm.filter(walk, GIVEN).status))
 
 
 def test_the_package_itself_holds_no_results():
     assert "results" in pgm.__all__
     for names in (dir(pgm), pgm.__all__, vars(pgm)):
-        assert not set(names) & set(OLD)
+        assert not set(names) & {*OLD, *PARTS}
         assert not set(names) & set(results.__all__)
 
 
@@ -157,3 +273,12 @@ def test_an_old_name_can_be_imported():
         from pgm import Posterior
     assert Posterior is results.Posterior
     assert {str(each.message) for each in told} == {"pgm.Posterior is pgm.results.Posterior now"}
+
+
+def test_an_old_name_can_be_imported_from_where_it_was():
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        from pgm.inference import GridPosterior
+    assert issubclass(GridPosterior, results.Posterior)
+    (note,) = {str(each.message) for each in told}
+    assert note.startswith("pgm.inference.GridPosterior is pgm.results.Posterior now, ")

@@ -46,7 +46,7 @@ def distance(posterior: pgm.results.Posterior, truth: Truth) -> Array:
     together, or how far the log-evidence is off, whichever is larger.
     """
     before, after = pose.at(0), pose.at(1)
-    if posterior.kind.last(0, 1) == 1:
+    if posterior.kind != pgm.Kind(0):  # of a smoother
         exact = pgm.Gaussian((before, after), truth.poses_mean, truth.poses_cov)
         kl = exact.kl(posterior.joint(before, after))
     else:

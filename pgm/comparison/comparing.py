@@ -326,9 +326,15 @@ def _truths(
 
 
 def _title(oracle: BeliefFamily[Any] | Oracle | None) -> str:
-    family = oracle if isinstance(oracle, BeliefFamily) else getattr(oracle, "grid", None)
+    family = _family(oracle)
     return "oracle" if family is None else f"oracle: {type(family).__name__}"
 
 
 def _described(oracle: BeliefFamily[Any] | Oracle) -> str:
-    return titled(oracle if isinstance(oracle, BeliefFamily) else getattr(oracle, "grid", oracle))
+    return titled(_family(oracle) or oracle)
+
+
+def _family(oracle: Any) -> BeliefFamily[Any] | None:
+    """The family of beliefs that an oracle is, or has; None of one that the network decided."""
+    found = oracle if isinstance(oracle, BeliefFamily) else getattr(oracle, "family", None)
+    return found if isinstance(found, BeliefFamily) else None

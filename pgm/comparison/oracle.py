@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from pgm.beliefs.own.family import BeliefFamily
+from pgm.boundary import as_floats
 from pgm.compile import DynamicGraph
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
@@ -15,15 +16,14 @@ from pgm.factors.scope import listed
 from pgm.inference import (
     Filtering,
     FixedLag,
-    GridBelief,
     Kind,
-    Posterior,
     Smoothing,
     infer,
 )
 from pgm.kernels.arrays import Array
 from pgm.posteriors.belief_kind import FILTERED, SMOOTHED
 from pgm.posteriors.outcome import marginal
+from pgm.posteriors.status import Status
 from pgm.variables import Variable
 
 
@@ -47,22 +47,26 @@ class Oracle(Protocol):
     """
 
     @property
-    def kind(self) -> Kind:
-        """The kind of its beliefs: the measurements that they know."""
+    def kind(self) -> Kind | None:
+        """The kind of its beliefs: the measurements that they know; one without is refused."""
 
     def __getitem__(self, variable: Variable, /) -> Any:
-        """The marginal over steps 0..T: a `Gaussian`, `GridBelief` or `ParticleBelief`."""
+        """The marginal over steps 0..T: a `Gaussian`, `GridBelief` or `ParticleBelief`.
+
+        Or a belief of your own: with ``gaussian()``, that of its mean and covariance, and, if it
+        has a density, ``non_gaussianity()``, KL from that Gaussian by run and step.
+        """
 
 
 class Reference(NamedTuple):
     """The oracle's belief of a state over steps 0..T.
 
     gaussian: Of its mean and covariance, (*runs, T+1, d).
-    from_gaussian: (T+1,), in nats, the mean over runs: KL from that Gaussian; NaN of
-        particles.
+    from_gaussian: (T+1,), in nats, the mean over runs: KL from that Gaussian; NaN of beliefs that
+        tell none, as particles.
     seconds: Of the oracle's call; NaN if it was made with another, or given.
     log_evidence: The mean over runs; NaN if the oracle has none.
-    status: Of a grid, in words.
+    status: The figures of its family of beliefs, such as a grid, in words; empty without any.
     """
 
     gaussian: Gaussian
@@ -117,10 +121,11 @@ def references(
         evidence = getattr(posterior, "log_evidence", None)
         mean = np.nan if evidence is None else float(np.mean(evidence))
         name = str(getattr(posterior, "log_evidence_kind", ""))
-        status = posterior.status._title if hasattr(posterior, "grid") else ""
+        status = getattr(posterior, "status", None)
+        words = status._title if isinstance(status, Status) and status._told else ""
         for state in compared.states:
-            gaussian, apart = _gaussian(marginal(posterior, state), state, compared)
-            found[kind, state] = Reference(gaussian, apart, seconds, mean, name, status)
+            gaussian, apart = _gaussian(posterior, state, compared)
+            found[kind, state] = Reference(gaussian, apart, seconds, mean, name, words)
     return found
 
 
@@ -132,7 +137,7 @@ def _of_each_kind(
             # A filtered posterior is its own forward sweep.
             yield kind, (oracle if kind == oracle.kind else oracle.filtered), np.nan  # type: ignore[attr-defined]
         return
-    ran: dict[Kind, Posterior[Any]] = {}
+    ran: dict[Kind, Any] = {}
     # The smoother first: the filter's beliefs come with it.
     for kind in sorted(compared.kinds, key=lambda kind: -kind.lag):
         seconds = np.nan
@@ -153,20 +158,20 @@ def _schedule(kind: Kind) -> Filtering | FixedLag | Smoothing:
     return Filtering() if kind == FILTERED else FixedLag(int(kind.lag))
 
 
-def _gaussian(belief: Any, state: Variable, compared: Compared) -> tuple[Gaussian, Array]:
+def _gaussian(posterior: Any, state: Variable, compared: Compared) -> tuple[Gaussian, Array]:
+    """The Gaussian of the mean and covariance of the oracle's belief, and KL from it, (T+1,)."""
     count = compared.graph.steps + 1
-    if isinstance(belief, Gaussian):
-        gaussian, apart = belief, np.zeros(belief.mean.shape[:-1])
-    elif isinstance(belief, GridBelief):
-        gaussian = belief.gaussian()
-        apart = non_gaussianity(belief)
-    elif hasattr(belief, "gaussian"):
-        gaussian = belief.gaussian()
-        apart = np.full(gaussian.mean.shape[:-1], np.nan)  # draws have no density to integrate
-    else:
+    belief = posterior[state]
+    gaussian = belief
+    if not isinstance(belief, Gaussian):
+        # Or what a family whose marginals are of its own form makes of their moments.
+        own = hasattr(belief, "gaussian")
+        gaussian = belief.gaussian() if own else marginal(posterior, state)
+    if not isinstance(gaussian, Gaussian):
         raise ModelError(
             f"the oracle's marginal of {state!r} is a {type(belief).__name__}; a pgm.Gaussian, "
-            "a pgm.results.GridBelief or a pgm.results.ParticleBelief over steps 0..T was due",
+            "a pgm.results.GridBelief or a pgm.results.ParticleBelief over steps 0..T was due, or "
+            "a belief of your own that has gaussian()",
             variable=state,
         )
     due = (*compared.lead, count, state.dimension)
@@ -182,31 +187,24 @@ def _gaussian(belief: Any, state: Variable, compared: Compared) -> tuple[Gaussia
             f"{count - 1} as are compared",
             variable=state,
         )
-    return gaussian, apart.reshape(-1, count).mean(axis=0)
+    return gaussian, _apart(belief, gaussian, state).reshape(-1, count).mean(axis=0)
 
 
-def non_gaussianity(belief: GridBelief) -> Array:
-    r"""KL from a grid's density to the Gaussian of its mean and covariance, (...), in nats.
+def _apart(belief: Any, gaussian: Gaussian, state: Variable) -> Array:
+    """KL(p ‖ N_p) of the oracle's belief p, (*runs, T+1), as it tells by `non_gaussianity`.
 
-    .. math:: KL(p \| N_p) = \tfrac12 \ln |2πe P| + \sum_k p_k \ln (p_k / V)
-
-    - p_k / V: the density in a cell of volume V;
-    - P: the covariance.
-
-    NaN where the covariance is singular. It is right where the density is smooth over a cell; one
-    that is negative tells that cells are too wide for the belief. Angles count as if their line
-    had no ends.
+    NaN of a belief that does not, as draws, which have no density to integrate.
     """
-    lead = belief.values.ndim - len(belief.centres)
-    rows = belief.values.reshape(-1, int(np.prod(belief.values.shape[lead:])))
-    entropy = np.empty(len(rows))
-    for k, row in enumerate(rows):  # one at a time: all of them may not fit twice
-        some = row[row > 0.0].astype(np.float64)
-        some /= some.sum()
-        entropy[k] = -(some @ np.log(some))
-    volume = np.prod([centres[1] - centres[0] for centres in belief.centres])
-    sign, log_det = np.linalg.slogdet(belief.cov)
-    normal = 0.5 * (log_det + belief.cov.shape[-1] * np.log(2.0 * np.pi * np.e))
-    density = entropy.reshape(belief.values.shape[:lead]) + np.log(volume)
-    found: Array = np.where((sign > 0.0) & np.isfinite(log_det), normal - density, np.nan)
+    lead = gaussian.mean.shape[:-1]
+    if isinstance(belief, Gaussian):
+        return np.zeros(lead)
+    if not hasattr(belief, "non_gaussianity"):
+        return np.full(lead, np.nan)
+    whose = f"non_gaussianity() of the oracle's marginal of {state!r}"
+    found = as_floats(belief.non_gaussianity(), whose, ModelError)
+    if found.shape != lead:
+        raise ModelError(
+            f"{whose} has shape {found.shape}; {lead} was due: KL by run and step",
+            variable=state,
+        )
     return found

@@ -38,7 +38,8 @@ class Row(Shown):
     kl_by_step : ndarray
         (T+1,), in nats, the mean over runs: KL(N_p ‖ q) of the belief q from the Gaussian N_p of
         the oracle's mean and covariance; of the oracle's rows the KL(p ‖ N_p) of the oracle p from
-        that Gaussian. Where p is a density, KL(p ‖ q) is the sum of both.
+        that Gaussian. Where p is a density, KL(p ‖ q) is the sum of both. NaN of an oracle's row
+        if its beliefs tell no such KL, by ``non_gaussianity()``: draws have no density.
     rmse : mapping of str to float
         By component, in its units, over runs and steps; of angles, of wrapped errors.
     nees_by_step : ndarray

@@ -14,6 +14,8 @@ from pgm.resources import FRAMES, optional
 from pgm.variables import Variable
 
 _NONE = "–"
+# Why an oracle's own KL may be NaN.
+UNKNOWN = "NaN of beliefs that tell none by non_gaussianity(), as draws, which have no density"
 # Failures that are told.
 FAILED = 3
 
@@ -38,7 +40,8 @@ class Comparison(Shown, Immutable):
     oracle : str
         The oracle in words; empty without one.
     oracle_status : str
-        The status of an oracle that is a grid, in words: what its bounds and cells cost.
+        The status of an oracle whose family of beliefs has figures of its own, in words: what a
+        grid's bounds and cells cost, how many of the particles count, or what yours has to say.
 
     Examples
     --------
@@ -158,7 +161,9 @@ class Comparison(Shown, Immutable):
                 "covariance is singular or infinite"
             )
         if self.oracle_rows:
-            notes.append("KL of the oracle's rows: from its own Gaussian, KL(p ‖ N_p)")
+            own = "KL of the oracle's rows: from its own Gaussian, KL(p ‖ N_p)"
+            unknown = any(np.isnan(row.kl) for row in self.oracle_rows)
+            notes.append(own + (f"; {UNKNOWN}" if unknown else ""))
         if self.oracle_status:
             notes.append(f"the oracle's status: {self.oracle_status}")
         return Summary(self._title, [Listing(heads, shown, names), *notes])

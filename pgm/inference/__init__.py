@@ -7,6 +7,8 @@ networks, `audit` estimates how far a Gaussian posterior is from the exact one, 
 `OnlineFilter` takes one step at a time in a robot's loop.
 """
 
+from typing import TYPE_CHECKING, Any
+
 from pgm.beliefs.grid.belief import GridBelief
 from pgm.beliefs.grid.family import Grid
 from pgm.beliefs.grid.figures import GridFigures
@@ -45,6 +47,15 @@ from pgm.schedules.schedule import (
     Sequential,
     Smoothing,
 )
+
+if not TYPE_CHECKING:  # to type checkers it would say that every name exists
+
+    def __getattr__(name: str) -> Any:
+        """A class by its name of the version before, with a note."""
+        from pgm.inference.old_names import old
+
+        return old("pgm.inference", name)
+
 
 __all__ = [
     "Associations",

@@ -28,7 +28,7 @@ The options of all functions are these, in a few words; `filter` and `infer` tel
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pgm.arguments import public
 from pgm.beliefs.own.family import BeliefFamily
@@ -38,6 +38,7 @@ from pgm.evidence import BoundEvidence, Evidence
 from pgm.inference.families import answered, family_of
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
+from pgm.posteriors.outcome import B
 from pgm.posteriors.posterior import Posterior
 from pgm.progress import Progress, reporting
 from pgm.schedules.argument_checks import require_lineariser
@@ -68,11 +69,11 @@ def filter(
     gate: Gate = None,
     keep: Variable | Iterable[Variable] | None = None,
     executor: Executor | None = None,
-    belief: BeliefFamily[Any] | None = None,
+    belief: BeliefFamily[B] | None = None,
     compiled: Choice = None,
     progress: Progress = False,
     impossible: str = RAISE,
-) -> Posterior[Any]:
+) -> Posterior[B]:
     r"""Compile a network and filter: `infer` with `Filtering(iterations, tolerance, damping)`.
 
     .. math:: p(x_t \mid \text{measurements up to } t), \quad t = 0, \ldots, T
@@ -160,11 +161,11 @@ def smooth(
     method: Balanced | None = None,
     keep: Variable | Iterable[Variable] | None = None,
     executor: Executor | None = None,
-    belief: BeliefFamily[Any] | None = None,
+    belief: BeliefFamily[B] | None = None,
     compiled: Choice = None,
     progress: Progress = False,
     impossible: str = RAISE,
-) -> Posterior[Any]:
+) -> Posterior[B]:
     r"""Compile a network and smooth: `infer` with `Smoothing(iterations, tolerance, damping)`.
 
     .. math:: p(x_t \mid \text{all measurements}), \quad t = 0, \ldots, T
@@ -248,9 +249,9 @@ def over_time(
     call: Call,
     steps: int | None = None,
     method: Balanced | None = None,
-    belief: BeliefFamily[Any] | None = None,
+    belief: BeliefFamily[B] | None = None,
     compiled: Choice = None,
-) -> tuple[BeliefFamily[Any], tuple[DynamicGraph, BoundEvidence, Call]]:
+) -> tuple[BeliefFamily[B], tuple[DynamicGraph, BoundEvidence, Call]]:
     """A network compiled and its evidence bound: the family of beliefs, and what its `infer` takes.
 
     `call` has the schedule, and with it the other options; the rest are arguments of `smooth`.

@@ -7,7 +7,7 @@ continuous ones, or the one that the user gives.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from pgm.arguments import public
 from pgm.beliefs.own.family import BeliefFamily
@@ -18,6 +18,7 @@ from pgm.errors import EvidenceError, GraphError, ModelError
 from pgm.evidence import Evidence
 from pgm.inference.families import answered, family_of
 from pgm.linearisers import TAYLOR, Lineariser
+from pgm.posteriors.outcome import B
 from pgm.posteriors.posterior import Posterior
 from pgm.progress import Progress, reporting
 from pgm.schedules.argument_checks import require_lineariser
@@ -50,10 +51,10 @@ def infer(
     keep: Variable | Iterable[Variable] | None = None,
     executor: Executor | None = None,
     memory: float | None = None,
-    belief: BeliefFamily[Any] | None = None,
+    belief: BeliefFamily[B] | None = None,
     progress: Progress = False,
     impossible: str = RAISE,
-) -> Posterior[Any]:
+) -> Posterior[B]:
     """Send the messages of a schedule on a cluster graph.
 
     Parameters
@@ -157,9 +158,9 @@ def send(
     graph: ClusterGraph,
     evidence: Evidence,
     call: Call,
-    belief: BeliefFamily[Any] | None = None,
+    belief: BeliefFamily[B] | None = None,
     progress: Progress = False,
-) -> Posterior[Any]:
+) -> Posterior[B]:
     """The posterior that `infer` returns for these options, without a `ConvergenceWarning`."""
     if not isinstance(graph, ClusterGraph):
         raise GraphError(

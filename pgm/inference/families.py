@@ -12,23 +12,24 @@ from pgm.beliefs.moments.family import MOMENTS
 from pgm.beliefs.own.family import BeliefFamily, require_family
 from pgm.display import titled
 from pgm.errors import ModelError
-from pgm.posteriors.outcome import Outcome
+from pgm.posteriors.outcome import B, Outcome
 from pgm.posteriors.posterior import Posterior
 
 
-def family_of(model: Any, belief: Any = None) -> BeliefFamily[Any]:
+def family_of(model: Any, belief: BeliefFamily[B] | None = None) -> BeliefFamily[B]:
     """The given family, or tables of a discrete network, or moments of any other.
 
     A `belief` that is no family, or a model that cannot have it, is a ModelError.
     """
     if belief is not None:
         require_family(belief, model)
-        found: BeliefFamily[Any] = belief
-        return found
-    return TABLES if model.discrete else MOMENTS
+        return belief
+    # B is Any here, as it is of every call without belief=: which one the network decides.
+    found: BeliefFamily[Any] = TABLES if model.discrete else MOMENTS
+    return found
 
 
-def answered(family: BeliefFamily[Any], outcome: Any) -> Posterior[Any]:
+def answered(family: BeliefFamily[B], outcome: Outcome[B]) -> Posterior[B]:
     """The posterior of a family's outcome; a ModelError refuses what is no `Outcome`."""
     if not isinstance(outcome, Outcome):
         raise ModelError(

@@ -14,6 +14,7 @@ from pgm.immutable import Immutable
 from pgm.inference.families import family_of
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
+from pgm.posteriors.online_belief import OnlineBelief
 from pgm.schedules.gates import Gate
 from pgm.schedules.options import asked_online, require
 from pgm.schedules.schedule import Filtering, FixedLag
@@ -138,11 +139,13 @@ class OnlineFilter(InCode, Immutable):
         found: OnlineFilter = make(*arguments)
         return found
 
-    def initial(self) -> Any:
+    def initial(self) -> OnlineBelief:
         """The prior belief, at step 0, with the model's leading axes of runs."""
-        return self._steps.initial()
+        return self._steps.initial()  # type: ignore[no-any-return]
 
-    def predict(self, belief: Any, inputs: Mapping[Variable, Any] | None = None) -> Any:
+    def predict(
+        self, belief: OnlineBelief, inputs: Mapping[Variable, Any] | None = None
+    ) -> OnlineBelief:
         """The belief one step later.
 
         Parameters
@@ -166,9 +169,9 @@ class OnlineFilter(InCode, Immutable):
         LinearisationError, NumericalError
             If a linearisation, or the belief, has no finite value.
         """
-        return self._steps.predict(belief, inputs)
+        return self._steps.predict(belief, inputs)  # type: ignore[no-any-return]
 
-    def update(self, belief: Any, readings: Mapping[Variable, Any]) -> Any:
+    def update(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> OnlineBelief:
         """The belief given measurements of its step; a further update goes on from the first.
 
         Parameters
@@ -197,7 +200,7 @@ class OnlineFilter(InCode, Immutable):
         ConvergenceWarning
             If two or more iterations were asked for and end before they settle.
         """
-        return self._steps.update(belief, readings)
+        return self._steps.update(belief, readings)  # type: ignore[no-any-return]
 
 
 def _made(

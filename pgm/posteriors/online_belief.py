@@ -8,6 +8,7 @@ from pgm.display import NoArray, Shown
 from pgm.errors import Unanswered
 from pgm.kernels.arrays import Array
 from pgm.posteriors.belief_kind import Kind
+from pgm.posteriors.status import Status
 from pgm.variables import Variable
 
 # What a belief can be asked for beside marginals, in words.
@@ -84,7 +85,7 @@ class OnlineBelief(Shown, NoArray):
             """Ln p of all measurements so far, (*runs)."""
 
         @property
-        def status(self) -> Any:
+        def status(self) -> Status:
             """How the last step went."""
 
         @property

@@ -3,25 +3,32 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Generic
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol
 
+from pgm.clustergraph import Cluster
 from pgm.display import Shown
 from pgm.errors import EvidenceError, GraphError, PgmError, Unanswered
 from pgm.evidence import Reading
 from pgm.factors.scope import Scope
 from pgm.kernels.arrays import Array
 from pgm.posteriors.belief_kind import Kind
+from pgm.posteriors.shown_slices import Room, ShownMarginals, ShownSlices
+from pgm.posteriors.status import Status
 from pgm.variables import Variable
 
-if TYPE_CHECKING:  # `Posterior` alone stands for that of any beliefs
+# The type of marginals. `Posterior` alone stands for that of any beliefs, and a call without a
+# family returns such a one, as its marginals depend on the network.
+if TYPE_CHECKING:
     from typing_extensions import TypeVar
 
     B = TypeVar("B", default=Any)
+    B_co = TypeVar("B_co", covariant=True, default=Any)
 else:
     from typing import TypeVar
 
     B = TypeVar("B")
+    B_co = TypeVar("B_co", covariant=True)
 
 # What a posterior can be asked for beside marginals and joints: in words, and the error of a family
 # that has no answer.
@@ -46,6 +53,25 @@ CHAIN, SLICES, BALANCED, NETWORK, TABLES = "chain", "slices", "balanced", "netwo
 MARGINALS = "marginals"
 
 
+class OverTime(Protocol[B_co]):
+    """Marginals at all steps, of one pass: what ``posterior.filtered`` and ``.predicted`` are.
+
+    A `Posterior` where the family keeps so much of the pass, else marginals and their kind alone.
+    """
+
+    @property
+    def kind(self) -> Kind:
+        """Which measurements the marginals know."""
+
+    def __getitem__(self, variable: Variable, /) -> B_co:
+        """The marginal of a variable at its steps, ``x``, or at one of them, ``x.at(3)``."""
+
+    if TYPE_CHECKING:  # of a pass that is a posterior, all that this has
+
+        def __getattr__(self, name: str) -> Any:
+            """What some families have of a pass, such as a grid's log-evidence."""
+
+
 class Outcome(Shown, ABC, Generic[B]):
     """Base of the outcomes of all families; B is what the marginal of a variable is.
 
@@ -56,8 +82,9 @@ class Outcome(Shown, ABC, Generic[B]):
 
     # Of which beliefs, in the text of a refusal: a plural.
     beliefs: ClassVar[str] = "these beliefs"
-    # The form in which they are kept, by which pages and audits read them; a page's name for their
-    # graph, and why it shows no messages; whether a path can be drawn through their marginals.
+    # The form in which they are kept, by which a page shows slices or clusters, and an audit draws;
+    # a page's name for their graph, and why it shows no messages; whether a path can be drawn
+    # through their marginals.
     form: ClassVar[str] = MARGINALS
     called: ClassVar[str] = "chain"
     silent: ClassVar[str] = "these beliefs go from slice to slice, and no messages are kept"
@@ -70,7 +97,7 @@ class Outcome(Shown, ABC, Generic[B]):
             """The cluster graph on which the schedule ran."""
 
         @property
-        def status(self) -> Any:
+        def status(self) -> Status:
             """How the schedule went."""
 
         @property
@@ -106,6 +133,26 @@ class Outcome(Shown, ABC, Generic[B]):
     def readings(self) -> Sequence[Reading]:
         """The measurements that a page shows beside marginals, sensor by sensor."""
         return ()
+
+    def slices(self, span: range, room: Room) -> ShownSlices:
+        """What a page shows of the slices of these steps, of beliefs over time.
+
+        Unless a family has messages to show, that is the marginals of variables that have moments.
+        """
+        return ShownMarginals(self, span, room)
+
+    def scope(self, cluster: Cluster) -> Scope:
+        """The variables of a cluster without evidence, in the order of its scope."""
+        hidden, over_time = frozenset(self._hidden), self.kind is not None
+        return tuple(v for v in cluster.scope if (v.template if over_time else v) in hidden)
+
+    def entered(self, run: int) -> Mapping[Variable, Any]:
+        """The evidence of a run of a network without time, as a page shows it beside clusters.
+
+        By variable an array (d,), NaN where nothing was observed, or the name of a state, None of
+        one that was not observed in this run. `run` counts the runs, flattened.
+        """
+        return {}
 
     def refusal(self, question: str) -> PgmError:
         """The error for one of `QUESTIONS` that this outcome cannot answer."""

@@ -18,9 +18,12 @@ from pgm.variables import Variable
 if TYPE_CHECKING:
     from pgm.factors import CanonicalForm, Table
     from pgm.posteriors.associations import Found
+    from pgm.posteriors.belief_kind import Kind
     from pgm.posteriors.innovations import Innovations
     from pgm.posteriors.lost import Lost
+    from pgm.posteriors.outcome import OverTime
     from pgm.posteriors.rejections import Rejections
+    from pgm.posteriors.status import Status
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -99,17 +102,17 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
     __iter__: ClassVar[None] = None
 
     @property
-    def graph(self) -> Any:
+    def graph(self) -> Any:  # a ClusterGraph, of which a DynamicGraph has more, such as its steps
         """The cluster graph on which the schedule ran."""
         return self._outcome.graph
 
     @property
-    def status(self) -> Any:
+    def status(self) -> Status:
         """How the schedule went: iterations, residuals, digits, and a family's own numbers."""
         return self._outcome.status
 
     @property
-    def kind(self) -> Any:
+    def kind(self) -> Kind | None:
         """Which measurements the beliefs know, such as filtered; None without time."""
         return self._outcome.kind
 
@@ -244,21 +247,21 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
         return self._ask("potential")(cluster)  # type: ignore[no-any-return]
 
     @property
-    def filtered(self) -> Any:
+    def filtered(self) -> OverTime[B]:
         """The beliefs of the forward pass, ``posterior.filtered[x]``; of a filter, the same.
 
         A fixed-lag smoother that iterates slides a window of lag + 1 steps along the chain: then
         they are the marginals of each window at its newest step.
         """
         found = self._ask("filtered")
-        if found is self._outcome:
-            return self
-        return Posterior(found) if isinstance(found, Outcome) else found
+        if isinstance(found, Outcome):
+            found = self if found is self._outcome else Posterior(found)
+        return found  # type: ignore[no-any-return]
 
     @property
-    def predicted(self) -> Any:
+    def predicted(self) -> OverTime[B]:
         """Marginals given the measurements before each step, as CPDs were linearised last."""
-        return self._ask("predicted")
+        return self._ask("predicted")  # type: ignore[no-any-return]
 
     @property
     def innovations(self) -> Mapping[Variable, Innovations]:

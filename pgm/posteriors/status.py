@@ -17,6 +17,8 @@ from pgm.posteriors.figures import Figures
 
 # Digits of a mean, counted from its standard deviation, below which the user is warned.
 ENOUGH_DIGITS = 6.0
+# What all figures have for a status, and is no figure.
+_INSIDE = frozenset(dir(Figures))
 # Residuals that a summary shows at the most.
 FEW = 8
 # Why digits are few, and what helps.
@@ -145,21 +147,23 @@ class Status(Shown, Immutable):
         except AttributeError:
             raise AttributeError(f"{type(self).__name__} has no attribute {name!r}") from None
 
+    def __dir__(self) -> list[str]:
+        found = () if self._figures is None else (*self.numbers, *dir(self._figures))
+        more = (name for name in found if not name.startswith("_") and name not in _INSIDE)
+        return sorted({*super().__dir__(), *more})
+
     @property
     def numbers(self) -> Mapping[str, Any]:
         """A belief family's own figures, by name."""
         return MappingProxyType({}) if self._figures is None else self._figures.numbers
 
     @classmethod
-    def of_figures(
-        cls, figures: Figures, lead: tuple[int, ...], converged: Mask | None = None
-    ) -> Status:
+    def of_figures(cls, figures: Figures, lead: tuple[int, ...], converged: bool = True) -> Status:
         """The status of a family with figures of its own, of which nothing was iterated.
 
-        `converged` is True of all runs, (*lead), if it is not given.
+        `converged` tells it of all runs together, which have the axes `lead`.
         """
-        every = np.ones(lead, dtype=bool) if converged is None else converged
-        return cls(1, np.zeros((0, *lead)), every, _figures=figures)
+        return cls(1, np.zeros((0, *lead)), np.full(lead, converged), _figures=figures)
 
     @classmethod
     def of(cls, residuals: list[Array], converged: Mask, lead: tuple[int, ...]) -> Status:
@@ -230,13 +234,18 @@ class Status(Shown, Immutable):
         return Status(**same | changes)
 
     @property
+    def _told(self) -> str:
+        """The family's own figures in words; empty where it has none."""
+        return "" if self._figures is None else "; ".join(self._figures.phrases)
+
+    @property
     def _title(self) -> str:
         lost = ""
         if self.digits is not None and (least := self.digits.min(initial=np.inf)) < ENOUGH_DIGITS:
             lost = f", {max(least, 0.0):.1f} digits left"
         left = self.compilation.startswith(("not compiled", "compiled, but"))
-        if self._figures is not None and (phrases := self._figures.phrases):
-            return f"Status({'; '.join(phrases)})"
+        if told := self._told:
+            return f"Status({told})"
         return f"Status({self._went()}{lost}{f'; {self.compilation}' if left else ''})"
 
     def _summary(self) -> Summary:

@@ -9,11 +9,10 @@ import numpy as np
 
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.clustergraph.cluster import Edge
-from pgm.compile import BalancedGraph, DynamicGraph
+from pgm.compile import BalancedGraph
 from pgm.errors import GraphError, NumericalError
 from pgm.factors import CanonicalForm, Gaussian, Table
 from pgm.factors.scope import Scope
-from pgm.posteriors.outcome import NETWORK, TABLES
 from pgm.variables import Variable
 from pgm.viewer.numbers import (
     SHOWN,
@@ -40,7 +39,9 @@ def page(posterior: Any, numbers: Numbers, runs: list[Run], limits: Limits) -> d
     within = set(shown)
     log_evidence = np.asarray(posterior.log_evidence)
     flat = [int(np.ravel_multi_index(run, log_evidence.shape)) if run else 0 for run in runs]
-    values = [_evidence(posterior, at) for at in flat]
+    values = [
+        {variable: _told(value) for variable, value in posterior.entered(at).items()} for at in flat
+    ]
     clusters = []
     for k in shown:
         cut = [j for j in graph.neighbours(k) if j not in within]
@@ -118,20 +119,11 @@ def _shown(graph: ClusterGraph, limits: Limits) -> tuple[list[int], str | None]:
     return sorted(seen), note
 
 
-def _evidence(posterior: Any, run: int) -> dict[Variable, str]:
-    found: dict[Variable, str] = {}
-    if posterior.form == NETWORK:
-        model = posterior._model
-        for group, rows in zip(model.layout.groups, model.readings, strict=True):
-            if rows is not None:
-                own = rows[:, run if rows.shape[1] > 1 else 0]
-                found |= {c.child: listed(row) for c, row in zip(group.cpds, own, strict=True)}
-    elif posterior.form == TABLES:
-        for v, states in posterior._beliefs.evidence.states.items():
-            each = np.reshape(states, -1)
-            state = int(each[run if each.size > 1 else 0])
-            found[v] = v.states[state] if state >= 0 else "not observed"
-    return found
+def _told(value: Any) -> str:
+    """What was entered of a variable, as text."""
+    if value is None:
+        return "not observed"
+    return value if isinstance(value, str) else listed(value)
 
 
 def _residuals(
@@ -207,7 +199,7 @@ class Writer:
             belief = posterior.belief(k)
         except NumericalError as error:
             why = str(error)
-        self.scopes[k] = scope = _hidden(posterior, cluster) if belief is None else belief.scope
+        self.scopes[k] = scope = posterior.scope(cluster) if belief is None else belief.scope
         if isinstance(belief, Table):
             return [self._written(belief, run) for run in self.runs]
         if not scope:
@@ -244,12 +236,3 @@ class Writer:
         sums = [values.sum(axis=tuple(a for a in axes if a != axis)) for axis in axes]
         at = self.numbers.flat(np.concatenate([top.astype(float), flat[top], scale, *sums]))
         return found | {"form": "largest", "at": at, "count": _LARGEST, "entries": flat.size}
-
-
-def _hidden(posterior: Any, cluster: Cluster) -> Scope:
-    if posterior.form == NETWORK:
-        found: Scope = posterior._plan.layout.scopes[cluster.index]
-        return found
-    assert isinstance(posterior.graph, DynamicGraph)
-    slice_ = posterior.graph.layout.slice
-    return tuple(v for v in cluster.scope if v.template in slice_)

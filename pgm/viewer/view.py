@@ -17,16 +17,12 @@ from pgm.compile import DynamicGraph
 from pgm.errors import GraphError
 from pgm.inference import Posterior
 from pgm.posteriors.outcome import CHAIN, MARGINALS, SLICES
-from pgm.viewer import chain, graph, states
+from pgm.viewer import chain, graph
 from pgm.viewer.numbers import CELL, FILE, Limits, Numbers, Run, chosen_runs, chosen_steps
 from pgm.viewer.scripts import script
 
-# The pages of beliefs over time, by the form in which these are kept.
-_OVER_TIME: dict[str, Any] = {
-    CHAIN: chain.page,
-    SLICES: states.page,
-    MARGINALS: states.marginal_page,
-}
+# The forms of beliefs that a page shows step by step, and not cluster by cluster.
+_OVER_TIME = (CHAIN, SLICES, MARGINALS)
 
 
 @public
@@ -106,7 +102,7 @@ def _content(
     numbers = Numbers()
     if outcome.form in _OVER_TIME:
         span, cut = chosen_steps(steps, posterior.graph.steps, limits)
-        found = _OVER_TIME[outcome.form](outcome, numbers, runs, span, limits)
+        found = chain.page(outcome, numbers, runs, span, limits)
     elif steps is not None:
         raise GraphError("steps=(first, last) cuts a chain; this graph has no steps: leave it out")
     else:

@@ -8,8 +8,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 import pgm
-from pgm import ModelError, consistency
-from pgm.comparison.oracle import non_gaussianity
+from pgm import ModelError, consistency, examples
+from tests.beliefs.own.ensemble import EnsembleKalman
+from tests.beliefs.own.kalman import Kalman
 
 T, RUNS = 12, 3
 x = pgm.Variable("x", components=("place", "speed"))
@@ -153,7 +154,10 @@ def test_particles_are_an_oracle():
         assert_allclose(row.kl_by_step, other.kl_by_step, rtol=0.05, atol=0.01)
     (own,) = found.oracle_rows
     assert np.isnan(own.kl_by_step).all()
-    assert repr(found)
+    assert "NaN of beliefs that tell none by" in " ".join(repr(found).split())
+    assert "non_gaussianity()" not in repr(due)
+    assert "oracle Particles(100,000" in repr(found)
+    assert found.oracle_status == repr(cloud.status)
 
 
 def test_the_gaussian_s_own_distance_is_zero_of_a_gaussian():
@@ -161,7 +165,7 @@ def test_the_gaussian_s_own_distance_is_zero_of_a_gaussian():
         [pgm.GaussianCPD(a, [0.3], 1.0)], [pgm.LinearGaussianCPD(a, {a.previous: 1.0}, cov=0.5)], []
     )
     belief = pgm.filter(model, {}, steps=3, belief=pgm.Grid({"a": (-14.0, 14.0, 560)}))[a]
-    assert_allclose(non_gaussianity(belief), 0.0, atol=1e-9)
+    assert_allclose(belief.non_gaussianity(), 0.0, atol=1e-9)
 
 
 def test_a_truth_may_stand_in_the_oracle_s_place():
@@ -338,6 +342,61 @@ def test_an_oracle_of_one_s_own():
     assert np.isnan(found.oracle_rows[0].log_evidence)
 
 
+class Shifted:
+    """A marginal that tells of its density by three numbers."""
+
+    def __init__(self, belief):
+        self.belief = belief
+
+    def gaussian(self):
+        return self.belief
+
+    def non_gaussianity(self):
+        return np.zeros(3)
+
+
+class Mine:
+    """A marginal of one's own form, that of a grid."""
+
+    def __init__(self, belief, apart=None):
+        self.belief, self.mean, self.cov = belief, belief.mean, belief.cov
+        if apart is not None:
+            self.non_gaussianity = lambda: apart
+
+
+def test_a_marginal_of_one_s_own_tells_how_far_it_is_from_a_gaussian():
+    """And that of a family of beliefs of one's own is NaN where it does not."""
+    grid = pgm.filter(bent(), SQUARES, steps=T, belief=GRID)[a]
+    filters = {"filter": pgm.Filtering()}
+
+    class Told(EnsembleKalman):
+        def marginal(self, beliefs, asked):
+            return Mine(grid, grid.non_gaussianity())
+
+    class Silent(EnsembleKalman):
+        def marginal(self, beliefs, asked):
+            return Mine(grid)
+
+    due = pgm.compare(bent(), SQUARES, oracle=GRID, schedules=filters, steps=T)
+    for family in (Told(50), Silent(50)):
+        found = pgm.compare(bent(), SQUARES, oracle=family, schedules=filters, steps=T)
+        assert_allclose(found["Taylor", "filter"].kl_by_step, due["Taylor", "filter"].kl_by_step)
+        (own,) = found.oracle_rows
+        known = due.oracle_rows[0].kl_by_step
+        assert_allclose(own.kl_by_step, known if type(family) is Told else known * np.nan)
+        assert ("non_gaussianity()" in repr(found)) == (type(family) is Silent)
+        assert "members" in found.oracle_status
+        assert f"oracle: {type(family).__name__}" in repr(found)
+
+
+def test_an_oracle_whose_family_has_no_figures_has_no_status_to_show():
+    given = {examples.z: [[1.0], [2.0]]}
+    for oracle in (Kalman(), pgm.smooth(examples.walk, given)):
+        found = pgm.compare(examples.walk, given, oracle=oracle)
+        assert found.oracle_status == ""
+        assert found.oracle_rows[0].kl == 0.0
+
+
 FILTERED = pgm.filter(bent(), SQUARES, steps=T)
 rain = pgm.Discrete("rain", states=("no", "yes"))
 CHAIN = pgm.DynamicBayesianNetwork(
@@ -367,6 +426,13 @@ CHAIN = pgm.DynamicBayesianNetwork(
         (
             {"oracle": Own(np.zeros(3), pgm.Kind(0)), "schedules": [pgm.Filtering()]},
             "marginal of a is a ndarray; a pgm.Gaussian, a pgm.results.GridBelief or",
+        ),
+        (
+            {
+                "oracle": Own(Shifted(FILTERED[a]), pgm.Kind(0)),
+                "schedules": [pgm.Filtering()],
+            },
+            r"non_gaussianity\(\) of the oracle's marginal of a has shape \(3,\); \(13,\) was due",
         ),
         ({"truth": np.zeros((T + 1, 1))}, "truth= maps states to their values"),
         ({"truth": {z: np.zeros((T + 1, 1))}}, "given of z, which is no state"),

@@ -6,15 +6,17 @@ import hashlib
 import html
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 from viewer import posteriors
 
 import pgm
-from pgm.viewer.numbers import EXACT, SHOWN, Numbers, lower, rounded
+from pgm.examples import rainy, wet
+from pgm.viewer.numbers import EXACT, FILE, SHOWN, Numbers, lower, rounded
 from pgm.viewer.placing import HEIGHT, place
-from pgm.viewer.view import embedded
+from pgm.viewer.view import _content, embedded
 
 
 def written(posterior, tmp_path, **choice):
@@ -231,3 +233,37 @@ def test_the_script_is_its_modules_in_order():
     folder, whole, end = files("pgm.viewer").joinpath("script"), script(), 0
     for name in SCRIPTS:
         end = whole.index(folder.joinpath(f"{name}.js").read_text("utf-8"), end) + 1
+
+
+def test_pages_ask_an_outcome_and_read_no_family():
+    """Neither a module of a family, nor what its outcome keeps for itself."""
+    for path in Path(pgm.viewer.__file__).parent.glob("*.py"):
+        source = path.read_text(encoding="utf-8")
+        assert "pgm.beliefs" not in source, path
+        assert not re.search(
+            r"\b(posterior|outcome|shown)\._(?!outcome\b|told\b|title\b)", source
+        ), path
+
+
+def test_a_page_has_the_log_evidence_of_its_posterior():
+    posterior = posteriors.batch()
+    data, _ = _content(posterior, [(2,), (5,)], None, FILE)
+    assert [each["log_evidence"] for each in data["runs"]] == posterior.log_evidence[
+        [2, 5]
+    ].tolist()
+
+
+def test_what_was_entered_in_a_network_without_time():
+    a, b = pgm.variables("a b")
+    net = pgm.BayesianNetwork(
+        [pgm.GaussianCPD(a, 0.0, 1.0), pgm.LinearGaussianCPD(b, {a: 1.0}, cov=1.0)]
+    )
+    numbers = pgm.infer(pgm.compile(net), {b: [[1.0], [2.0]]})._outcome
+    assert [numbers.entered(run)[b].tolist() for run in (0, 1)] == [[1.0], [2.0]]
+    assert [numbers.scope(cluster) for cluster in numbers.graph.clusters] == [(a,)]
+    tables = pgm.infer(pgm.compile(rainy), {wet: np.array([1, -1])})._outcome
+    assert [tables.entered(run) for run in (0, 1)] == [{wet: "yes"}, {wet: None}]
+    over_time = posteriors.balanced()._outcome
+    assert over_time.entered(0) == {}
+    for cluster in over_time.graph.clusters:
+        assert over_time.scope(cluster) == over_time.belief(cluster).scope

@@ -69,6 +69,15 @@ class DiscreteOutcome(Outcome[Table]):
         wanted = self._require_hidden(variable)
         return self._table((wanted,), self._beliefs.marginal(wanted))
 
+    def entered(self, run: int) -> dict[Variable, str | None]:
+        """The states that were observed, by variable; None of one that was not in this run."""
+        found = dict[Variable, str | None]()
+        for variable, states in self._beliefs.evidence.states.items():
+            each = np.reshape(states, -1)
+            state = int(each[run if each.size > 1 else 0])
+            found[variable] = variable.states[state] if state >= 0 else None
+        return found
+
     def _require_hidden(self, variable: Variable) -> Discrete:
         """Return the variable if the network has it and at least one run leaves it hidden.
 

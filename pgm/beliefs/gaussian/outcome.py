@@ -64,6 +64,15 @@ class GaussianOutcome(Outcome[Gaussian]):
     def _hidden(self) -> Scope:
         return self._model.layout.hidden
 
+    def entered(self, run: int) -> dict[Variable, Array]:
+        """The values that were given, by variable, (d,) each."""
+        found = dict[Variable, Array]()
+        for group, rows in zip(self._model.layout.groups, self._model.readings, strict=True):
+            if rows is not None:
+                own = rows[:, run if rows.shape[1] > 1 else 0]
+                found |= {cpd.child: row for cpd, row in zip(group.cpds, own, strict=True)}
+        return found
+
     @quiet()
     def __getitem__(self, variable: Variable) -> Gaussian:
         """The marginal of a variable without evidence, (*runs, d)."""

@@ -108,6 +108,31 @@ class GridBelief(PointMassBelief):
         flat = self.values.reshape(*self.lead, -1).argmax(axis=-1)
         return closed(self._centres(np.asarray(flat)))
 
+    def non_gaussianity(self) -> Array:
+        r"""KL from the belief's density to the Gaussian of its mean and covariance, (...), in nats.
+
+        .. math:: KL(p \| N_p) = \tfrac12 \ln |2πe P| + \sum_k p_k \ln (p_k / V)
+
+        - p_k / V: the density in a cell of volume V;
+        - P: the covariance.
+
+        NaN where the covariance is singular. It is right where the density is smooth over a cell;
+        one that is negative tells that cells are too wide for the belief. Angles count as if their
+        line had no ends.
+        """
+        rows = self.values.reshape(-1, int(np.prod(self.values.shape[len(self.lead) :])))
+        entropy = np.empty(len(rows))
+        for k, row in enumerate(rows):  # one at a time: all of them may not fit twice
+            some = row[row > 0.0].astype(np.float64)
+            some /= some.sum()
+            entropy[k] = -(some @ np.log(some))
+        volume = np.prod([centres[1] - centres[0] for centres in self.centres])
+        sign, log_det = np.linalg.slogdet(self.cov)
+        normal = 0.5 * (log_det + self.cov.shape[-1] * np.log(2.0 * np.pi * np.e))
+        density = entropy.reshape(self.lead) + np.log(volume)
+        found: Array = np.where((sign > 0.0) & np.isfinite(log_det), normal - density, np.nan)
+        return found
+
     def _centres(self, flat: Integers) -> Array:
         """The centres (..., n) of cells, given by their indices (...) in the flattened grid."""
         # One axis: NumPy 2.4 gives others than these of (n, 1) places, n above 8192.

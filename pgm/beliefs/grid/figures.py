@@ -110,7 +110,8 @@ class GridFigures(Figures):
     refinements : tuple of Refinement
         One entry a resolution, coarsest first; empty if no refinement was asked for.
     converged : ndarray of bool
-        (): whether the figure of the refinement has settled; True where none was asked for.
+        (): whether the figure of the refinement has settled; True where none was asked for. The
+        cells are those of all runs, each of which has this in the ``converged`` of the status.
 
     Examples
     --------

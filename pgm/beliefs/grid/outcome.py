@@ -72,6 +72,11 @@ class GridOutcome(Outcome[GridBelief]):
     )
 
     @property
+    def family(self) -> GridSettings:
+        """The family of beliefs that was given: the same as `grid`."""
+        return self.grid
+
+    @property
     def readings(self) -> Sequence[Reading]:
         """The measurements, sensor by sensor."""
         return self._bound.readings

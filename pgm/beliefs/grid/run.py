@@ -84,7 +84,7 @@ def _refined(
         used = used.finer()
     figures = found.figures.refined(record, settled)
     lead = found.log_evidence.shape
-    return replace(found, status=Status.of_figures(figures, lead, np.asarray(figures.converged)))
+    return replace(found, status=Status.of_figures(figures, lead, bool(figures.converged)))
 
 
 def _figure(grid: GridSettings, found: GridOutcome) -> Array:
@@ -154,7 +154,7 @@ def _at(graph: DynamicGraph, bound: BoundEvidence, kind: Kind, grid: GridSetting
     filtered = filtered.reshape(*lead, *shape[1:])
     values = (filtered,) if smoothed is None else (smoothed.reshape(filtered.shape), filtered)
     log_evidence = log_evidence.reshape(lead)
-    status = Status.of_figures(figures, lead, np.asarray(figures.converged))
+    status = Status.of_figures(figures, lead, bool(figures.converged))
     return GridOutcome(graph, grid, kind, log_evidence, status, lattice, bound, *values)
 
 

@@ -20,6 +20,7 @@ from pgm.beliefs.markov.impossible_runs import blank, blanked
 from pgm.beliefs.markov.joints import joint, pair, potential
 from pgm.beliefs.markov.marginals import Beliefs, StateMarginals
 from pgm.beliefs.markov.plan import SlicePlan, TableSlices
+from pgm.beliefs.markov.shown_slices import ShownTables
 from pgm.clustergraph import Cluster
 from pgm.compile import DynamicGraph
 from pgm.display import Summary
@@ -31,6 +32,7 @@ from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.posteriors.belief_kind import FILTERED, PREDICTED, SMOOTHED, Kind
 from pgm.posteriors.hidden import require_at_steps
 from pgm.posteriors.outcome import SLICES, Outcome
+from pgm.posteriors.shown_slices import Room
 from pgm.posteriors.status import Status
 from pgm.posteriors.summaries import over_time
 from pgm.schedules.limits import require_runs
@@ -99,6 +101,10 @@ class StateOutcome(Outcome[Table]):
     @property
     def _lead(self) -> tuple[int, ...]:
         return self._chain.slices.lead
+
+    def slices(self, span: range, room: Room) -> ShownTables:
+        """What a page shows of the slices of these steps."""
+        return ShownTables(self, span, room)
 
     def __getitem__(self, variable: Variable) -> Table:
         """The marginal of a hidden variable, at one step or at all.

@@ -88,6 +88,11 @@ class ParticleOutcome(Outcome[ParticleBelief]):
     silent: ClassVar[str] = "particles are drawn from slice to slice: there are no messages to show"
 
     @property
+    def family(self) -> ParticleSettings:
+        """The family of beliefs that was given: the same as `particles`."""
+        return self.particles
+
+    @property
     def readings(self) -> Sequence[Reading]:
         """The measurements, sensor by sensor."""
         return [sensor.reading for sensor in self._model.sensors]

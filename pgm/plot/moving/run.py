@@ -25,7 +25,7 @@ from pgm.plot.drawing.axes import Unit
 from pgm.plot.drawing.components import as_gaussian, component_places, one_run, truth_columns
 from pgm.plot.moving.movies import BlittedCanvas, movie_writer, write_movie
 from pgm.plot.moving.panels import FILTERED, REVISED, Chain, Paths, frames
-from pgm.posteriors.belief_kind import SMOOTHED
+from pgm.posteriors.belief_kind import SMOOTHED, Kind
 from pgm.posteriors.outcome import marginal
 from pgm.variables import Variable
 
@@ -113,7 +113,7 @@ def animate(
     ...     pgm.plot.animate(smoothed, f"{folder}/drive.gif").name
     'drive.gif'
     """
-    _check(posterior)
+    kind = _check(posterior)
     for value, name in ((clusters, "clusters"), (every, "every")):
         if value is not None and (not is_whole(value) or value < 1):
             raise ModelError(f"{name} is a whole number, 1 or more, not {value!r}")
@@ -125,7 +125,7 @@ def animate(
     marks = as_landmarks(landmarks)
     writer = movie_writer(path, rate)
 
-    graph, kind = posterior.graph, posterior.kind
+    graph = posterior.graph
     pictures = frames(kind, graph.steps, every)
     figure = Figure(figsize=figsize, dpi=dpi)
     entries = 2 + sum((line is not None, marks is not None, bool(kind.lag)))  # of the legend
@@ -190,7 +190,8 @@ def _head(plane: Axes, marks: list[Artist]) -> Text:
     )
 
 
-def _check(posterior: Any) -> None:
+def _check(posterior: Any) -> Kind:
+    """The kind of a posterior whose path can be drawn; another one is refused."""
     known = isinstance(posterior, Posterior)
     if not known or not posterior._outcome.moving:
         what = posterior._title if known else f"a {type(posterior).__name__}"
@@ -204,6 +205,8 @@ def _check(posterior: Any) -> None:
             "animate draws a chain, step after step, and this is a balanced tree, all of a level "
             "of which sends at once; leave method=pgm.Balanced() out"
         )
+    kind: Kind = posterior.kind
+    return kind
 
 
 def _state(posterior: Posterior[Any], variable: Variable | None) -> Variable:

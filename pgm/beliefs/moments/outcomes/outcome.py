@@ -25,6 +25,7 @@ from pgm.beliefs.moments.digits import adjoint
 from pgm.beliefs.moments.digits.careful import Careful
 from pgm.beliefs.moments.outcomes.innovated import Innovated
 from pgm.beliefs.moments.outcomes.marginals import Marginals
+from pgm.beliefs.moments.outcomes.shown_slices import ShownMoments
 from pgm.beliefs.moments.passes import backward
 from pgm.beliefs.moments.passes.backward import Beliefs, Reverse
 from pgm.beliefs.moments.passes.forward import Filtered, Forward
@@ -45,6 +46,7 @@ from pgm.posteriors.associations import Found
 from pgm.posteriors.belief_kind import FILTERED, PREDICTED, SMOOTHED, Kind
 from pgm.posteriors.hidden import require_at_steps
 from pgm.posteriors.outcome import CHAIN, Outcome
+from pgm.posteriors.shown_slices import Room
 from pgm.posteriors.status import Status
 from pgm.posteriors.summaries import over_time
 from pgm.schedules.limits import require_runs
@@ -110,6 +112,10 @@ class ChainOutcome(Innovated, Outcome[Gaussian]):
     _careful: Careful | None = None
     _windows: Windows | None = None
     associations: Found = field(default_factory=dict)
+
+    def slices(self, span: range, room: Room) -> ShownMoments:
+        """What a page shows of the slices of these steps."""
+        return ShownMoments(self, span, room)
 
     def __getitem__(self, variable: Variable) -> Gaussian:
         """The marginal of a hidden variable, at one step or at all.
