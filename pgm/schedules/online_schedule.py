@@ -19,11 +19,15 @@ def online_schedule(schedule: Any, lag: int | None, gate: Gate = None) -> Filter
 
     A ModelError refuses a schedule beside a lag or gate, and one that is for whole records.
     """
-    for name, value in (("lag", lag), ("gate", gate)):
-        if value is not None and schedule is not None:
-            raise ModelError(
-                f"{name}={value!r} beside {schedule!r}, which has its own: give one of them"
-            )
+    if lag is not None and schedule is not None:
+        raise ModelError(
+            f"lag={lag!r} beside {schedule!r}: an online filter takes one of them; a FixedLag "
+            "has iterations of its own"
+        )
+    if gate is not None and schedule is not None:
+        raise ModelError(
+            f"gate={gate!r} beside {schedule!r}, which has a gate of its own: give one of them"
+        )
     if schedule is None:
         if lag is not None:
             return FixedLag(lag, gate=gate)
