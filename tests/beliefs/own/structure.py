@@ -3,6 +3,7 @@
 import ast
 import importlib
 import re
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 
@@ -17,6 +18,7 @@ MAY_NAME = {
     "pgm": "hands out public names",
     "pgm.inference": "hands out public names",
     "pgm.inference.families": "picks the family where none is given",
+    "pgm.inference.old_names": "stands for classes of the version before",
 }
 # Modules that compare the names of functions, or of other libraries' classes.
 MAY_COMPARE = {"pgm.arguments", "pgm.boundary", "pgm.evidence.records"}
@@ -26,11 +28,21 @@ EQUAL = ast.Eq | ast.NotEq | ast.Is | ast.IsNot | ast.In | ast.NotIn
 SUMS = {"einsum", "tensordot", "dot", "matmul", "inner", "vdot", "kron"}
 
 
+@cache
+def parsed(source):
+    """The syntax of a source, parsed once for all checks."""
+    return ast.parse(source)
+
+
+@cache
 def modules():
     """The names and sources of all modules."""
+    found = []
     for path in sorted(PACKAGE.rglob("*.py")):
         parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
-        yield ".".join(parts).removesuffix(".__init__"), path.read_text(encoding="utf-8")
+        name = ".".join(parts).removesuffix(".__init__")
+        found.append((name, path.read_text(encoding="utf-8")))
+    return found
 
 
 def bound(tree):
@@ -103,7 +115,7 @@ def families():
 
 def asked_kinds(module, source):
     """What a module outside the families asks of the kind of one."""
-    tree, called = ast.parse(source), families()
+    tree, called = parsed(source), families()
     names = bound(tree)
     for name, found in names.items():
         if of_one_family(found):
@@ -134,7 +146,7 @@ def asked_kinds(module, source):
 def classes():
     """The classes of the package, by module and name, with the names that each defines."""
     for module, source in modules():
-        for node in ast.walk(ast.parse(source)):
+        for node in ast.walk(parsed(source)):
             if isinstance(node, ast.ClassDef):
                 yield (module, node.name), defined(node)
 
@@ -154,7 +166,7 @@ def defined(node):
 
 def overloads(source):
     """The lines of a module that name `typing.overload`, in whatever spelling."""
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(parsed(source)):
         if (isinstance(node, ast.ImportFrom) and any(a.name == "overload" for a in node.names)) or (
             isinstance(node, ast.Attribute) and node.attr == "overload"
         ):
@@ -163,7 +175,7 @@ def overloads(source):
 
 def sums_of_products(source):
     """The functions of a module that multiply arrays and sum the product, by name."""
-    for function in ast.walk(ast.parse(source)):
+    for function in ast.walk(parsed(source)):
         if isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef):
             products = {
                 target.id
@@ -206,7 +218,7 @@ def is_sum(node, products):
 
 def said(source):
     """The strings of a module, docstrings apart, as patterns: what is filled in is anything."""
-    tree = ast.parse(source)
+    tree = parsed(source)
     told = {id(n.value) for n in ast.walk(tree) if isinstance(n, ast.Expr)}
     inside = {
         id(part) for n in ast.walk(tree) if isinstance(n, ast.JoinedStr) for part in ast.walk(n)
