@@ -46,11 +46,12 @@ def sizes(scope: States) -> tuple[int, ...]:
     return tuple(variable.size for variable in scope)
 
 
-def require_axes(scope: States, what: str, advice: str = "") -> None:
+def require_axes(scope: States, what: str, advice: str = "", **about: Any) -> None:
     """Refuse, by a `GraphError`, a table over more variables than NumPy's arrays have axes for.
 
     `what` names the table in the error's text, as "the joint"; `advice` is what to do instead of
-    leaving variables out of the network, as "ask for fewer, or ".
+    leaving variables out of the network, as "ask for fewer, or "; `about` are attributes of the
+    error.
     """
     if len(scope) > AXES:
         single = list(dict.fromkeys(v.template for v in scope if v.size == 1))
@@ -59,6 +60,7 @@ def require_axes(scope: States, what: str, advice: str = "") -> None:
             f"for {AXES} variables; {advice}leave variables of one state, ({listed(single)}), out "
             "of the network",
             variable=single[0] if single else scope[0],
+            **about,
         )
 
 

@@ -51,7 +51,11 @@ class Labelled:
         coords = {} if steps is None else {"step": np.arange(steps + 1)}
         dims = [*runs, *coords]
         tables = any(isinstance(belief, Table) for belief in marginals.values())
-        data, more = (_tables if tables else _moments)(marginals, dims, steps)
+        if tables:
+            data, more = _tables(marginals, dims, steps)
+        else:
+            lead = (*np.shape(self.log_evidence), *map(len, coords.values()))
+            data, more = _moments(marginals, dims, lead, steps)
         data["log_evidence"] = (runs, np.asarray(self.log_evidence))
         attributes = {"log_evidence_kind": self.log_evidence_kind}
         if steps is not None:
@@ -83,7 +87,7 @@ def _tables(
 
 
 def _moments(
-    marginals: Mapping[Variable, Any], dims: list[str], steps: int | None
+    marginals: Mapping[Variable, Any], dims: list[str], lead: tuple[int, ...], steps: int | None
 ) -> tuple[Arrays, dict[str, Any]]:
     """The moments of continuous variables, and the coordinates of the data set.
 
@@ -94,7 +98,6 @@ def _moments(
     are NaN.
     """
     each = [_at_all_steps(belief.mean, -2, steps) for belief in marginals.values()]
-    lead = each[0].shape[:-1] if each else (0,) * len(dims)
     size = dimension(marginals)
     require_memory(
         math.prod(lead) * size * size,

@@ -15,7 +15,7 @@ from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.clustergraph.cluster import amount
 from pgm.display import titled
 from pgm.errors import GraphError
-from pgm.factors.axes import AXES
+from pgm.factors.axes import AXES, require_axes
 from pgm.factors.scope import names
 from pgm.resources import gibibytes
 from pgm.variables import Discrete
@@ -109,16 +109,8 @@ def _require_axes(graph: ClusterGraph) -> None:
     if len(graph.network.variables) <= AXES or graph.width < AXES:
         return
     for cluster in graph.clusters:
-        scope = [v for v in cluster.scope if isinstance(v, Discrete)]
-        if len(scope) > AXES:
-            single = [v for v in scope if v.size == 1]
-            raise GraphError(
-                f"cluster {cluster.index} over {_listed(cluster)} is a table of too many axes: "
-                f"NumPy's arrays have them for {AXES} variables; leave variables of one state, "
-                f"{names(single[:LISTED])[:-1]}, ...), out of the network",
-                variable=single[0],
-                cluster=cluster.index,
-            )
+        scope = tuple(v for v in cluster.scope if isinstance(v, Discrete))
+        require_axes(scope, f"cluster {cluster.index}", cluster=cluster.index)
 
 
 def require_runs(entries: int, runs: int, what: str) -> None:

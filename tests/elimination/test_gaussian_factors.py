@@ -90,12 +90,10 @@ def test_a_tree_of_gaussians_is_calibrated(seed):
             np.testing.assert_allclose(own.cov, cov[at, at], rtol=1e-8)
 
 
-# Where products are multiplied and summed without a plan: in the algebra of tables, for soft
-# evidence of a sensor, over the states of the sensor, and in what docs/architecture.md lists as
-# laid out for one kind of question.
+# Where products are multiplied and summed without a plan: in the algebra of tables, and in what
+# docs/architecture.md lists as laid out for one kind of question.
 OWN = {
     "pgm.elimination.tables": {"_fused"},
-    "pgm.beliefs.markov.weights": {"_softened"},
     "pgm.beliefs.markov.single_state": {"_apply"},
     "pgm.beliefs.markov.counts": {"_read"},
     "pgm.beliefs.discrete.sums": {"read", "total"},

@@ -151,3 +151,14 @@ def test_without_xarray(monkeypatch):
     told = r"Posterior\.to_xarray\(\) needs xarray: pip install 'sepset\[frames\]'"
     with pytest.raises(ImportError, match=told):
         pgm.smooth(MODEL, evidence()).to_xarray()
+
+
+@pytest.mark.parametrize("runs", [(), (3,), (2, 3)])
+def test_of_nothing_that_was_kept(runs):
+    posterior = pgm.smooth(MODEL, evidence(*runs), keep=[])
+    found = posterior.to_xarray()
+    assert found["mean"].shape == found["std"].shape == (*runs, T + 1, 0)
+    assert found["cov"].shape == (*runs, T + 1, 0, 0)
+    assert list(found.component.values) == []
+    assert_array_equal(found.step, np.arange(T + 1))
+    assert_array_equal(found["log_evidence"], posterior.log_evidence)

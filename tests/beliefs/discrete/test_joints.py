@@ -43,6 +43,6 @@ def test_a_query_sums_out_where_the_tree_needs_too_large_tables(monkeypatch):
     due = np.outer(cpds[0].table, cpds[2].table)
     np.testing.assert_allclose(pgm.query(graph, (a, b)).values, due, rtol=0.0, atol=1e-15)
     monkeypatch.setattr(limits, "LIMIT", 2_700)
-    with pytest.raises(pgm.GraphError, match=r"runs, or pgm\.query, which may need less"):
+    with pytest.raises(pgm.GraphError, match=r"runs, or by pgm\.query, which may need less"):
         pgm.infer(graph, {}).joint(a, b)
     np.testing.assert_allclose(pgm.query(graph, (a, b)).values, due, rtol=0.0, atol=1e-15)
