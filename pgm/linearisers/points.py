@@ -75,16 +75,19 @@ class Points(_Points):
 
     @cached_property
     def fault(self) -> str | None:
-        """A moment, of the first or second order, in which the points are not N(0, I); or None."""
-        s, unit = self.points, np.eye(self.points.shape[-1])
-        for name, weights in (("mean", self.mean_weights), ("cov", self.cov_weights)):
-            w, size = weights[:, None], np.abs(weights)[:, None]
-            off = np.abs((w * s).sum(axis=-2))
-            if name == "mean" and not _is_rounding(off, size * np.abs(s)):
-                return f"with their mean_weights w, Σ w s is off zero by {off.max():.3g}"
-            off = np.abs((w * s).swapaxes(-1, -2) @ s - unit)
-            if not _is_rounding(off, size * s**2):
-                return f"with their {name}_weights w, Σ w s sᵀ is off I by {off.max():.3g}"
+        """The moment in which the points are not N(0, I), in words; or None.
+
+        The mean is zero by the weights of the mean, and the covariance I by those of the
+        covariance: so straight lines are found exactly. A mean that is the value at the centre
+        alone is no fault.
+        """
+        s, mean, cov = self.points, self.mean_weights[:, None], self.cov_weights[:, None]
+        off = np.abs((mean * s).sum(axis=-2))
+        if not _is_rounding(off, np.abs(mean * s)):
+            return f"with their mean_weights w, Σ w s is off zero by {off.max():.3g}"
+        off = np.abs((cov * s).swapaxes(-1, -2) @ s - np.eye(s.shape[-1]))
+        if not _is_rounding(off, np.abs(cov) * s**2):
+            return f"with their cov_weights w, Σ w s sᵀ is off I by {off.max():.3g}"
         return None
 
     @cached_property

@@ -47,9 +47,9 @@ class StatisticalRegression(ArrayLineariser):
     The covariance is zero in components in which what the line leaves may be rounding, unless their
     own noise is far above it.
 
-    A subclass gives `points`, whose mean is 0 and whose covariance is I, as their weights say. It
-    may say that points are `drawn`, so that this holds but for sampling, that they are fresh for
-    each run, or that moments of x are the belief's own.
+    A subclass gives `points`, of mean 0 by their weights of the mean and covariance I by those of
+    the covariance. It may say that points are `drawn`, so that this holds but for sampling, that
+    they are fresh for each run, or that moments of x are the belief's own.
 
     References
     ----------
@@ -100,7 +100,7 @@ class StatisticalRegression(ArrayLineariser):
     def drawn(self) -> bool:
         """Whether points are draws, whose moments are nearly those of N(0, I).
 
-        The moments of others, up to the second order, are checked.
+        The moments of others, mean and covariance, are checked.
         """
         return False
 

@@ -313,19 +313,29 @@ def test_points_with_other_moments_than_they_stand_for(scale):
         pgm.filter(MODELS["plain"], evidence, lineariser=Tipped(scale))
 
 
-@pytest.mark.parametrize("weights", ["mean_weights", "cov_weights"])
-def test_moments_are_of_both_weights(weights):
-    class Skew(pgm.StatisticalRegression):
-        def points(self, dimension, name, step):
-            arm = np.sqrt(dimension) * np.eye(dimension)
-            s = np.vstack([np.zeros(dimension), arm, -arm])
-            even = np.append(0.0, np.full(2 * dimension, 0.5 / dimension))
-            odd = np.append(0.5, 0.5 * even[1:])
-            pair = {"mean_weights": even, "cov_weights": even, weights: odd}
-            return pgm.linearisers.Points(s, **pair, centred=True)
+class Lopsided(pgm.StatisticalRegression):
+    """Points of N(0, I), with weights of one kind that say otherwise."""
 
-    with pytest.raises(pgm.LinearisationError, match=f"with their {weights} w, .* is off I by 0.5"):
-        pgm.filter(MODELS["plain"], of_run(recording("plain"), 1), lineariser=Skew())
+    def __init__(self, kind):
+        self.kind = kind
+
+    def points(self, dimension, name, step):
+        arm = np.sqrt(dimension) * np.eye(dimension)
+        s = np.vstack([np.zeros(dimension), arm, -arm])
+        even = np.append(0.0, np.full(2 * dimension, 0.5 / dimension))
+        odd = np.append(0.5, 0.5 * even[1:])
+        if self.kind == "mean_weights":
+            odd[[1, -1]] += [0.1, -0.1]
+        pair = {"mean_weights": even, "cov_weights": even, self.kind: odd}
+        return pgm.linearisers.Points(s, **pair, centred=True)
+
+
+@pytest.mark.parametrize(
+    ("kind", "fault"), [("mean_weights", "Σ w s is off zero"), ("cov_weights", "is off I by 0.5")]
+)
+def test_moments_are_of_both_weights(kind, fault):
+    with pytest.raises(pgm.LinearisationError, match=f"with their {kind} w, .*{fault}"):
+        pgm.filter(MODELS["plain"], of_run(recording("plain"), 1), lineariser=Lopsided(kind))
 
 
 @pytest.mark.parametrize(
