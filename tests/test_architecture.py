@@ -8,13 +8,14 @@ import re
 import runpy
 import sys
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 
 import pgm
 from pgm.beliefs.moments.passes import forward
@@ -111,6 +112,11 @@ def test_the_protocol_is_that_of_the_sweeps():
     assert_array_equal(names["belief"], last)
 
 
+class Odd(Solver):
+    def solve(self, plan, start, room):
+        return None
+
+
 def test_a_chains_schedule_of_ones_own_is_that_of_the_page():
     names = {"Solver": Solver, "Reverse": Reverse, "Beliefs": Beliefs, "forward": forward}
     names |= {"pgm": pgm, "np": np, "Status": Status, "dataclass": dataclass, "ClassVar": ClassVar}
@@ -126,6 +132,22 @@ def test_a_chains_schedule_of_ones_own_is_that_of_the_page():
     flat = pgm.DynamicBayesianNetwork(
         [pgm.GaussianCPD(x, np.zeros(3), np.inf)], model().transition, model().observation
     )
+    compared = pgm.compare(
+        model(), EVIDENCE, schedules=[names["OneBack"]()], linearisers=[pgm.Taylor()], oracle=due
+    )
+    assert compared.rows[0].kl < 1e-12
+    many = {v: np.stack([each] * 2000) for v, each in EVIDENCE.items() if v == u}
+    many[z] = pgm.sightings(np.tile([9.0, 0.4], (2000, T + 1, 1)), step=np.arange(T + 1))
+    for option in ({"keep": x}, {"executor": ThreadPoolExecutor(2)}):
+        shared = pgm.infer(graph, many, schedule=names["OneBack"](), **option)
+        assert_allclose(shared[x].mean[-1], due[x].mean, rtol=1e-9)
+    for solver, text in ((7, "its solver is 7; a class"), (Odd, "returned an outcome None")):
+        other = type("Other", (pgm.Filtering,), {"solver": solver})
+        with pytest.raises(pgm.ModelError, match=text):
+            pgm.infer(graph, EVIDENCE, schedule=other())
+    unkind = type("Unkind", (pgm.Filtering,), {"solver": names["OneBackSolver"]})
+    with pytest.raises(pgm.ModelError, match="where one of the kind filtered was due"):
+        pgm.infer(graph, EVIDENCE, schedule=unkind())
     with pytest.raises(pgm.ModelError, match="a solver, of which particles would know nothing"):
         pgm.infer(graph, EVIDENCE, schedule=names["OneBack"](), belief=pgm.Particles(9))
     with pytest.raises(pgm.ModelError, match="a solver, of which an online filter would know"):

@@ -120,3 +120,10 @@ def old(package: str, name: str) -> Any:
     found, told = OLD[name]
     warn(f"{package}.{name} {told}", DeprecationWarning, stacklevel=3)
     return found
+
+
+def __getattr__(name: str) -> Any:
+    """The classes by name, by which they are pickled."""
+    if name in OLD:
+        return OLD[name][0]
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -88,7 +88,7 @@ class StatisticalRegression(ArrayLineariser):
         Raises
         ------
         LinearisationError
-            In a call, if they have other moments than N(0, I), and are not `drawn`.
+            In a call, if those of step 0 have other moments than N(0, I), and are not `drawn`.
         """
 
     @property

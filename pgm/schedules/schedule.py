@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any, ClassVar
 
 from pgm.arguments import public
@@ -480,6 +481,11 @@ class Residual(Loopy):
 
     def _step(self, messages: Messages[Any]) -> Step:
         """What sends a round of messages in an order that depends on their changes."""
+        if type(self).turns is not Loopy.turns:
+            raise ModelError(
+                f"{self!r} has turns(messages), and the order of a Residual follows from the "
+                "changes of messages: derive from pgm.Loopy"
+            )
         return largest_first(messages)
 
 
@@ -493,8 +499,15 @@ def require_known(schedule: Schedule, who: str) -> None:
     """
     if isinstance(schedule, Loopy):
         return
-    base: Any = next(each for each in type(schedule).__mro__ if each.__module__ == __name__)
-    own = sorted(vars(schedule).keys() - {field.name for field in fields(base)})
+    kind = type(schedule)
+    base: Any = next(each for each in kind.__mro__ if each.__module__ == __name__)
+    # Of a dataclass or not; what it keeps for itself, by `cached_property`, is no option.
+    named = {field.name for field in fields(schedule)} | vars(schedule).keys()
+    own = sorted(
+        name
+        for name in named - {field.name for field in fields(base)}
+        if not isinstance(getattr(kind, name, None), cached_property)
+    )
     if schedule.solver is not None:
         own.append("a solver")
     if own:

@@ -3,6 +3,7 @@
 import copy
 import pickle
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import pytest
@@ -85,7 +86,43 @@ class Late(pgm.FixedLag):
         object.__setattr__(self, "wait", wait)
 
 
-@pytest.mark.parametrize("schedule", [Blocks(), Gentle(), Late(2, 3)], ids=["a", "b", "c"])
+@dataclass(frozen=True, slots=True)
+class Slotted(pgm.Filtering):
+    size: int = 0
+
+
+class Cached(pgm.Filtering):
+    @cached_property
+    def twice(self):
+        return 2 * self.iterations
+
+
+def test_what_a_schedule_keeps_for_itself_is_no_option():
+    schedule = Cached()
+    assert schedule.twice == 2
+    x = pgm.Variable("x")
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(x, 0.0, 1.0)], [pgm.LinearGaussianCPD(x, {x.previous: 1.0}, cov=1.0)]
+    )
+    assert pgm.infer(pgm.compile(model, 2), {}, schedule=schedule).kind.lag == 0
+
+
+def test_a_residual_has_no_turns():
+    class Turned(pgm.Residual):
+        def turns(self, messages):
+            return [range(len(messages))]
+
+    x = pgm.Variable("x")
+    tree = pgm.compile(pgm.BayesianNetwork([pgm.GaussianCPD(x, 0.0, 1.0)]))
+    with pytest.raises(pgm.ModelError, match=r"the order of a Residual follows .* pgm\.Loopy"):
+        pgm.infer(tree, {}, schedule=Turned())
+
+
+@pytest.mark.parametrize(
+    "schedule",
+    [Blocks(), Gentle(), Late(2, 3), Late(0, 3), Slotted(size=4)],
+    ids=["a", "b", "c", "d", "e"],
+)
 @pytest.mark.parametrize("way", ["chain", "particles", "online", "static"])
 def test_a_schedule_whose_options_nobody_knows_is_not_run_as_its_base(schedule, way):
     x = pgm.Variable("x")

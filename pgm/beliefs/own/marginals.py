@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pgm.beliefs.own.kept import handed_out
+from pgm.beliefs.own.kept import closed
 from pgm.beliefs.points.cloud import Cloud
 from pgm.beliefs.points.components import parts
 from pgm.beliefs.points.particle_belief import ParticleBelief
@@ -74,7 +74,7 @@ def shown(family: BeliefFamily[Any], beliefs: Sequence[Any], asked: Asked) -> An
     if not beliefs:  # of a hidden control, which begins at step 1, where there is no such step
         wide = len(asked.columns)
         return _gaussian(asked, np.zeros((*asked.axes, wide)), np.zeros((*asked.axes, wide, wide)))
-    beliefs = [handed_out(belief) for belief in beliefs]
+    beliefs = [closed(belief) for belief in beliefs]
     found = family.marginal(beliefs, asked)
     if found is not None:
         return found

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pgm.beliefs.own.kept import handed_out, kept
+from pgm.beliefs.own.kept import closed, kept
 from pgm.beliefs.own.marginals import pair
 from pgm.beliefs.own.outcome import Hidden, OwnMarginals, OwnOutcome
 from pgm.beliefs.own.slices import BACK, TAKEN, Slice
@@ -49,7 +49,7 @@ class OwnChain:
 
     def predict(self, step: int, belief: Any) -> Any:
         """The family's belief over a step's slice."""
-        found = self.family.predict(Slice(self.model, step), handed_out(belief))
+        found = self.family.predict(Slice(self.model, step), closed(belief))
         return kept(self.family, "predict(at, belief)", found)
 
     def take(self, step: int, belief: Any) -> tuple[Any, Array]:
@@ -61,7 +61,7 @@ class OwnChain:
         at = Slice(self.model, step, TAKEN, self.update)
         if not at.measurements:
             return belief, np.zeros(at.runs)
-        found = self.family.take(at, handed_out(belief))
+        found = self.family.take(at, closed(belief))
         belief, told = pair(self.family, "take(at, belief)", found, "the belief and a log-density")
         log_density = as_floats(told, f"{self.family!r}: the log-density of take", ModelError)
         if log_density.shape not in ((), (at.runs,)):
@@ -94,7 +94,7 @@ class OwnChain:
         """The family's belief over a step's slice that knows what that of the next step knows."""
         at = Slice(self.model, step, BACK)
         known, predicted = self.known[step], self.predicted[step + 1]
-        found = self.family.back(at, *map(handed_out, (known, predicted, later)))
+        found = self.family.back(at, *map(closed, (known, predicted, later)))
         return kept(self.family, "back(at, known, predicted, later)", found)
 
     def smoothed(self, kind: Kind) -> list[Any]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pgm.beliefs.own.kept import handed_out
+from pgm.beliefs.own.kept import closed
 from pgm.boundary import as_floats
 from pgm.errors import ModelError
 from pgm.kernels.arrays import Array
@@ -32,7 +32,7 @@ def status_of(
     clear.
     """
     runs, numbers = int(np.prod(lead)), {}
-    each = [family.numbers(handed_out(belief)) for belief in beliefs]
+    each = [family.numbers(closed(belief)) for belief in beliefs]
     for found in each:
         named = isinstance(found, Mapping) and all(isinstance(name, str) for name in found)
         if not named or set(found) != set(each[0]):

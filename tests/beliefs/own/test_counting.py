@@ -6,6 +6,7 @@ from numpy.testing import assert_allclose
 from scipy.stats import nbinom
 
 import pgm
+from pgm.beliefs.own.kept import closed
 
 rate, count, dose = pgm.variables("rate count dose")
 
@@ -171,14 +172,59 @@ def test_points_of_a_wrong_shape_are_refused():
         pgm.filter(MODEL, {count: COUNTS, dose: DOSES}, belief=Flat(2.0, 1.0))
 
 
-def test_an_array_that_is_changed_in_place_is_an_error():
+@pytest.mark.parametrize("wrap", [lambda parts: parts, lambda parts: [parts]], ids=["bare", "in"])
+def test_an_array_that_is_changed_in_place_is_an_error(wrap):
     class Rash(Gamma):
+        def begin(self, at):
+            return wrap(super().begin(at))
+
         def predict(self, at, belief):
-            belief *= self.forget
+            belief[0][...] *= self.forget
             return belief
+
+        def take(self, at, belief):
+            return belief, 0.0
 
     with pytest.raises(ValueError, match="read-only"):
         pgm.filter(MODEL, {count: COUNTS, dose: DOSES}, belief=Rash(2.0, 1.0))
+
+
+def test_what_is_shared_and_what_is_copied():
+    table, cpd, mark = np.eye(3), MODEL.transition[0], object()
+    first = closed({"table": table, "of": {cpd: [table]}, "mark": mark, "old": (table, ({},))})
+    assert table.flags.writeable
+    assert not first["table"].flags.writeable
+    second = closed(first)
+    assert second["table"] is first["table"]  # read-only before, and not copied again
+    assert second["of"] is not first["of"]
+    assert list(second["of"]) == [cpd]
+    assert second["of"][cpd] is not first["of"][cpd]
+    assert second["mark"] is mark
+    pair = closed((1.0, table))
+    assert closed(pair) is pair
+
+
+@pytest.mark.parametrize("steps", [1000])
+@pytest.mark.parametrize("made", [tuple, list])
+def test_a_belief_may_refer_to_the_one_before(made, steps):
+    class Remembering(Gamma):
+        def begin(self, at):
+            return made([super().begin(at), None])
+
+        def predict(self, at, belief):
+            return made([super().predict(at, belief[0]), belief])
+
+        def moments(self, belief):
+            return super().moments(belief[0])
+
+        def numbers(self, belief):
+            return super().numbers(belief[0])
+
+    found, due = (
+        pgm.filter(MODEL, {dose: np.ones((steps, 1))}, belief=each)
+        for each in (Remembering(2.0, 1.0), FAMILY)
+    )
+    assert_allclose(found[rate].mean, due[rate].mean, rtol=1e-14)
 
 
 class Slots:
@@ -195,7 +241,7 @@ class Plain:
 
 @pytest.mark.parametrize("made", [list, Slots, Plain], ids=["a list", "slots", "an object"])
 def test_a_belief_that_is_changed_in_place_shows_each_step_as_it_was(made):
-    """Its parts (2, 1) are changed by each method, and so is a buffer that they are views of."""
+    """It gets other parts by each method, and its parts (2, 1) are views of one buffer."""
 
     def parts(belief):
         return belief[0] if made is list else belief.parts
@@ -214,7 +260,11 @@ def test_a_belief_that_is_changed_in_place_shows_each_step_as_it_was(made):
             return self._again(super().begin(at))
 
         def predict(self, at, belief):
-            parts(belief)[:] = super().predict(at, parts(belief))
+            moved = super().predict(at, parts(belief))
+            if made is list:
+                belief[0] = moved
+            else:
+                belief.parts = moved
             return belief
 
         def take(self, at, belief):
@@ -238,16 +288,24 @@ def test_a_belief_that_is_changed_in_place_shows_each_step_as_it_was(made):
     assert_allclose(first[rate].mean, mean, rtol=0.0)
 
 
+class Single:
+    def __init__(self):
+        self.one = 1
+
+    def __copy__(self):
+        raise TypeError("not mine to copy")
+
+
 @pytest.mark.parametrize(
     ("method", "value", "text"),
     [
         ("begin", None, r"begin\(at\) returned None; a belief was due"),
         ("predict", None, r"predict\(at, belief\) returned None"),
-        ("begin", iter([]), "cannot be copied, as those of all steps are: TypeError"),
+        ("begin", object(), "cannot be copied, as those of all steps are: TypeError: not mine"),
     ],
 )
 def test_a_belief_is_a_value_that_can_be_copied(method, value, text):
-    made = Faulty(method, (x for x in ()) if method == "begin" and value else value)
+    made = Faulty(method, Single() if value else value)
     with pytest.raises(pgm.ModelError, match=text):
         pgm.filter(MODEL, {count: COUNTS, dose: DOSES}, belief=made)
 

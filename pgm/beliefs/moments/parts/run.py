@@ -262,12 +262,14 @@ class Share:
         """The share for a call: kept marginals, beliefs alone, or the whole posterior.
 
         Marginals are sent if there are `kept` variables. Beliefs suffice if every CPD was
-        linearised once, along the filter: the schedule has one iteration and is no fixed lag, there
-        is no start, no balanced tree and no gate. Another sweep then finds everything else. A
-        posterior of any other call is sent whole.
+        linearised once, along the filter: the schedule has one iteration, is no fixed lag and none
+        of a user's own, and there is no start, no balanced tree and no gate. Another sweep then
+        finds everything else. A posterior of any other call is sent whole.
         """
         once = schedule is None or (
-            isinstance(schedule, Filtering | Calibration) and schedule.iterations == 1
+            isinstance(schedule, Filtering | Calibration)
+            and schedule.iterations == 1
+            and schedule.solver is None
         )
         plain = start is None and not isinstance(graph, BalancedGraph)
         # What gates have decided is in all of it.

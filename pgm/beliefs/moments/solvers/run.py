@@ -241,7 +241,8 @@ def run(
     replaced by traces, programs recorded from a call; where one proves wrong, all is done again.
     """
     schedule = Smoothing() if schedule is None else schedule
-    if isinstance(schedule, FixedLag) and not schedule.lag:
+    if isinstance(schedule, FixedLag) and not schedule.lag and schedule.solver is None:
+        require_known(schedule, "a filter, which a lag of 0 is")
         schedule = schedule.filtering
     solver = solver_of(graph, schedule)
     given = None if start is None else _start(graph.layout, bound, start)
@@ -251,7 +252,7 @@ def run(
             plan = _plan(graph, bound, lineariser, schedule, judge)
             if not certificate.is_flat(plan):
                 with suppress(NumericalError):  # with twice the digits there may be an answer
-                    swept = solver.solve(plan, given, room)
+                    swept = _fitting(solver.solve(plan, given, room), schedule)
                     found = _told(swept) if _suffices(swept) else None
                 if found is None:
                     plan = _plan(graph, bound, lineariser, schedule, judge, probe=False)
@@ -278,6 +279,22 @@ def _plan(
     plan = ChainPlan.make(graph, bound, lineariser, probe=probe, judge=judge)
     gate.prepare(plan, getattr(schedule, "gate", None))  # a plain calibration has none
     return plan
+
+
+def _fitting(found: Any, schedule: Schedule) -> ChainOutcome:
+    """The outcome of a solver, of the schedule's kind; a ModelError refuses that of one's own else.
+
+    Comparisons go by the kind of the schedule.
+    """
+    kind = getattr(schedule, "kind", SMOOTHED)  # a plain calibration has none
+    if not isinstance(found, ChainOutcome) or found.kind != kind:
+        of = f"of the kind {found.kind}" if isinstance(found, ChainOutcome) else titled(found)
+        raise ModelError(
+            f"{schedule!r}: solve of its solver returned an outcome {of}, where one of the kind "
+            f"{kind} was due; the schedule says by a property `kind` how many later steps its "
+            "beliefs know"
+        )
+    return found
 
 
 def _suffices(posterior: ChainOutcome) -> bool:
@@ -372,8 +389,12 @@ def solver_of(graph: DynamicGraph, schedule: Schedule) -> Solver:
     """
     if isinstance(schedule, OnChains):
         if schedule.solver is not None:
-            found: Solver = schedule.solver(graph, schedule)
-            return found
+            if not (isinstance(schedule.solver, type) and issubclass(schedule.solver, Solver)):
+                raise ModelError(
+                    f"{schedule!r}: its solver is {titled(schedule.solver)}; a class derived from "
+                    "Solver (pgm.beliefs.moments.solvers.run) was due"
+                )
+            return schedule.solver(graph, schedule)
         require_known(schedule, "the solver of its base")
     for each in type(schedule).__mro__:
         if each in SOLVERS:
