@@ -59,7 +59,7 @@ class EvidenceError(PgmError, ValueError):
 
 
 class Unanswered(EvidenceError, AttributeError):
-    """What a family of beliefs has not; an `AttributeError` too, so that `hasattr` says False."""
+    """A question without answer in a family; an `AttributeError` too: `hasattr` says False."""
 
 
 class LinearisationError(PgmError, ValueError):

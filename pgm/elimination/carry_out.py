@@ -93,12 +93,14 @@ class Calibrated(Generic[F]):
 
         The latter is None of a root, whose result no step takes.
         """
-        algebra, steps, takers = self.algebra, self.plan.steps, self.plan.takers
-        joints: dict[int, F] = {}
+        algebra, steps, first = self.algebra, self.plan.steps, len(self.plan.scopes)
+        # Of each step whose result was taken, the joint of what it leaves.
+        waiting: dict[int, F] = {}
         for number in range(len(steps) - 1, -1, -1):
-            step, taker, outside = steps[number], takers[number], None
-            if taker >= 0:
-                outside = algebra.total(joints[taker], steps[taker].scope, step.left)
+            step, outside = steps[number], waiting.pop(number, None)
             joint = algebra.joint(step, self.products[number], self.totals[number], outside)
-            joints[number] = joint
+            for factor in step.factors:
+                if factor >= first:
+                    child = factor - first
+                    waiting[child] = algebra.total(joint, step.scope, steps[child].left)
             yield step, joint, outside

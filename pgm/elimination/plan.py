@@ -62,19 +62,11 @@ class Plan:
     wanted: Scope
 
     @cached_property
-    def takers(self) -> list[int]:
-        """The step that takes the result of each step, by number; −1 of a root's."""
-        first, found = len(self.scopes), [-1] * len(self.steps)
-        for number, step in enumerate(self.steps):
-            for factor in step.factors:
-                if factor >= first:
-                    found[factor - first] = number
-        return found
-
-    @property
     def roots(self) -> list[int]:
         """The steps whose results no step takes, by number: of several trees, one of each."""
-        return [number for number, taker in enumerate(self.takers) if taker < 0]
+        first = len(self.scopes)
+        taken = {k - first for step in self.steps for k in step.factors if k >= first}
+        return [number for number in range(len(self.steps)) if number not in taken]
 
     @cached_property
     def maps(self) -> frozenset[int]:

@@ -62,7 +62,7 @@ def take(parts: Segments, steps: slice) -> Segments:
 
 
 def in_chunks(kernel: Callable[..., Any], *stacks: Any) -> Any:
-    """What a kernel returns for named tuples of stacks, computed a chunk of steps at a time.
+    """Results of a kernel for named tuples of stacks, computed a chunk of steps at a time.
 
     A chunk is so short that its arrays stay in the processor's cache. `stacks` are named tuples of
     the same steps and runs; `kernel` takes them all, cut to a chunk, and returns one named tuple.

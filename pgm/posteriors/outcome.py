@@ -135,7 +135,7 @@ class Outcome(Shown, ABC, Generic[B]):
         return ()
 
     def slices(self, span: range, room: Room) -> ShownSlices:
-        """What a page shows of the slices of these steps, of beliefs over time.
+        """The slices of these steps of beliefs over time, as a page shows them.
 
         Unless a family has messages to show, that is the marginals of variables that have moments.
         """

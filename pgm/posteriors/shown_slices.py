@@ -1,4 +1,4 @@
-"""What a page shows of a chain's slices: arrays of each run, with a row a step."""
+"""Slices of a chain as a page shows them: arrays of each run, with a row a step."""
 
 from __future__ import annotations
 

@@ -366,7 +366,7 @@ class Loopy(InCode):
         raise ModelError(f"{self!r} has no turns(messages), which gives the order of its messages")
 
     def _step(self, messages: Messages[Any]) -> Step:
-        """What sends a round of these messages."""
+        """The `Step` that sends a round of these messages."""
         return in_turn(messages, self.turns(messages.directed), self)
 
 
@@ -480,7 +480,7 @@ class Residual(Loopy):
     """
 
     def _step(self, messages: Messages[Any]) -> Step:
-        """What sends a round of messages in an order that depends on their changes."""
+        """The `Step` that sends messages in an order that depends on their changes."""
         if type(self).turns is not Loopy.turns:
             raise ModelError(
                 f"{self!r} has turns(messages), and the order of a Residual follows from the "

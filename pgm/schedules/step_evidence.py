@@ -30,7 +30,7 @@ from pgm.variables import Discrete, Variable
 
 
 class Place(Protocol):
-    """What the evidence of a step has to know of a belief: its step, its runs, the steps behind it.
+    """The place of a belief, for the evidence of a step: its step, runs, and steps behind it.
 
     Beliefs of any kind have these. It is no *place* of an array.
     """

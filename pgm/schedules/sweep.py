@@ -48,7 +48,7 @@ class Backwards(Protocol[B]):
     """
 
     def back(self, step: int, belief: B) -> B:
-        """What flows back to a step, from `belief`, that of the step after."""
+        """The belief of a step that flows back from `belief`, that of the step after."""
 
 
 def forward(family: Onwards[B], steps: int, record: Record[B]) -> None:

@@ -120,7 +120,7 @@ def _shown(graph: ClusterGraph, limits: Limits) -> tuple[list[int], str | None]:
 
 
 def _told(value: Any) -> str:
-    """What was entered of a variable, as text."""
+    """The evidence of a variable, as text."""
     if value is None:
         return "not observed"
     return value if isinstance(value, str) else listed(value)

@@ -1,4 +1,4 @@
-"""What the user gets from inference in a discrete network: tables given the evidence.
+"""Results of inference in a discrete network: tables given the evidence.
 
 These are marginals and joints of variables; messages, beliefs and potentials of clusters; and
 ln p(evidence). They are read from beliefs that exact inference on a tree, or a schedule of messages

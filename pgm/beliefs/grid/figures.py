@@ -267,7 +267,7 @@ class GridFigures(Figures):
 
     @property
     def phrases(self) -> list[str]:
-        """What is worth telling when the status is shown, in phrases such as "outside 0.01".
+        """Phrases of the status as it is shown, such as "outside 0.01".
 
         The first is the probability that has left the bounds, the largest of all runs.
         """

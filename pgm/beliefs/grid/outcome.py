@@ -1,4 +1,4 @@
-"""What filters and smoothers on a grid keep: the states' beliefs and the log-evidence."""
+"""Outcomes of filters and smoothers on a grid: the states' beliefs and the log-evidence."""
 
 from __future__ import annotations
 

@@ -103,7 +103,7 @@ class StateOutcome(Outcome[Table]):
         return self._chain.slices.lead
 
     def slices(self, span: range, room: Room) -> ShownTables:
-        """What a page shows of the slices of these steps."""
+        """The slices of these steps, as a page shows them."""
         return ShownTables(self, span, room)
 
     def __getitem__(self, variable: Variable) -> Table:

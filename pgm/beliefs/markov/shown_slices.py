@@ -1,4 +1,4 @@
-"""What a page shows of a chain of tables: beliefs, messages and potentials at some steps."""
+"""Tables of a chain as a page shows them: beliefs, messages and potentials at some steps."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ _CODE = (type, ModuleType, FunctionType, MethodType)
 
 
 def kept(family: BeliefFamily[Any], method: str, belief: Any) -> Any:
-    """What a family's method has returned, as it is kept: see `closed`.
+    """The belief that a family's method has returned, as it is kept: see `closed`.
 
     None, as of a method that returns nothing, and what cannot be copied are refused by a
     ModelError.

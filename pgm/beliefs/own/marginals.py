@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Asked(InCode):
-    """What is asked of a family's beliefs: the marginal of some variables, at one step or at many.
+    """A question to a family's beliefs: the marginal of some variables, at one step or at many.
 
     Attributes
     ----------

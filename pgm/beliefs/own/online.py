@@ -82,7 +82,7 @@ class OnlineOwnBelief(OnlineBelief):
         return with_moments(self._family, shown(self._family, [self.value], asked), asked)
 
     def _asked(self, variable: Variable) -> Asked:
-        """What is asked of the belief, by a hidden variable, which has to be of its step."""
+        """The question to the belief, by a hidden variable, which has to be of its step."""
         variable = self._hidden.require(variable)
         scope = (variable.template,)
         if variable.step not in (None, self.step) or scope[0] not in self._over:

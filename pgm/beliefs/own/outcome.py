@@ -1,4 +1,4 @@
-"""What a user's own family of beliefs keeps: its beliefs of all steps, and the marginals shown."""
+"""Outcomes of a user's own family of beliefs: its beliefs of all steps, and the marginals shown."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Hidden(NamedTuple):
         return variable
 
     def asked(self, scope: Scope, lead: tuple[int, ...], steps: Integers | None) -> Asked:
-        """What is asked of beliefs, by the scope of a marginal, the axes of runs, and the steps."""
+        """The question to beliefs, by the scope of a marginal, the axes of runs, and the steps."""
         each = [np.arange(p.start, p.stop) for p in (self.places[v.template] for v in scope)]
         return Asked(scope, np.concatenate(each), lead, steps, self.size)
 

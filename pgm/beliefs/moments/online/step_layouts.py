@@ -87,7 +87,7 @@ class Layouts:
         self._known: dict[Key, _Layout] = {}
 
     def motion(self, belief: MomentBelief, inputs: Values) -> tuple[MomentChain, list[At]] | None:
-        """What makes a prediction: its `MomentChain`, and its transition CPDs bound to the inputs.
+        """The `MomentChain` of a prediction, and its transition CPDs bound to the inputs.
 
         The chain belongs to the kept plan of the inputs' kind. None where the general way is to be
         taken: values have no kind, or a noise that depends on inputs is singular.
@@ -105,7 +105,7 @@ class Layouts:
     def sensors(
         self, belief: MomentBelief, readings: Values
     ) -> tuple[MomentChain, list[Reading]] | None:
-        """What makes an update: its `MomentChain`, and sensors' CPDs bound to their readings.
+        """The `MomentChain` of an update, and sensors' CPDs bound to their readings.
 
         The chain belongs to the kept plan of the readings' kind. None where the general way is to
         be taken: values have no kind, or a noise that depends on inputs is singular.

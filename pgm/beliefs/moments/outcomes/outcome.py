@@ -114,7 +114,7 @@ class ChainOutcome(Innovated, Outcome[Gaussian]):
     associations: Found = field(default_factory=dict)
 
     def slices(self, span: range, room: Room) -> ShownMoments:
-        """What a page shows of the slices of these steps."""
+        """The slices of these steps, as a page shows them."""
         return ShownMoments(self, span, room)
 
     def __getitem__(self, variable: Variable) -> Gaussian:

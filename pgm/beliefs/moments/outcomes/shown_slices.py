@@ -1,4 +1,4 @@
-"""What a page shows of a Gaussian chain: beliefs, messages and potentials, in batched calls."""
+"""A Gaussian chain as a page shows it: beliefs, messages and potentials, in batched calls."""
 
 from __future__ import annotations
 

@@ -182,7 +182,7 @@ class Reverse:
 
 
 class _Step(NamedTuple):
-    """What Bayes' rule needs to reverse the transitions from steps t to t + 1, t = 0..T − 1.
+    """The quantities of Bayes' rule that reverse transitions from t to t + 1, t = 0..T − 1.
 
     `mean` (T, runs, m) and `cov` (T, runs, m, m) are the filtered moments of the states at t, of m
     components. `matrix` (T, runs, n, m) and the covariance `noise` (T, runs, n, n) are those of the

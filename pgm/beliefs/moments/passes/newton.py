@@ -128,7 +128,7 @@ class _Precision(NamedTuple):
 
 
 class _Terms(NamedTuple):
-    """What transitions x[t] = F x[t − 1] + b + noise add to the normal equations.
+    """The terms of transitions x[t] = F x[t − 1] + b + noise in the normal equations.
 
     W is the inverse covariance of the noise. `before` is Fᵀ W F and `across` is W F, both
     (steps, runs, n, n); `right_before` is Fᵀ W b and `right_after` is W b, both (steps, runs, n).
