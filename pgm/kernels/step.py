@@ -1,0 +1,204 @@
+r"""The steps of a Gaussian chain, each written once, over matrices of any numbers.
+
+A belief is N(m, P), a mean m (n × 1) and a covariance P (n × n). A motion is y = F x + b + e,
+e ~ N(0, N), and a measurement z = H x + v, v ~ N(0, R), of d components, with the residual
+r = z − H m. See `numbers` for what a matrix is here; here are the formulas, and their order of
+sums. What counts as rounding, and where to go on with more care, is decided by those who call:
+each result tells the *share* of its root, the least part of a diagonal entry that is left to a
+pivot.
+
+The Kalman filter is `predict` and `update`; the smoother of Rauch, Tung and Striebel goes back by
+`back`, or by `reverse` and `push`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from pgm.kernels.numbers import (
+    Matrix,
+    Number,
+    inner,
+    is_zero,
+    most,
+    nearest_whole,
+    sqrt,
+    where,
+)
+
+TURN = 2.0 * math.pi
+# A matrix of numbers of any kind; the kinds have their operations in common, and no class.
+AnyMatrix = Any
+
+
+def predict(cov: AnyMatrix, matrix: AnyMatrix, noise: AnyMatrix) -> AnyMatrix:
+    """The covariance F P Fᵀ + N of y = F x + b + e."""
+    return (matrix @ cov).times(matrix) + noise
+
+
+def push(
+    mean: AnyMatrix, cov: AnyMatrix, matrix: AnyMatrix, offset: AnyMatrix, noise: AnyMatrix
+) -> tuple[AnyMatrix, AnyMatrix]:
+    """The mean F m + b and the covariance F P Fᵀ + N of y = F x + b + e."""
+    return matrix @ mean + offset, predict(cov, matrix, noise)
+
+
+def squares(cov: AnyMatrix, gain: AnyMatrix, matrix: AnyMatrix, noise: AnyMatrix) -> AnyMatrix:
+    """The covariance (I − G H) P (I − G H)ᵀ + G R Gᵀ of x − G (z − H m), for any gain G.
+
+    It is a sum of squares, which loses no digits (Bucy and Joseph, 1968).
+    """
+    keep = (gain @ matrix).one_minus()
+    return (keep @ cov).times(keep) + (gain @ noise).times(gain)
+
+
+class Updated(NamedTuple):
+    """A belief given a measurement, and what tells how likely that was.
+
+    `square` is rᵀ S⁻¹ r and `volume` ln |S| / 2, so that the measurement's log-density is
+    −(square + d ln 2π) / 2 − volume; `share` is that of the root of S = H P Hᵀ + R.
+    """
+
+    mean: AnyMatrix
+    cov: AnyMatrix
+    square: Number
+    volume: Number
+    share: Number
+
+
+def update(
+    mean: AnyMatrix, cov: AnyMatrix, matrix: AnyMatrix, residual: AnyMatrix, noise: AnyMatrix
+) -> Updated:
+    """Bayes' rule for a measurement: m + G r, with the gain G = P Hᵀ S⁻¹, and P by `squares`."""
+    cross = matrix @ cov
+    root = (cross.times(matrix) + noise).root()
+    white = root.solve(residual)
+    gain = root.solve_transposed(root.solve(cross)).T
+    after = squares(cov, gain, matrix, noise)
+    return Updated(mean + gain @ residual, after, (white.T @ white)[0, 0], root.volume, root.share)
+
+
+def gain_back(cov: AnyMatrix, matrix: AnyMatrix, later: AnyMatrix) -> tuple[AnyMatrix, Number]:
+    """The gain G = P Fᵀ Q⁻¹ of the smoother, Q = `later` being F P Fᵀ + N; and the share of Q."""
+    root = later.root()
+    return root.solve_transposed(root.solve(matrix @ cov)).T, root.share
+
+
+class Reversed(NamedTuple):
+    """Bayes' rule for a motion: x = G y + offset + e, e ~ N(0, cov); the share of y's covariance."""
+
+    gain: AnyMatrix
+    offset: AnyMatrix
+    cov: AnyMatrix
+    share: Number
+
+
+def reverse(
+    mean: AnyMatrix,
+    cov: AnyMatrix,
+    matrix: AnyMatrix,
+    noise: AnyMatrix,
+    later_mean: AnyMatrix,
+    later_cov: AnyMatrix,
+) -> Reversed:
+    """The motion y = F x + b + e reversed: p(x | y), from x ~ N(m, P) and y's own prediction."""
+    gain, share = gain_back(cov, matrix, later_cov)
+    return Reversed(gain, mean - gain @ later_mean, squares(cov, gain, matrix, noise), share)
+
+
+def extend(
+    cov: AnyMatrix, parents: Sequence[int], matrix: AnyMatrix, noise: AnyMatrix
+) -> AnyMatrix:
+    """The covariance of (x, y) for y = F x[parents] + b + e, from that of x."""
+    every = range(cov.shape[0])
+    own = predict(cov.part(parents, parents), matrix, noise)
+    return cov.bordered(matrix @ cov.part(parents, every), own)
+
+
+class Seen(NamedTuple):
+    """A measurement's residual, H and R, in which missing components say nothing."""
+
+    residual: AnyMatrix
+    matrix: AnyMatrix
+    noise: AnyMatrix
+
+
+def seen(known: Sequence[Number], residual: Matrix, matrix: Matrix, noise: Matrix) -> Seen:
+    """A measurement in which components that are not `known` are as readings of unit noise alone."""
+    size = range(len(known))
+    rest = [where(known[i], residual[i, 0], 0.0) for i in size]
+    slope = [[h if is_zero(h) else where(known[i], h, 0.0) for h in matrix.rows[i]] for i in size]
+
+    def entry(i: int, j: int) -> Number:
+        if i == j:
+            return where(known[i], noise[i, i], 1.0)
+        r = noise[i, j]
+        return r if is_zero(r) else where(known[i], where(known[j], r, 0.0), 0.0)
+
+    spread = Matrix([entry(i, j) for j in size] for i in size)
+    return Seen(Matrix.column(rest), Matrix(slope), spread)
+
+
+def nearest(reading: Number, value: Number) -> Number:
+    """An angle's reading on the branch nearest to a value: moved by whole turns, if it is far."""
+    off = reading - value
+    return where(abs(off) > math.pi, reading - TURN * nearest_whole(off / TURN), reading)
+
+
+def spread(terms: Sequence[Number], cov: Matrix) -> Number:
+    """The bound Σ |f_j| σ_j of a standard deviation of f x, by the deviations σ of x alone."""
+    return inner([abs(f) for f in terms], [sqrt(most(v, 0.0)) for v in cov.diagonal])
+
+
+class Rule(NamedTuple):
+    """Sigma points of a standard normal vector, as constant matrices of the kind at hand.
+
+    `points` are the points s, row by row (N × n), of the mean 0 and the covariance I; `weights`
+    those of means (1 × N), `balance` those of covariances, on a diagonal (N × N), and `ones` is a
+    column of ones (N × 1).
+    """
+
+    points: AnyMatrix
+    weights: AnyMatrix
+    balance: AnyMatrix
+    ones: AnyMatrix
+
+
+class Regressed(NamedTuple):
+    """The line F (x − m) + value of a statistical linear regression, and its error's covariance."""
+
+    matrix: AnyMatrix
+    value: AnyMatrix
+    error: AnyMatrix
+
+
+def regress(root: Any, rule: Rule, values: AnyMatrix) -> Regressed:
+    """The regression of a function's values Y (N × d) at the points m + L s, for the root L of P.
+
+    With the mean μ = w Y and the moment J = Σ wᵢ sᵢ (Yᵢ − μ)ᵀ the slope F solves F L = Jᵀ; the
+    error is the spread of the values about the line, Σ wᵢ (Yᵢ − μ − Jᵀ sᵢ)(Yᵢ − μ − Jᵀ sᵢ)ᵀ.
+    """
+    mean = rule.weights @ values
+    off = values - rule.ones @ mean
+    moment = (rule.points.T @ rule.balance) @ off
+    left = (off - rule.points @ moment).T
+    error = (left @ rule.balance).times(left)
+    return Regressed(root.solve_transposed(moment).T, mean.T, error)
+
+
+def weighed_square(
+    residual: AnyMatrix, noise: AnyMatrix, matrix: AnyMatrix = None, cov: AnyMatrix = None
+) -> Number:
+    """The square rᵀ R⁻¹ r of a residual by its noise, of which robust weights are functions.
+
+    Given H and P it is the square that is expected under a belief, with tr R⁻¹ H P Hᵀ besides.
+    """
+    root = noise.root()
+    white = root.solve(residual)
+    total = (white.T @ white)[0, 0]
+    if matrix is None:
+        return total
+    rows = root.solve(matrix)
+    return total + sum((rows @ cov).times(rows).diagonal)
