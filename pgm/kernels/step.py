@@ -87,7 +87,7 @@ def gain_back(cov: AnyMatrix, matrix: AnyMatrix, later: AnyMatrix) -> tuple[AnyM
 
 
 class Reversed(NamedTuple):
-    """Bayes' rule for a motion: x = G y + offset + e, e ~ N(0, cov); the share of y's covariance."""
+    """A motion reversed: x = G y + offset + e, e ~ N(0, cov); and the share of the root of Q."""
 
     gain: AnyMatrix
     offset: AnyMatrix
@@ -126,7 +126,7 @@ class Seen(NamedTuple):
 
 
 def seen(known: Sequence[Number], residual: Matrix, matrix: Matrix, noise: Matrix) -> Seen:
-    """A measurement in which components that are not `known` are as readings of unit noise alone."""
+    """A measurement in which components that are not `known` are readings of unit noise alone."""
     size = range(len(known))
     rest = [where(known[i], residual[i, 0], 0.0) for i in size]
     slope = [[h if is_zero(h) else where(known[i], h, 0.0) for h in matrix.rows[i]] for i in size]
