@@ -15,6 +15,7 @@ of NumPy's that has this name, and ``x.choose(truth, a, b)``, one or the other b
 from __future__ import annotations
 
 import math
+from math import prod
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -192,7 +193,7 @@ class Root:
             for j in range(i):
                 known.append((row[j] - inner(known, self.lower[j][:j])) * self.over[j])
             pivot = row[i] - inner(known, known)
-            self.share = least(pivot * inverse(row[i]), self.share) if i else 1.0 + 0.0 * pivot
+            self.share = least(pivot * inverse(abs(row[i])), self.share)
             known.append(sqrt(pivot))
             self.over.append(inverse(known[i]))
             self.lower.append(known)
@@ -200,9 +201,11 @@ class Root:
     @property
     def volume(self) -> Number:
         """The logarithm of |L|, half of that of |A|."""
+        # By pairs: no product of two roots is too small or too large a number.
+        pivots = [row[i] for i, row in enumerate(self.lower)]
         total: Number = 0.0
-        for i, row in enumerate(self.lower):
-            total = total + log(row[i])
+        for k in range(0, len(pivots), 2):
+            total = total + log(prod(pivots[k : k + 2]))
         return total
 
     @property

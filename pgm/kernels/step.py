@@ -153,39 +153,61 @@ def spread(terms: Sequence[Number], cov: Matrix) -> Number:
 
 
 class Rule(NamedTuple):
-    """Sigma points of a standard normal vector, as constant matrices of the kind at hand.
+    """A rule's regression on its N fixed points, as constant matrices of the kind at hand.
 
-    `points` are the points s, row by row (N × n), of the mean 0 and the covariance I; `weights`
-    those of means (1 × N), `balance` those of covariances, on a diagonal (N × N), and `ones` is a
-    column of ones (N × 1).
+    Products with the values Y (N × d) are: `mean` (1 × N) the line's value at the mean; `slope`
+    (n × N) its slope along the points; `rest` (K × N) rows R by which the covariance of what the
+    line leaves is Rᵀ diag(signs) R, `signs` (K × K) being a diagonal of ±1, or None for I.
     """
 
-    points: AnyMatrix
-    weights: AnyMatrix
-    balance: AnyMatrix
-    ones: AnyMatrix
+    mean: AnyMatrix
+    slope: AnyMatrix
+    rest: AnyMatrix
+    signs: AnyMatrix | None
 
 
 class Regressed(NamedTuple):
-    """The line F (x − m) + value of a statistical linear regression, and its error's covariance."""
+    """The line F (x − m) + value of a statistical linear regression, and its error's covariance.
+
+    `moment` is (F L)ᵀ (n × d), the slope along the points.
+    """
 
     matrix: AnyMatrix
     value: AnyMatrix
     error: AnyMatrix
+    moment: AnyMatrix
 
 
 def regress(root: Any, rule: Rule, values: AnyMatrix) -> Regressed:
     """The regression of a function's values Y (N × d) at the points m + L s, for the root L of P.
 
-    With the mean μ = w Y and the moment J = Σ wᵢ sᵢ (Yᵢ − μ)ᵀ the slope F solves F L = Jᵀ; the
-    error is the spread of the values about the line, Σ wᵢ (Yᵢ − μ − Jᵀ sᵢ)(Yᵢ − μ − Jᵀ sᵢ)ᵀ.
+    The slope F solves F L = Jᵀ, J being the slope along the points s.
     """
-    mean = rule.weights @ values
-    off = values - rule.ones @ mean
-    moment = (rule.points.T @ rule.balance) @ off
-    left = (off - rule.points @ moment).T
-    error = (left @ rule.balance).times(left)
-    return Regressed(root.solve_transposed(moment).T, mean.T, error)
+    moment = rule.slope @ values
+    left = (rule.rest @ values).T
+    error = left.times(left) if rule.signs is None else (left @ rule.signs).times(left)
+    mean = (rule.mean @ values).T
+    return Regressed(root.solve_transposed(moment).T, mean, error, moment)
+
+
+def open_share(cov: Matrix) -> Number:
+    """The least share of a component's variance that the components before it leave open.
+
+    Components without a variance do not count; a share below zero is rounding, or worse.
+    """
+    least_share: Number = 1.0
+    unit: list[list[Number]] = []  # of P = U D Uᵀ
+    pivots: list[Number] = []
+    for i, row in enumerate(cov.rows):
+        parts: list[Number] = []  # of U D
+        for j in range(i):
+            parts.append(row[j] - inner(parts, unit[j]))
+        unit.append([part / pivot for part, pivot in zip(parts, pivots, strict=True)])
+        rest, none = row[i] - inner(parts, unit[i]), row[i] == 0.0
+        pivots.append(where(none, 1.0, rest))
+        share = where(none, 1.0, rest / where(none, 1.0, abs(row[i])))
+        least_share = where(share > least_share, least_share, share)
+    return least_share
 
 
 def weighed_square(

@@ -1,63 +1,98 @@
-"""Functions of CPDs in machine code, by their addresses."""
+"""Functions of CPDs, and the points of their rules, as machine code is told of them."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
-from pgm.linearisers import FunctionTemplate
+from pgm.compile.machine import rule_told
+from pgm.kernels.arrays import Array
+from pgm.kernels.machine import told
+from pgm.linearisation.family import Family
+from pgm.linearisers import FunctionTemplate, Taylor
+from pgm.linearisers.points import Points
+from pgm.linearisers.regression import StatisticalRegression
 from pgm.tracing import Program
-from pgm.tracing.compiled import compiled as machine_code
+
+# Entries of a regression that are rounding of zero, as a part of the largest of their row.
+_NOTHING = 1e-15
 
 
-class Functions(NamedTuple):
-    """The addresses of a CPD's function, by itself and with its derivative.
+def function_of(template: FunctionTemplate, trace: Program) -> told.Function:
+    """A function with its whole derivative: given parts from the trace, and its own of the rest.
 
-    Both are called as ``f(x, u, apart, value, slope)``, with the stacked hidden parents x and the
-    stacked others u; rows of the derivative of one run are padded with zeros to whole fours, as
-    kernels have them. `kept` keeps both in memory; they may be one, where the function by itself is
-    hardly called. `trace` is of the function together with the derivatives that were given.
+    `trace` is that of the value, followed by the derivatives that were given.
     """
-
-    value: int
-    slope: int
-    kept: tuple[Any, ...]
-    trace: Program
-
-
-def compiled(
-    template: FunctionTemplate,
-    trace: Program,
-    before: Functions | None,
-    *,
-    alone: bool,
-    together: bool = False,
-) -> Functions:
-    """Compile a function, if its trace is not that of before.
-
-    `alone` says whether its values are needed by themselves, as on points; `together`, whether it
-    is of packs of runs.
-    """
-    if before and before.trace is trace and (not alone or len(before.kept) > 1):
-        return before
-    program = _program(template, trace, per_row=1 if together else 4)
-    kept = [machine_code(program, together=together)]
-    if alone:
-        kept.append(machine_code(replace(program, slope=()), together=together))
-    return Functions(kept[-1].address, kept[0].address, tuple(kept), trace)
+    known = template.compiled.get(trace)
+    if known is None:
+        known = template.compiled[trace] = _function(template, trace)
+    return known
 
 
-def _program(template: FunctionTemplate, trace: Program, per_row: int) -> Program:
-    """The value and the whole derivative: given parts from the trace, and its own of the rest."""
+def _function(template: FunctionTemplate, trace: Program) -> told.Function:
     height, size = template.height, template.size
     alone = trace.by(template.missing_columns, height)
-    slope = np.full((height, size + -size % per_row), None)
-    slope[:, template.missing] = np.reshape(np.array(alone.slope), (height, -1))
+    slope: list[list[int | None]] = [[None] * size for _ in range(height)]
+    for i in range(height):
+        for j, column in enumerate(template.missing):
+            slope[i][column] = alone.slope[i * len(template.missing) + j]
     first = height
     for _, width, place, jacobian in template.derivatives:
         if jacobian is not None:
-            given = np.reshape(trace.value[first : first + height * width], (height, width))
-            slope[:, place], first = given, first + height * width
-    return replace(alone, columns=template.columns, slope=tuple(slope.ravel().tolist()))
+            for i in range(height):
+                slope[i][place] = trace.value[first + i * width : first + (i + 1) * width]
+            first += height * width
+    flat = [number for row in slope for number in row]
+    due = [*alone.value[:height], *(k for k in flat if k is not None)]
+    order = alone.graph.reachable(due)
+    new = {number: k for k, number in enumerate(order)}
+    operations = []
+    for number in order:
+        name, *operands = alone.graph.operations[number]
+        plain = name in ("constant", "input")
+        operations.append((name, *(operands if plain else (new[k] for k in operands))))
+    hidden = template.columns
+    every = [(a, i) for a, width in enumerate(trace.widths) for i in range(width)]
+    return told.Function(
+        tuple(operations),
+        tuple(new[k] for k in alone.value[:height]),
+        tuple(None if k is None else new[k] for k in flat),
+        tuple(hidden),
+        tuple(column for column in every if column not in hidden),
+    )
+
+
+def points_of(family: Family) -> told.Points | str | None:
+    """The points by which a CPD is linearised, None of `Taylor`; or why they are not compiled."""
+    template, rule = family.template, family.lineariser
+    assert template is not None
+    if not family.hidden or type(rule) is Taylor:
+        return None
+    why = rule_told(rule, template)
+    if why is not None:
+        return why
+    assert isinstance(rule, StatisticalRegression)
+    return _points(rule, template.size, template.child.name, template.variances)
+
+
+@lru_cache(maxsize=256)
+def _points(
+    rule: StatisticalRegression, size: int, name: str, variances: Sequence[float]
+) -> told.Points:
+    points: Points = rule.points(size, name, 0)
+    fit = points.fit
+    rows = np.where(abs(fit.rows) > _NOTHING * abs(fit.rows).max(axis=1, keepdims=True), fit.rows, 0.0)
+    return told.Points(
+        _told(points.points),
+        *map(_told, np.split(rows, [1, 1 + size])),
+        () if fit.signs is None else tuple(fit.signs.tolist()),
+        points.centred,
+        points.fitted_rounding,
+        tuple(map(float, variances)),
+    )
+
+
+def _told(matrix: Array) -> told.Rows:
+    return tuple(tuple(row) for row in matrix.tolist())

@@ -15,8 +15,8 @@ from math import prod
 
 import numpy as np
 
-from pgm.beliefs.moments.compiled.sweep import Chain
-from pgm.beliefs.moments.compiled.table import Integers64, Uncompiled
+from pgm.beliefs.moments.compiled.numba_chain import Chain
+from pgm.beliefs.moments.compiled.numba_table import Integers64, Uncompiled
 from pgm.beliefs.moments.digits.close_points import families, largest
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.cpds import AffineCPD

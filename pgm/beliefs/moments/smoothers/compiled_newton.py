@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pgm.beliefs.moments.compiled.sweep import Chain
-from pgm.beliefs.moments.compiled.table import Integers64, Rows, Uncompiled, address, at_least
+from pgm.beliefs.moments.compiled.numba_chain import Chain
+from pgm.beliefs.moments.compiled.numba_table import Integers64, Rows, Uncompiled, address, at_least
 from pgm.beliefs.moments.passes.newton import Means, precision
 from pgm.beliefs.moments.steps.chain import MomentChain
 from pgm.beliefs.moments.steps.plan import ChainPlan

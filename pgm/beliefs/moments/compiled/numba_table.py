@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pgm.beliefs.moments.compiled.functions import compiled
+from pgm.beliefs.moments.compiled.numba_functions import compiled
+from pgm.beliefs.moments.compiled.plans import Uncompiled
 from pgm.beliefs.moments.steps.plan import ChainPlan, Link
 from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.compile.machine import GATE, MOST, rule_told
@@ -24,8 +25,6 @@ from pgm.linearisers.regression import StatisticalRegression
 Integers64 = npt.NDArray[np.int64]
 
 
-class Uncompiled(Exception):
-    """A plan that machine code cannot sweep, and why."""
 
 
 def address(array: npt.NDArray[Any]) -> int:

@@ -1,0 +1,97 @@
+"""The slice of a step predicted from the one before."""
+
+from __future__ import annotations
+
+from math import pi
+from typing import Any, NamedTuple
+
+from pgm.kernels import step
+from pgm.kernels.machine.cpd import Line, evaluated, keep, linearised
+from pgm.kernels.machine.numbers import Number
+from pgm.kernels.machine.told import Forward, Motion
+from pgm.kernels.machine.wholes import Whole
+from pgm.kernels.machine.writer import Writer
+from pgm.kernels.numbers import Matrix, nearest_whole, where
+
+# As of `gaussian` and `moments`.
+_ROUNDING, _NEGLIGIBLE = 1e-14, 1e-13
+
+
+class Predicted(NamedTuple):
+    """The moments of a slice, and whether they are right, so far as can be told."""
+
+    mean: Matrix
+    cov: Matrix
+    sure: Number
+
+
+def predicted(w: Writer, chain: Forward, at: Whole, mean: Matrix, cov: Matrix) -> Predicted:
+    """The slice at a row of the transition, from the moments of the slice before."""
+    if chain.single:
+        motion = chain.motions[0]
+        line = _line(w, motion, at, mean, mean, cov)
+        after = step.predict(cov, line.matrix, line.noise)
+        return Predicted(line.value, after, line.sure & _is_certain(motion, line, cov, after))
+    front = chain.states
+    pair, joint = mean.part(front, (0,)), cov.part(front, front)
+    sure = w.true
+    for motion in chain.motions:
+        x, block = pair.part(motion.parents, (0,)), joint.part(motion.parents, motion.parents)
+        line = _line(w, motion, at, pair, x, block)
+        joint = step.extend(joint, motion.parents, line.matrix, line.noise)
+        own = joint.part(*([range(pair.shape[0], joint.shape[0])] * 2))
+        sure = sure & line.sure & _is_certain(motion, line, block, own)
+        pair = Matrix([*pair.rows, *line.value.rows])
+    own = range(len(front), pair.shape[0])
+    return Predicted(pair.part(own, (0,)), joint.part(own, own), sure)
+
+
+def _line(
+    w: Writer, motion: Motion, at: Whole, before: Matrix, mean: Matrix, cov: Matrix
+) -> Line:
+    """A CPD linearised, with its angles on the chart of those `before`, and kept."""
+    line = linearised(w, motion, at, mean, cov)
+    if motion.turning:
+        line = line._replace(value=_on_chart(w, motion, at, before, mean, line.value))
+    keep(w, motion, at, mean, line)
+    return line
+
+
+def _on_chart(
+    w: Writer, motion: Motion, at: Whole, before: Matrix, mean: Matrix, value: Matrix
+) -> Matrix:
+    """A value without the whole turns by which a function wraps its angles.
+
+    They are counted from the step before. A function that wraps gives the same for angles a whole
+    turn on; another turns too.
+    """
+    found: list[Any] = [number for (number,) in value.rows]
+    near = w.true
+    for new, old, _ in motion.turning:
+        near = near & (abs(found[new] - before[old, 0]) <= pi)
+    held = {new: w.code.variable(found[new]) for new, _, _ in motion.turning}
+    with w.code.when(~w.code.every(near)):
+        x = [number for (number,) in mean.rows]
+        here, _ = evaluated(w, motion, at, x)
+        for _, _, own in motion.turning:
+            x[own] = x[own] + step.TURN
+        further, _ = evaluated(w, motion, at, x)
+        for new, old, _ in motion.turning:
+            turns = nearest_whole((found[new] - before[old, 0]) / step.TURN)
+            wraps = abs(further[new] - here[new]) < pi
+            held[new].set(where(wraps, found[new] - step.TURN * turns, found[new]))
+    for new, variable in held.items():
+        found[new] = variable.get()
+    return Matrix.column(found)
+
+
+def _is_certain(motion: Motion, line: Line, cov: Matrix, own: Matrix) -> Number:
+    """Whether zeros of components without noise need not be told from rounding."""
+    sure = line.sure
+    if line.matrix.shape[1]:
+        for i in motion.bare:
+            size = step.spread(line.matrix.rows[i], cov)
+            sure = sure & (own[i, i] > _ROUNDING * size * size)
+    if motion.unsure:
+        sure = sure & (own.root().share > _NEGLIGIBLE)
+    return sure

@@ -1,0 +1,137 @@
+"""Sweeps of a chain in machine code, forward and back, written for it and compiled once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+from typing import Any
+
+from pgm.kernels import step
+from pgm.kernels.machine.kinds import ADDRESS, WHOLE
+from pgm.kernels.machine.module import Module
+from pgm.kernels.machine.motion import predicted
+from pgm.kernels.machine.reading import taken
+from pgm.kernels.machine.told import Backward, Forward
+from pgm.kernels.machine.watch import Watch
+from pgm.kernels.machine.wholes import Whole
+from pgm.kernels.machine.writer import Carried, Writer
+from pgm.kernels.numbers import Matrix, where
+
+# Runs that are swept together, as the lanes of packs.
+LANES = 8
+# What a sweep tells of each run: whether it is left to be swept with more care, the least share of
+# a variance, and whether a mean is far from zero.
+LEFT, CLOSEST, FAR = range(3)
+TOLD = 3
+# A number from which on little or nothing can be told.
+_LARGEST = 1e150
+# The least share of a root on the way back, as of `backward`.
+_CORRELATED = 3e-5
+
+Sweep = Callable[[int, int, int], None]
+
+
+@lru_cache(maxsize=128)
+def made(chain: Forward | Backward, lanes: int) -> Sweep:
+    """The sweep of a chain, of single runs or of packs: ``sweep(table, first, last)``.
+
+    It sweeps the runs from `first` to below `last`, of which there are as many as lanes at least.
+    """
+    module = Module()
+    code = module.function("sweep", (ADDRESS, WHOLE, WHOLE), lanes=lanes)
+    table, first, last = code.arguments
+    w = Writer(code, table, chain)
+    with _runs(w, first, last):
+        if isinstance(chain, Forward):
+            _forward(w, chain)
+        else:
+            _backward(w, chain)
+    return module.compile().callable("sweep")
+
+
+@contextmanager
+def _runs(w: Writer, first: Whole, last: Whole) -> Iterator[None]:
+    """The runs of a call, one after another, or pack by pack: the last may share runs."""
+    code = w.code
+    with code.loop((last - first + (code.lanes - 1)) // code.lanes) as k:
+        run = code.variable(first + k * code.lanes)
+        with code.when(run.get() > last - code.lanes):
+            run.set(last - code.lanes)
+        w.run = run.get()
+        yield
+
+
+def _forward(w: Writer, chain: Forward) -> None:
+    """Write the forward sweep of the runs at hand."""
+    code, last = w.code, w.last
+    begin = w.column(chain.begin[0]), w.symmetric(chain.begin[1])
+    belief = Carried(code, *begin)
+    sure, watch = code.variable(True), Watch(w, chain.size)
+    with code.loop(last + 1) as at:
+        with code.when(at > 0):
+            moved = predicted(w, chain, at - 1, belief.mean, belief.cov)
+            belief.set(moved.mean, moved.cov)
+            sure.set(sure.get() & moved.sure)
+        mean, cov = belief.mean, belief.cov
+        for array, part in zip(chain.predicted, (mean, cov), strict=False):
+            w.keep(array, part, at)
+        found = taken(w, chain, at, mean, cov)
+        known, spread = found.moments.mean, found.moments.cov
+        total = found.density + w.sum([abs(x) for m in (mean, known) for (x,) in m.rows])
+        total = total + w.sum([*cov.diagonal, *spread.diagonal])
+        sure.set(sure.get() & found.sure & (abs(total) < _LARGEST))
+        w.keep(chain.known[0], known, at)
+        w.keep(chain.known[1], spread, at)
+        w.keep(chain.density, Matrix.column([found.density]), at)
+        watch.look(at, last, known, cov, spread)
+        belief.set(known, spread)
+        code.leave_unless(code.some(sure.get()))
+    _tell(w, LEFT, where(sure.get(), 0.0, 1.0))
+    _tell(w, CLOSEST, watch.closest)
+    _tell(w, FAR, where(watch.far, 1.0, 0.0))
+
+
+def _backward(w: Writer, chain: Backward) -> None:
+    """Write the sweep back of the runs at hand."""
+    code, last = w.code, w.last
+    final = w.column(chain.known[0], last), w.symmetric(chain.known[1], last)
+    later = Carried(code, *final)
+    for array, part in zip(chain.smoothed, final, strict=False):
+        w.keep(array, part, last)
+    sure = code.variable(True)
+    with code.loop(last, down=True) as at:
+        states = chain.states
+        mean = w.column(chain.known[0], at).part(states, (0,))
+        cov = w.symmetric(chain.known[1], at).part(states, states)
+        back = step.reverse(
+            mean,
+            cov,
+            w.matrix(chain.motion[0], at),
+            w.symmetric(chain.motion[1], at),
+            w.column(chain.predicted[0], at + 1),
+            w.symmetric(chain.predicted[1], at + 1),
+        )
+        for array, part in zip(chain.reversed, back[:3], strict=True):
+            w.keep(array, part, at)
+        shift = w.sum([abs(x) for (x,) in back.offset.rows])
+        sure.set(sure.get() & (back.share > _CORRELATED) & (shift < _LARGEST))
+        if chain.smoothed:
+            _push(later, back.gain, back.offset, back.cov)
+            if chain.controls:
+                matrix, offset, noise = chain.controls
+                _push(later, w.matrix(matrix, at), w.column(offset, at), w.symmetric(noise, at))
+            w.keep(chain.smoothed[0], later.mean, at)
+            w.keep(chain.smoothed[1], later.cov, at)
+        code.leave_unless(code.some(sure.get()))
+    _tell(w, LEFT, where(sure.get(), 0.0, 1.0))
+
+
+def _push(belief: Carried, matrix: Matrix, offset: Matrix, noise: Matrix) -> None:
+    """Send a belief through an affine conditional."""
+    belief.set(*step.push(belief.mean, belief.cov, matrix, offset, noise))
+
+
+def _tell(w: Writer, what: int, number: Any) -> None:
+    """Tell something of each of the runs at hand."""
+    w.ended(what).store(0, number)

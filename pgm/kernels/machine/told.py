@@ -1,0 +1,257 @@
+"""A chain as machine code is told of it: what decides the code, and where its numbers will stand.
+
+A chain is told in two parts. What stands here is known before the code is made, and is the key of
+what was made before: sizes, places, the users' functions, how arrays lie. All else comes with each
+call, in a *table* of integers: addresses, lengths, and the distances between numbers. A chain of
+other values, or of other lengths, is swept by the same code.
+
+A *row* of a CPD is a step of a transition, or a sighting of a sensor; *runs* are the simulations or
+robots that are swept together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from pgm.kernels.machine.memory import Runs
+
+# Of a chain's table: the last step T, how many runs there are, the most linearisations of a step's
+# measurements, the addresses of the tolerance and the damping, of the residuals of iterations
+# (iterations + 1, runs), and of how runs ended and went: (4, runs), see `sweeps`.
+LAST, RUNS, ITERATIONS, SETTINGS, RESIDUALS, ENDED, FIRST = range(7)
+# Of an array: its address, and the distances in floats between rows, runs, and its own cells.
+ADDRESS, DOWN, ACROSS, CELL = range(4)
+
+
+@dataclass(frozen=True)
+class Array:
+    """An array (rows or 1, runs or 1, own axes): its place in the table, and how it lies.
+
+    Attributes
+    ----------
+    place : int
+        Of its address in the table; its distances follow.
+    shape : tuple of int
+        Its own axes.
+    runs : Runs
+        How its runs lie.
+    near : bool
+        Whether its own cells are next to each other.
+    """
+
+    place: int
+    shape: tuple[int, ...]
+    runs: Runs
+    near: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Function:
+    """A user's function and its derivative, as a trace: scalar operations, each on earlier ones.
+
+    Functions of the same operations are equal.
+
+    Attributes
+    ----------
+    operations : tuple
+        As of a graph of `pgm.tracing`: a name, then places of earlier operations.
+    value, slope : tuple of int, tuple of (int or None)
+        The operations that are the value (d,), and the derivative (d n,), row by row; None is zero.
+    hidden, observed : tuple of (int, int)
+        An argument, and a component of it: of each component of the belief, and of each input.
+    """
+
+    operations: tuple[Any, ...]
+    value: tuple[int, ...]
+    slope: tuple[int | None, ...]
+    hidden: tuple[tuple[int, int], ...]
+    observed: tuple[tuple[int, int], ...]
+
+    @cached_property
+    def _key(self) -> str:
+        # As text, in which a NaN equals itself, and zeros of either sign differ.
+        return repr((self.operations, self.value, self.slope, self.hidden, self.observed))
+
+    @cached_property
+    def _hash(self) -> int:
+        return hash(self._key)
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (isinstance(other, Function) and self._key == other._key)
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    def reachable(self, outputs: Iterable[int]) -> list[int]:
+        """The operations on which some depend, in order."""
+        needed: set[int] = set()
+        stack = list(outputs)
+        while stack:
+            number = stack.pop()
+            if number not in needed:
+                needed.add(number)
+                name, *operands = self.operations[number]
+                stack += operands if name not in ("constant", "input") else []
+        return sorted(needed)
+
+
+Rows = tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True)
+class Points:
+    """The points of a rule for N(0, I), (N, n), and its regression on them; see `regression.Fit`.
+
+    `mean` (1, N), `slope` (n, N), `rest` (K, N) and `signs` (K,), empty for ones, are as of
+    `step.Rule`. `centred` says that the first point is the origin; `rounding` is that of a value
+    beside its summands, and `variances` (d,) are the least of the CPD's own noise.
+    """
+
+    points: Rows
+    mean: Rows
+    slope: Rows
+    rest: Rows
+    signs: tuple[float, ...]
+    centred: bool
+    rounding: float
+    variances: tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """A CPD at its rows: y = F x + b + e of its parents x, or a function that is linearised.
+
+    Attributes
+    ----------
+    parents : tuple of int
+        The places of x in a slice, or in the pair of the states before and a slice.
+    height : int
+        The number of components of y.
+    noise : Array
+        The covariance (d, d) of e, but for errors of linearisations.
+    matrix, offset : Array or None
+        F (d, n) and b (d,) of an affine CPD, and else where they are kept, if they are.
+    function : Function or None
+        None of an affine CPD.
+    points : Points or None
+        Of the rule by which it is linearised; None of `Taylor`.
+    inputs : Array or None
+        What is observed of the arguments, (m,).
+    kept : Array or None
+        Where the covariance of e with the error is kept.
+    angles : tuple of int
+        The components of y that are angles.
+    """
+
+    parents: tuple[int, ...]
+    height: int
+    noise: Array
+    matrix: Array | None = None
+    offset: Array | None = None
+    function: Function | None = None
+    points: Points | None = None
+    inputs: Array | None = None
+    kept: Array | None = None
+    angles: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Motion(Row):
+    """A CPD of a transition, a row a step.
+
+    Attributes
+    ----------
+    bare : tuple of int
+        The components of y without noise of their own.
+    unsure : bool
+        Whether its errors may be indefinite.
+    turning : tuple of (int, int, int)
+        An angle of y, its place in the pair a step before, and that among the parents.
+    """
+
+    bare: tuple[int, ...] = ()
+    unsure: bool = False
+    turning: tuple[tuple[int, int, int], ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sensor(Row):
+    """A sensor, a row a sighting.
+
+    Attributes
+    ----------
+    readings : Array
+        The values (d,); NaN is missing, where `missing` says that some may be.
+    moved : Array or None
+        Where values are kept, with their angles on the branch of the linearisation.
+    bounds : int or None
+        The place in the table of the address of the first sighting of each step, and one more;
+        None if each step has one.
+    """
+
+    readings: Array
+    moved: Array | None = None
+    missing: bool = False
+    bounds: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Forward:
+    """A forward sweep: the slices of a chain predicted, and given the measurements of their steps.
+
+    Attributes
+    ----------
+    size : int
+        The components of a slice.
+    states : tuple of int
+        The places of the states in a slice, which alone act on the next one.
+    single : bool
+        Whether one CPD makes all of a slice of all of the one before.
+    begin, predicted, known : tuple of Array
+        Means and covariances: of the belief to begin with, before each step's measurements, if that
+        is kept, and given them.
+    density : Array
+        The log-densities of each step's measurements.
+    """
+
+    size: int
+    states: tuple[int, ...]
+    single: bool
+    motions: tuple[Motion, ...]
+    sensors: tuple[Sensor, ...]
+    begin: tuple[Array, Array]
+    predicted: tuple[Array, ...]
+    known: tuple[Array, Array]
+    density: Array
+    iterated: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Backward:
+    """A sweep back: transitions reversed, and the last belief sent through what they have become.
+
+    Attributes
+    ----------
+    size, states
+        As of `Forward`.
+    known, predicted, motion : tuple of Array
+        What a forward sweep has left, and the transition's matrix and noise.
+    reversed : tuple of Array
+        The gain, offset and covariance of p(states | next slice).
+    smoothed : tuple of Array
+        The moments given all measurements; empty if they are not wanted.
+    controls : tuple of Array
+        The gain, offset and covariance of p(slice | its states); empty without controls.
+    """
+
+    size: int
+    states: tuple[int, ...]
+    known: tuple[Array, Array]
+    predicted: tuple[Array, Array]
+    motion: tuple[Array, Array]
+    reversed: tuple[Array, Array, Array]
+    smoothed: tuple[Array, ...] = ()
+    controls: tuple[Array, ...] = ()

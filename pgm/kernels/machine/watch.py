@@ -1,0 +1,64 @@
+"""A watch over a sweep: how little of a variance is ever left, as the `Watch` of NumPy's passes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pgm.kernels import step
+from pgm.kernels.machine.numbers import Number
+from pgm.kernels.machine.wholes import Whole
+from pgm.kernels.machine.writer import Writer
+from pgm.kernels.numbers import Matrix, least, where
+
+# Beliefs are looked at every so many steps, where measurements leave less than a thousandth, and
+# where a variance has grown a hundredfold since.
+_EVERY, _MILD, _GROWN = 8, 1e-3, 1e2
+# The square of deviations from zero in which the last digit of a mean might count.
+_FAR = 1e16
+
+
+class Watch:
+    """The least share of a variance so far, and whether a mean is far from zero, of each run."""
+
+    def __init__(self, w: Writer, size: int) -> None:
+        self._w = w
+        self._closest, self._far = w.code.variable(1.0), w.code.variable(False)
+        self._levels = [w.code.variable(float("inf")) for _ in range(size)]
+
+    @property
+    def closest(self) -> Number:
+        """The least share."""
+        return self._closest.get()
+
+    @property
+    def far(self) -> Number:
+        """Whether a mean was far from zero."""
+        return self._far.get()
+
+    def look(self, at: Whole, last: Whole, mean: Matrix, before: Matrix, after: Matrix) -> None:
+        """Look at the covariances of a step, before and after its measurements."""
+        w = self._w
+        share: Any = w.code.constant(1.0)
+        grown, far = w.code.constant(False), self.far
+        pairs = list(zip(before.diagonal, after.diagonal, strict=True))
+        for (was, left), level, (x,) in zip(pairs, self._levels, mean.rows, strict=True):
+            grown = grown | (was > _GROWN * level.get())
+            sharp = (left < _MILD * was) & (left != 0.0) & (was > 0.0)
+            share = where(sharp, least(left / was, share), share)
+            far = far | ((x * x > _FAR * left) & (left > 0.0))
+        self._far.set(far)
+        doubtful = grown | (share < 1.0)
+        often = (at == last) | (at % _EVERY == 0)
+        held = w.code.variable(share)
+        for (was, left), level in zip(pairs, self._levels, strict=True):
+            known = where(doubtful, was, level.get())
+            known = where(at == 0, left, known)
+            low = (doubtful | often) & (left < known)
+            level.set(where(low, left, known))
+        with w.code.when(w.code.some(doubtful)):
+            found = step.open_share(before)
+            held.set(where(doubtful & (found < held.get()), found, held.get()))
+        with w.code.when(w.code.some(doubtful | often)):
+            found = step.open_share(after)
+            held.set(where((doubtful | often) & (found < held.get()), found, held.get()))
+        self._closest.set(least(held.get(), self.closest))
