@@ -98,22 +98,28 @@ def inner(a: Sequence[Number], b: Sequence[Number]) -> Number:
 
 
 class Matrix:
-    """A matrix of single numbers, (m, n), row by row."""
+    """A matrix of single numbers, (m, n), row by row; n is told where there are no rows."""
 
-    __slots__ = ("rows",)
+    __slots__ = ("rows", "width")
 
-    def __init__(self, rows: Iterable[Sequence[Number]]) -> None:
+    def __init__(self, rows: Iterable[Sequence[Number]], width: int = 0) -> None:
         self.rows = tuple(rows)
+        self.width = len(self.rows[0]) if self.rows else width
 
     @classmethod
     def column(cls, numbers: Iterable[Number]) -> Matrix:
         """A vector, as a matrix of one column."""
-        return cls((x,) for x in numbers)
+        return cls(((x,) for x in numbers), 1)
 
     @property
     def shape(self) -> tuple[int, int]:
         """The numbers of rows and columns."""
-        return len(self.rows), len(self.rows[0]) if self.rows else 0
+        return len(self.rows), self.width
+
+    @property
+    def columns(self) -> list[tuple[Number, ...]]:
+        """The matrix column by column."""
+        return [tuple(row[j] for row in self.rows) for j in range(self.width)]
 
     def __getitem__(self, place: tuple[int, int]) -> Number:
         return self.rows[place[0]][place[1]]
@@ -121,19 +127,22 @@ class Matrix:
     @property
     def T(self) -> Matrix:
         """The matrix transposed."""
-        return Matrix(zip(*self.rows, strict=True))
+        return Matrix(self.columns, len(self.rows))
 
     def __matmul__(self, other: Matrix) -> Matrix:
-        columns = tuple(zip(*other.rows, strict=True))
-        return Matrix([inner(row, column) for column in columns] for row in self.rows)
+        columns = other.columns
+        found = ([inner(row, column) for column in columns] for row in self.rows)
+        return Matrix(found, len(columns))
 
     def __add__(self, other: Matrix) -> Matrix:
         pairs = zip(self.rows, other.rows, strict=True)
-        return Matrix([x + y for x, y in zip(*both, strict=True)] for both in pairs)
+        found = ([x + y for x, y in zip(*both, strict=True)] for both in pairs)
+        return Matrix(found, self.width)
 
     def __sub__(self, other: Matrix) -> Matrix:
         pairs = zip(self.rows, other.rows, strict=True)
-        return Matrix([x - y for x, y in zip(*both, strict=True)] for both in pairs)
+        found = ([x - y for x, y in zip(*both, strict=True)] for both in pairs)
+        return Matrix(found, self.width)
 
     def times(self, other: Matrix) -> Matrix:
         """The product A Bᵀ, of which it is known that it is symmetric: half of it is computed."""
@@ -157,11 +166,11 @@ class Matrix:
 
     def part(self, rows: Sequence[int], columns: Sequence[int]) -> Matrix:
         """The entries in some rows and columns."""
-        return Matrix([self.rows[i][j] for j in columns] for i in rows)
+        return Matrix(([self.rows[i][j] for j in columns] for i in rows), len(columns))
 
     def bordered(self, across: Matrix, own: Matrix) -> Matrix:
         """The symmetric matrix [[A, Bᵀ], [B, C]] of A, this one, B = `across` and C = `own`."""
-        above = [(*row, *right) for row, right in zip(self.rows, across.T.rows, strict=True)]
+        above = [(*row, *right) for row, right in zip(self.rows, across.columns, strict=True)]
         below = [(*row, *right) for row, right in zip(across.rows, own.rows, strict=True)]
         return Matrix([*above, *below])
 
@@ -222,7 +231,7 @@ class Root:
             for x, above in zip(self.lower[i], found, strict=False):
                 rest = [a - x * b for a, b in zip(rest, above, strict=True)]
             found.append([a * self.over[i] for a in rest])
-        return Matrix(found)
+        return Matrix(found, right.width)
 
     def solve_transposed(self, right: Matrix) -> Matrix:
         """The X with Lᵀ X = B."""
@@ -234,4 +243,4 @@ class Root:
                 x = self.lower[k][i]
                 rest = [a - x * b for a, b in zip(rest, found[k], strict=True)]
             found[i] = [a * self.over[i] for a in rest]
-        return Matrix(found)
+        return Matrix(found, right.width)

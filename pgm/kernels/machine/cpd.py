@@ -11,7 +11,7 @@ from pgm.kernels.machine.numbers import Number
 from pgm.kernels.machine.told import Function, Points, Row
 from pgm.kernels.machine.traces import written
 from pgm.kernels.machine.wholes import Whole
-from pgm.kernels.machine.writer import Writer
+from pgm.kernels.machine.writer import Writer, held
 from pgm.kernels.numbers import Matrix, inner, most, nearest_whole, where
 
 # As of `gaussian` and `linearisers.regression`: the least share of a root that is regular; and the
@@ -125,18 +125,18 @@ def _about(
         far[i] = abs(off[0][i]) > pi
         for each in off[1:]:
             far[i] = far[i] | (abs(each[i]) > pi)
-    held = {(p, i): w.code.variable(each[i]) for p, each in enumerate(off) for i in row.angles}
+    offsets = {(p, i): held(w.code, each[i]) for p, each in enumerate(off) for i in row.angles}
     any_far = next(iter(far.values()))
     for truth in far.values():
         any_far = any_far | truth
     with w.code.when(w.code.some(any_far)):
         slope, size = evaluated(w, row, at, x, slope=True)[1], len(x)
-        for (p, i), variable in held.items():
+        for (p, i), variable in offsets.items():
             line = inner(slope[i * size : (i + 1) * size], moves[p])
             rest = off[p][i] - line
             turned = rest - step.TURN * nearest_whole(rest / step.TURN) + line
             variable.set(where(far[i], turned, off[p][i]))
-    for (p, i), variable in held.items():
+    for (p, i), variable in offsets.items():
         off[p][i] = variable.get()
 
 

@@ -10,7 +10,7 @@ from pgm.kernels.machine.cpd import Line, evaluated, keep, linearised
 from pgm.kernels.machine.numbers import Number
 from pgm.kernels.machine.told import Forward, Motion
 from pgm.kernels.machine.wholes import Whole
-from pgm.kernels.machine.writer import Writer
+from pgm.kernels.machine.writer import Writer, held
 from pgm.kernels.numbers import Matrix, nearest_whole, where
 
 # As of `gaussian` and `moments`.
@@ -69,7 +69,7 @@ def _on_chart(
     near = w.true
     for new, old, _ in motion.turning:
         near = near & (abs(found[new] - before[old, 0]) <= pi)
-    held = {new: w.code.variable(found[new]) for new, _, _ in motion.turning}
+    charted = {new: held(w.code, found[new]) for new, _, _ in motion.turning}
     with w.code.when(~w.code.every(near)):
         x = [number for (number,) in mean.rows]
         here, _ = evaluated(w, motion, at, x)
@@ -79,8 +79,8 @@ def _on_chart(
         for new, old, _ in motion.turning:
             turns = nearest_whole((found[new] - before[old, 0]) / step.TURN)
             wraps = abs(further[new] - here[new]) < pi
-            held[new].set(where(wraps, found[new] - step.TURN * turns, found[new]))
-    for new, variable in held.items():
+            charted[new].set(where(wraps, found[new] - step.TURN * turns, found[new]))
+    for new, variable in charted.items():
         found[new] = variable.get()
     return Matrix.column(found)
 

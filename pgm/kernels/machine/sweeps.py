@@ -117,19 +117,16 @@ def _backward(w: Writer, chain: Backward) -> None:
         shift = w.sum([abs(x) for (x,) in back.offset.rows])
         sure.set(sure.get() & (back.share > _CORRELATED) & (shift < _LARGEST))
         if chain.smoothed:
-            _push(later, back.gain, back.offset, back.cov)
+            moments = step.push(later.mean, later.cov, *back[:3])
             if chain.controls:
                 matrix, offset, noise = chain.controls
-                _push(later, w.matrix(matrix, at), w.column(offset, at), w.symmetric(noise, at))
-            w.keep(chain.smoothed[0], later.mean, at)
-            w.keep(chain.smoothed[1], later.cov, at)
+                own = w.matrix(matrix, at), w.column(offset, at), w.symmetric(noise, at)
+                moments = step.push(*moments, *own)
+            for array, part in zip(chain.smoothed, moments, strict=True):
+                w.keep(array, part, at)
+            later.set(*moments)
         code.leave_unless(code.some(sure.get()))
     _tell(w, LEFT, where(sure.get(), 0.0, 1.0))
-
-
-def _push(belief: Carried, matrix: Matrix, offset: Matrix, noise: Matrix) -> None:
-    """Send a belief through an affine conditional."""
-    belief.set(*step.push(belief.mean, belief.cov, matrix, offset, noise))
 
 
 def _tell(w: Writer, what: int, number: Any) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 from pgm.kernels import step
 from pgm.kernels.machine.numbers import Number
 from pgm.kernels.machine.wholes import Whole
-from pgm.kernels.machine.writer import Writer
+from pgm.kernels.machine.writer import Writer, held
 from pgm.kernels.numbers import Matrix, least, where
 
 # Beliefs are looked at every so many steps, where measurements leave less than a thousandth, and
@@ -49,7 +49,7 @@ class Watch:
         self._far.set(far)
         doubtful = grown | (share < 1.0)
         often = (at == last) | (at % _EVERY == 0)
-        held = w.code.variable(share)
+        closest = held(w.code, share)
         for (was, left), level in zip(pairs, self._levels, strict=True):
             known = where(doubtful, was, level.get())
             known = where(at == 0, left, known)
@@ -57,8 +57,8 @@ class Watch:
             level.set(where(low, left, known))
         with w.code.when(w.code.some(doubtful)):
             found = step.open_share(before)
-            held.set(where(doubtful & (found < held.get()), found, held.get()))
+            closest.set(where(doubtful & (found < closest.get()), found, closest.get()))
         with w.code.when(w.code.some(doubtful | often)):
             found = step.open_share(after)
-            held.set(where((doubtful | often) & (found < held.get()), found, held.get()))
-        self._closest.set(least(held.get(), self.closest))
+            closest.set(where((doubtful | often) & (found < closest.get()), found, closest.get()))
+        self._closest.set(least(closest.get(), self.closest))

@@ -7,9 +7,9 @@ from dataclasses import fields, is_dataclass
 from typing import Any
 
 from pgm.kernels.machine import told
-from pgm.kernels.machine.code import Code
+from pgm.kernels.machine.code import Code, Variable
 from pgm.kernels.machine.memory import Cells, Memory, Runs
-from pgm.kernels.machine.numbers import Number
+from pgm.kernels.machine.numbers import Number, constant
 from pgm.kernels.machine.wholes import Address, Whole
 from pgm.kernels.numbers import Matrix
 
@@ -110,9 +110,9 @@ class Carried:
     """A vector and a symmetric matrix that are carried from step to step, in variables."""
 
     def __init__(self, code: Code, mean: Matrix, cov: Matrix) -> None:
-        self._mean = [code.variable(x) for (x,) in mean.rows]
+        self._mean = [held(code, x) for (x,) in mean.rows]
         size = range(len(self._mean))
-        self._cov = [[code.variable(cov[i, j]) for j in range(i + 1)] for i in size]
+        self._cov = [[held(code, cov[i, j]) for j in range(i + 1)] for i in size]
 
     @property
     def mean(self) -> Matrix:
@@ -132,6 +132,11 @@ class Carried:
         for i, row in enumerate(self._cov):
             for j, variable in enumerate(row):
                 variable.set(cov[i, j])
+
+
+def held(code: Code, number: Number | float) -> Variable[Number]:
+    """A variable that begins as a number, of all runs at hand."""
+    return code.variable(constant(code, number).spread(code.lanes))
 
 
 def arrays(value: Any) -> Iterator[told.Array]:
