@@ -14,6 +14,7 @@ from pgm.beliefs.moments.compiled.plans import (
     Table,
     Uncompiled,
     address,
+    decided,
     motion_of,
     places,
     sensor_of,
@@ -21,7 +22,7 @@ from pgm.beliefs.moments.compiled.plans import (
 )
 from pgm.beliefs.moments.steps.chain import MomentChain
 from pgm.beliefs.moments.steps.plan import ChainPlan
-from pgm.compile.machine import CONTROL, GATE, Compiled
+from pgm.compile.machine import CONTROL, Compiled
 from pgm.kernels.arrays import Array, Mask, vacant
 from pgm.kernels.machine import sweeps, told
 from pgm.kernels.moments import Conditional
@@ -92,15 +93,15 @@ def forward(
     table = Table(plan, _lanes(plan))
     try:
         why = unknown(plan)
-        if asked.gate is not None:
-            raise Uncompiled(GATE)
         if isinstance(asked.damping, LevenbergMarquardt):
             raise Uncompiled(CONTROL)
         if why is not None:
             raise Uncompiled(why)
         cpds = {"stored": stored, "keep": keep}
         motions = tuple(motion_of(plan, link, table, **cpds) for link in plan.transition)
-        sensors = tuple(sensor_of(plan, sensor, table, **cpds) for sensor in plan.read)
+        sensors = tuple(
+            sensor_of(plan, sensor, table, **cpds, gate=asked.gate) for sensor in plan.read
+        )
     except Uncompiled as error:
         plan.account.leave(str(error))
         return None
@@ -130,6 +131,7 @@ def forward(
         iterated=iterated,
     )
     ended = _run(plan, chain, table, (*known, *predicted))
+    decided(table)
     left = stretches(ended[sweeps.LEFT] != 0.0)
     _count(plan, left, _FAR)
     if schedule is not None:
@@ -139,6 +141,7 @@ def forward(
     converged = np.full(plan.runs, plan.linear)
     if iterated:
         converged = record[-1] == 0.0
+    converged &= ended[sweeps.MOVING] == 0.0
     closest, far = float(ended[sweeps.CLOSEST].min(initial=1.0)), bool(ended[sweeps.FAR].any())
     return Swept(left, list(record[:longest]), converged, closest, far)
 
