@@ -1,0 +1,69 @@
+"""The processor that code is for, and the libraries of C that it calls."""
+
+from __future__ import annotations
+
+import ctypes.util
+import sys
+from functools import cache
+from typing import Any
+
+from llvmlite import binding
+
+# Where C's functions are, by platform; elsewhere the search for them may start a compiler.
+_LIBRARIES = {"linux": "libm.so.6", "darwin": "libSystem.B.dylib", "win32": "ucrtbase.dll"}
+
+
+@cache
+def prepare() -> None:
+    """Make LLVM ready for this processor, and C's functions known to it."""
+    binding.initialize_native_target()
+    binding.initialize_native_asmprinter()
+    for name in (_LIBRARIES.get(sys.platform), ctypes.util.find_library("m")):
+        if name and _loaded(name):
+            return
+
+
+def target_machine(level: int) -> Any:
+    """LLVM's description of this processor; each engine owns one."""
+    prepare()
+    return binding.Target.from_default_triple().create_target_machine(
+        cpu=binding.get_host_cpu_name(),
+        features=binding.get_host_cpu_features().flatten(),
+        opt=level,
+        jit=True,
+    )
+
+
+@cache
+def layout() -> str:
+    """How values lie in memory, as modules say it."""
+    machine = target_machine(0)
+    return f'target datalayout = "{machine.target_data}"\ntarget triple = "{machine.triple}"'
+
+
+def vector_function(name: str, arguments: int, lanes: int) -> tuple[str, int] | None:
+    """The symbol of C's function for packs, and of how many lanes; None where there is none."""
+    for width, prefix in _widths():
+        symbol = f"{prefix}{'v' * arguments}_{name}"
+        if lanes % width == 0 and binding.address_of_symbol(symbol) is not None:
+            return symbol, width
+    return None
+
+
+@cache
+def _widths() -> tuple[tuple[int, str], ...]:
+    """The widths of vectors of glibc's library on this processor, widest first."""
+    prepare()
+    if not _loaded("libmvec.so.1"):
+        return ()
+    has = binding.get_host_cpu_features().get
+    known = ((8, "_ZGVeN8", "avx512f"), (4, "_ZGVdN4", "avx2"))
+    return tuple((width, prefix) for width, prefix, feature in known if has(feature))
+
+
+def _loaded(library: str) -> bool:
+    try:
+        binding.load_library_permanently(library)
+    except RuntimeError:
+        return False
+    return True
