@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, cast, overload
 
 from pgm.kernels.machine.kinds import ADDRESS, WHOLE, Kind, packed, symbol
 from pgm.kernels.machine.memory import Cells, Memory, Runs
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pgm.kernels.machine.module import Module
 
 Value: TypeAlias = Number | Whole | Address
-Held = TypeVar("Held", Number, Whole, Address)
+Held = TypeVar("Held", bound=Value)
 # The widest vectors that processors load at once, in bytes.
 _WIDEST = 64
 
@@ -31,11 +31,9 @@ class Variable(Generic[Held]):
 
     def get(self) -> Held:
         """The value at this point of the code."""
-        kind, like = self._like.kind, self._like
-        text = self._code.value(f"load {kind}, ptr {self._place}")
-        if isinstance(like, Number):
-            return Number(self._code, text, like.lanes, like.truth)
-        return type(like)(self._code, text)
+        like = self._like
+        text = self._code.value(f"load {like.kind}, ptr {self._place}")
+        return cast(Held, self._code.named(like, text))
 
     def set(self, value: Held | float | bool) -> None:
         """Give the variable another value from here on."""
@@ -92,17 +90,14 @@ class Code:
     @overload
     def variable(self, initial: Held) -> Variable[Held]: ...
     @overload
-    def variable(self, initial: bool) -> Variable[Number]: ...
-    @overload
-    def variable(self, initial: int) -> Variable[Whole]: ...
-    @overload
     def variable(self, initial: float) -> Variable[Number]: ...
 
     def variable(self, initial: Any) -> Variable[Any]:
-        """A variable: of an int a whole number, of a float or bool a number in every lane."""
-        if isinstance(initial, int) and not isinstance(initial, bool):
-            return Variable(self, self.whole(initial))
-        if isinstance(initial, float | bool):
+        """A variable: of a float or bool, a number in every lane.
+
+        A whole number is written ``variable(code.whole(0))``, since 0 may be meant as a float.
+        """
+        if isinstance(initial, float | int):
             return Variable(self, self.constant(initial))
         return Variable(self, initial)
 
@@ -111,9 +106,7 @@ class Code:
         aligned = min(8 * self.lanes, _WIDEST)
         place = self.reserve(f"[{count} x {packed('double', self.lanes)}]", aligned)
         where = Address(self, place)
-        return Memory(
-            self, where, length=count, step=self.lanes, alignment=aligned, name=name
-        )
+        return Memory(self, where, length=count, step=self.lanes, alignment=aligned, name=name)
 
     def memory(
         self,
@@ -319,6 +312,12 @@ class Code:
         return value
 
     # Text
+
+    def named(self, like: Value, text: str) -> Value:
+        """The value of this name, of the kind of another value."""
+        if isinstance(like, Number):
+            return Number(self, text, like.lanes, like.truth)
+        return type(like)(self, text)
 
     def value(self, instruction: str) -> str:
         """Write an instruction; returns the name of its value."""
