@@ -8,7 +8,7 @@ from pgm.kernels.machine.module import Module
 WIDTHS = (1, 2, 4, 8)
 
 
-def elementwise(make, count, lanes, **options):
+def elementwise(make, count, lanes, level=2, **options):
     """The function of arrays that applies what `make` writes of so many numbers to each point."""
     module = Module(**options)
     code = module.function("each", [ADDRESS] * (count + 1) + [WHOLE], lanes=lanes, disjoint=True)
@@ -16,7 +16,7 @@ def elementwise(make, count, lanes, **options):
     with code.loop(length) as index:
         numbers = [code.memory(each).load(index) for each in given]
         code.memory(out).store(index, make(code, *numbers))
-    function = module.compile().callable("each")
+    function = module.compile(level).callable("each")
 
     def applied(*arrays):
         arrays = [np.asarray(each, float) for each in np.broadcast_arrays(*arrays)]

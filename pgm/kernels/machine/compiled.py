@@ -75,6 +75,10 @@ class Compiled:
         return checked
 
 
+# The passes of levels 0 and 1: numbers into registers, inlining, and no search beyond a block.
+_LIGHT = ("always_inliner", "sroa", "simplify_cfg", "instruction_combine", "loop_rotate")
+
+
 def _engine(text: str, level: int) -> Any:
     """Parse, optimise and compile a module."""
     machine = target_machine(level)
@@ -84,7 +88,13 @@ def _engine(text: str, level: int) -> Any:
     # Packs are made as code is written; LLVM's search for more takes longer than it brings.
     tuning.slp_vectorization = tuning.loop_vectorization = False
     builder = binding.create_pass_builder(machine, tuning)
-    builder.getModulePassManager().run(module, builder)
+    if level < 2:
+        passes = binding.create_new_module_pass_manager()
+        for name in _LIGHT:
+            getattr(passes, f"add_{name}_pass")()
+    else:
+        passes = builder.getModulePassManager()
+    passes.run(module, builder)
     engine = binding.create_mcjit_compiler(module, machine)
     engine.finalize_object()
     return engine

@@ -36,7 +36,7 @@ def drawn(count):
     return [rng.permutation(points) for _ in range(count)]
 
 
-def compared(name, count, lanes, points):
+def compared(name, count, lanes, points, **options):
     """Units in the last place between the machine's operation and NumPy's."""
     given = [each != 0.0 for each in points] if name in TRUTHS else list(points)
     if name == "where":
@@ -46,7 +46,7 @@ def compared(name, count, lanes, points):
     def make(code, first, *others):
         return (first > 0.0 if name == "where" else first).apply(name, *others)
 
-    return apart(elementwise(make, count, lanes, contract=False)(*points), due)
+    return apart(elementwise(make, count, lanes, contract=False, **options)(*points), due)
 
 
 def number_of_arguments(name):
@@ -67,6 +67,15 @@ def test_an_operation_is_numpys(name, lanes):
         worst = int(units.argmax())
         at = [each[worst] for each in points]
         assert units.max() <= (0 if name in EXACT else 4), (name, at, units[worst])
+
+
+@pytest.mark.parametrize("level", [0, 1, 3])
+@pytest.mark.parametrize("lanes", [1, 8])
+def test_operations_are_the_same_at_other_levels(lanes, level):
+    for name in SCALAR:
+        points = drawn(number_of_arguments(name))
+        units = compared(name, len(points), lanes, points, level=level)
+        assert units.max() <= (0 if name in EXACT else 4), name
 
 
 @pytest.mark.parametrize("lanes", WIDTHS)
