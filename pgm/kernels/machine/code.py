@@ -65,10 +65,14 @@ class Code:
         self._ends: list[str] = []  # of the loops around this point, the innermost last
         self._choice: tuple[int, str, str] | None = None  # the `when` that has just ended
         self._gives = False
-        types = [kind.written(lanes) for kind in kinds]
-        apart = [" noalias" if disjoint and kind is ADDRESS else "" for kind in kinds]
-        named = (f"{t}{n} %a{k}" for k, (t, n) in enumerate(zip(types, apart, strict=True)))
-        self._heading = f"{heading} {self._returned} {self.symbol}({', '.join(named)}) {ending} {{"
+        apart = {ADDRESS: "noalias"} if disjoint else {}
+        marks = [apart.get(kind, kind.extended) for kind in kinds]
+        named = [
+            f"{kind.written(lanes)} {mark} %a{k}"
+            for k, (kind, mark) in enumerate(zip(kinds, marks, strict=True))
+        ]
+        given = f"{self._returned(result)} {self.symbol}({', '.join(named)})"
+        self._heading = f"{heading} {given} {ending} {{"
         self.arguments: tuple[Any, ...] = tuple(
             self._opened(kind, f"%a{k}") for k, kind in enumerate(kinds)
         )
@@ -352,12 +356,13 @@ class Code:
         return "\n".join((self._heading, *lines, "}"))
 
     @property
-    def _returned(self) -> str:
-        return self.result.written(self.lanes) if self.result else "void"
-
-    @property
     def _nothing(self) -> str:
-        return f"ret {self._returned}{' zeroinitializer' if self.result else ''}"
+        if self.result is None:
+            return "ret void"
+        return f"ret {self.result.written(self.lanes)} zeroinitializer"
+
+    def _returned(self, result: Kind | None) -> str:
+        return f"{result.extended} {result.written(self.lanes)}" if result else "void"
 
     def _opened(self, kind: Kind, text: str) -> Any:
         if kind is ADDRESS:
@@ -368,12 +373,14 @@ class Code:
         return Number(self, text, lanes, kind is Kind.TRUTH)
 
     def _called(self, callee: str, given: list[Any], result: Kind | None) -> Any:
-        values = ", ".join(f"{each.kind} {each.text}" for each in given)
+        values = ", ".join(
+            f"{each.kind} {'zeroext ' if each.kind == 'i1' else ''}{each.text}" for each in given
+        )
+        call = f"call {self._returned(result)} {callee}({values})"
         if result is None:
-            self.line(f"call void {callee}({values})")
+            self.line(call)
             return None
-        found = self.value(f"call {result.written(self.lanes)} {callee}({values})")
-        return self._opened(result, found)
+        return self._opened(result, self.value(call))
 
     def _together(self, truth: Number, relation: str, value: int) -> Number:
         truth = truth.as_truth()

@@ -1,5 +1,7 @@
 """Loops, branches, variables and calls of machine code."""
 
+import ctypes
+
 import numpy as np
 import pytest
 from machine_code import WIDTHS, elementwise
@@ -197,6 +199,46 @@ def test_functions_call_by_address():
     functions = other.compile()
     for known in (True, False):
         assert functions.callable(f"known {known}")(machine.address("twice")) == 11.0
+
+
+def test_functions_of_python_are_called_back():
+    seen = []
+
+    def told(x, y):
+        seen.append((x, y))
+        return x < y
+
+    back = ctypes.CFUNCTYPE(ctypes.c_bool, ctypes.c_double, ctypes.c_double)(told)
+    module = Module()
+    code = module.function("f", [ADDRESS, FLOAT], FLOAT)
+    place, x = code.arguments
+    found = code.call_at(place, x, code.constant(2.0), result=TRUTH)
+    code.give(found.where(10.0, 20.0))
+    function = module.compile().callable("f")
+    address = ctypes.cast(back, ctypes.c_void_p).value
+    assert [function(address, x) for x in (1.0, 3.0)] == [10.0, 20.0]
+    assert seen == [(1.0, 2.0), (3.0, 2.0)]
+
+
+def test_addresses_and_truths_are_given_and_taken():
+    module = Module()
+    code = module.function("next", [ADDRESS, WHOLE], ADDRESS)
+    code.give(code.arguments[0] + code.arguments[1])
+    code = module.function("both", [TRUTH, FLOAT], TRUTH)
+    code.give(code.arguments[0] & (code.arguments[1] > 0.0))
+    machine = module.compile()
+    assert machine.callable("next")(1024, 3) == 1048
+    both = machine.callable("both")
+    assert [both(True, 1.0), both(True, -1.0), both(False, 1.0)] == [True, False, False]
+
+
+@pytest.mark.parametrize("wrong", [1.5, True])
+def test_a_wrong_argument_is_refused_as_code_is_written(wrong):
+    module = Module()
+    inner = module.function("inner", [ADDRESS], internal=True)
+    outer = module.function("outer", [])
+    with pytest.raises(TypeError, match="outer: the value must be of kind address"):
+        outer.call(inner, wrong)
 
 
 def test_packs_stay_inside_the_module():
