@@ -1,6 +1,9 @@
 """Functions of machine code on arrays, for tests of the emitter."""
 
 import numpy as np
+import pytest
+
+pytest.importorskip("llvmlite", reason="LLVM is driven by llvmlite")
 
 from pgm.kernels.machine.kinds import ADDRESS, WHOLE
 from pgm.kernels.machine.module import Module

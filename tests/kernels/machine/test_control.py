@@ -246,6 +246,36 @@ def test_packs_stay_inside_the_module():
         Module().function("f", [PACK], lanes=8)
 
 
+@pytest.mark.parametrize("lanes", PACKS)
+def test_variables_of_one_lane_stand_beside_packs(lanes):
+    def make(code, x):
+        factor = code.variable(x.lane(0))
+        with code.loop(3):
+            factor.set(factor.get() + 1.0)
+        return factor.get() * x
+
+    x = np.arange(16.0)
+    due = x * np.repeat(x[::lanes] + 3.0, lanes)
+    np.testing.assert_array_equal(elementwise(make, 1, lanes)(x), due)
+
+
+def test_variables_of_truths():
+    def make(code, x):
+        found = code.variable(False)
+        with code.loop(3) as index:
+            found.set(found.get() | (x == index.number()))
+        return found.get().where(1.0, 0.0)
+
+    x = np.arange(8.0)
+    for lanes in WIDTHS:
+        np.testing.assert_array_equal(elementwise(make, 1, lanes)(x), x < 3.0)
+
+
+def test_a_fraction_is_no_whole_number():
+    with pytest.raises(TypeError, match="integer"):
+        Module().function("f", []).whole(1.5)
+
+
 def test_whole_numbers():
     def make(code, x, y):
         folded = (x * 3 - y + 1) // 2 % 100 - (2 - y)

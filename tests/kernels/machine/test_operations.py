@@ -116,6 +116,14 @@ def test_products_and_sums_fuse_where_they_may():
     assert fused in (0.0, -(2.0**-60))  # a processor without fused operations rounds twice
 
 
+@pytest.mark.parametrize("lanes", WIDTHS)
+def test_a_product_and_a_sum_rounded_together(lanes):
+    a, b = 1.0 + 2.0**-30, 1.0 - 2.0**-30
+    given = [np.full(8, a), np.full(8, b)]
+    found = elementwise(lambda _, x, y: x.intrinsic("fma", y, -1.0), 2, lanes)(*given)
+    np.testing.assert_array_equal(found, -(2.0**-60))
+
+
 def test_a_number_is_no_truth_of_python():
     with pytest.raises(TypeError, match="known only when its code runs"):
         elementwise(lambda _, x: x if x > 0.0 else -x, 1, 1)
