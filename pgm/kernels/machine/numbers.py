@@ -110,16 +110,14 @@ class Number:
         chosen = f"select {truth.kind} {truth.text}, {yes.kind} {yes.text}, {no.kind} {no.text}"
         return yes.like(chosen)
 
-    def choose(self, truth: Operand, yes: Operand, no: Operand) -> Number:
-        """One or the other number, by a truth."""
-        return constant(self.code, truth).where(yes, no)
-
     def number(self) -> Number:
         """The float of this: of a truth, 0 or 1."""
         if not self.truth:
             return self
         to = packed("double", self.lanes)
-        return Number(self.code, self.code.value(f"uitofp {self.kind} {self.text} to {to}"), self.lanes)
+        return Number(
+            self.code, self.code.value(f"uitofp {self.kind} {self.text} to {to}"), self.lanes
+        )
 
     def as_truth(self) -> Number:
         """Whether this differs from zero."""
