@@ -110,6 +110,10 @@ class Number:
         chosen = f"select {truth.kind} {truth.text}, {yes.kind} {yes.text}, {no.kind} {no.text}"
         return yes.like(chosen)
 
+    def choose(self, truth: Operand, yes: Operand, no: Operand) -> Number:
+        """One or the other number, by a truth."""
+        return constant(self.code, truth).where(yes, no)
+
     def number(self) -> Number:
         """The float of this: of a truth, 0 or 1."""
         if not self.truth:

@@ -103,7 +103,7 @@ def _iterated(
     code, record = w.code, w.residuals
     point = Carried(code, mean, cov)
     tolerance, damping = w.settings.load(0), w.settings.load(1)
-    most_often, last = code.variable(1), code.variable(0)
+    most_often, last = code.variable(code.whole(1)), code.variable(code.whole(0))
     with code.when(_are_curved(w, chain, at)):
         most_often.set(w.iterations)
     settled, made, residual = code.variable(False), code.variable(0.0), code.variable(0.0)
@@ -230,15 +230,16 @@ def _read(
     left = Matrix.column(values) - line.value
     sighting = _Sighting.of(w, sensor, line, left, point.at.shape[0], values)
     noise = sighting.noise
+    begins = point.first
+    if weighing is not None:
+        begins = ~weighing.again if begins is None else begins & ~weighing.again
     surplus_of: Any = 0.0
     if sensor.loss is not None:
         count = sighting.count
         if sensor.weighs:
             assert weighing is not None
+            assert begins is not None
             belief = weighing.belief
-            begins = ~weighing.again
-            if point.first is not None:
-                begins = begins & point.first
             residual = sighting.left - sighting.matrix @ (belief.mean - point.at)
             cov = belief.cov if sensor.loss.expects else None
             square = step.weighed_square(
@@ -272,7 +273,7 @@ def _read(
         root = whole.root()
         white, share = root.solve(sighting.left), least(root.share, after.share)
         square = (white.T @ white)[0, 0]
-    rejected = gated(w, sensor, at, square, sighting.count, point.first)
+    rejected = gated(w, sensor, at, square, sighting.count, begins)
     sure = line.sure & (share > NEARLY_SINGULAR) & (rejected | sharp)
     found.take(
         _chosen(rejected, mean, after.mean),

@@ -30,9 +30,9 @@ from pgm.resources import in_threads
 from pgm.schedules.damping import LevenbergMarquardt
 from pgm.schedules.schedule import ONCE, Filtering
 
-# Machine code repays its loading from a second of the general kernels on: a step of theirs takes as
-# long as the arithmetic of so many runs, and four million of such a quarter of a microsecond each.
-_STEP, _LONG = 200, 4_000_000
+# Machine code repays its making from a tenth of a second of the general kernels on: a step of theirs
+# takes as long as the arithmetic of so many runs, and these so many of half a microsecond each.
+_STEP, _LONG = 100, 250_000
 # Why runs are left to the general kernels, going forward and back.
 _FAR = "readings are too sharp, a covariance is singular, or numbers are too far apart"
 _SINGULAR = "a covariance is singular on the way back"
@@ -58,7 +58,9 @@ def is_used(plan: ChainPlan) -> bool:
     if choice is False:
         account.rest = "compiled=False"
     elif choice is None and plan.steps * (_STEP + plan.runs) < _LONG:
-        account.rest = "machine code is loaded for longer work, or by compiled=True"
+        account.rest = "machine code is made for longer work, or by compiled=True"
+    elif choice is None and find_spec("llvmlite") is None:
+        account.rest = "llvmlite is not installed"
     else:
         account.due = True
         return True
