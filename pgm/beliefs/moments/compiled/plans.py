@@ -59,6 +59,8 @@ class Table:
 
     def array(self, array: Array) -> told.Array:
         """An array (rows or 1, runs or 1, own axes), told."""
+        if not array.size:  # which is never read, and has no distances
+            array = np.zeros((1, *array.shape[1:]))
         inner = [(k, n) for k, n in zip(array.strides[2:], array.shape[2:], strict=True) if n > 1]
         for (outer, _), (stride, size) in pairwise(inner):
             if outer != stride * size:
