@@ -33,7 +33,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.beliefs.moments.digits.careful import Careful, Step
 from pgm.beliefs.moments.digits.careful_belief import (
     CLEAR,
     ROUNDING,
@@ -45,6 +44,7 @@ from pgm.beliefs.moments.digits.careful_belief import (
     rounded_belief,
     through,
 )
+from pgm.beliefs.moments.digits.careful_pass import Careful, Step
 from pgm.beliefs.moments.passes.backward import Beliefs
 from pgm.beliefs.moments.steps import refusals
 from pgm.beliefs.moments.steps.plan import ChainPlan

@@ -22,7 +22,7 @@ from typing import ClassVar
 import numpy as np
 
 from pgm.beliefs.moments.digits import adjoint
-from pgm.beliefs.moments.digits.careful import Careful
+from pgm.beliefs.moments.digits.careful_pass import Careful
 from pgm.beliefs.moments.outcomes.innovated import Innovated
 from pgm.beliefs.moments.outcomes.marginals import Marginals
 from pgm.beliefs.moments.outcomes.shown_slices import ShownMoments

@@ -18,7 +18,7 @@ import numpy as np
 
 from pgm.beliefs.moments.compiled import sweep as compiled
 from pgm.beliefs.moments.digits import careful, certificate, close_points, last_places
-from pgm.beliefs.moments.digits.careful import Careful
+from pgm.beliefs.moments.digits.careful_pass import Careful
 from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
 from pgm.beliefs.moments.passes import forward
 from pgm.beliefs.moments.passes.backward import Beliefs, Reverse
