@@ -110,6 +110,14 @@ def eye(shape: tuple[int, ...]) -> Twofold:
     return Twofold(np.broadcast_to(np.eye(shape[-1]), shape).copy())
 
 
+def _eye_like(matrix: Twofold) -> Twofold:
+    """Unit matrices of the shape of others, and of their kind of numbers."""
+    found = Twofold(np.zeros_like(matrix.hi))
+    for k in range(matrix.shape[-1]):
+        found.hi[..., k, k] = 1.0
+    return found
+
+
 def eliminated(
     matrix: Array | Twofold, negligible: float, rounding: Array | None = None
 ) -> tuple[Twofold, Twofold]:
@@ -124,8 +132,8 @@ def eliminated(
     left = _twofold(matrix).copy()
     size = left.shape[-1]
     diagonal = np.abs(np.einsum("...ii->...i", left.hi)) if rounding is None else rounding.copy()
-    unit = eye(left.shape)
-    pivots = Twofold.zeros(left.shape[:-1])
+    unit = _eye_like(left)
+    pivots = Twofold(np.zeros_like(left.hi[..., 0]))
     for j in range(size):
         pivot = left[..., j, j]
         proper = np.abs(pivot.hi) > negligible * diagonal[..., j]
@@ -169,7 +177,7 @@ def solve(unit: Twofold, pivots: Twofold, right: Twofold) -> Twofold:
 
 def inverse_unit(unit: Twofold) -> Twofold:
     """The inverse (..., n, n) of a lower triangular U with ones on its diagonal."""
-    return solve_unit(unit, eye(unit.shape))
+    return solve_unit(unit, _eye_like(unit))
 
 
 def inverse(unit: Twofold, pivots: Twofold) -> Twofold:
@@ -189,7 +197,10 @@ def _divided(rows: Twofold, pivots: Twofold) -> Twofold:
 
 
 def _twofold(value: Any) -> Twofold:
-    return value if isinstance(value, Twofold) else Twofold(np.asarray(value, dtype=np.float64))
+    if isinstance(value, Twofold):
+        return value
+    traced = isinstance(value, np.ndarray) and value.dtype == object
+    return Twofold(value if traced else np.asarray(value, dtype=np.float64))
 
 
 def _normal(high: Array, low: Array) -> tuple[Array, Array]:

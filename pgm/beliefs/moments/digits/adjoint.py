@@ -38,13 +38,14 @@ from pgm.beliefs.moments.digits.careful_belief import (
     ROUNDING,
     Belief,
     Component,
+    Move,
     diagonal,
     moments,
     rounded,
     rounded_belief,
     through,
 )
-from pgm.beliefs.moments.digits.careful_pass import Careful, Step
+from pgm.beliefs.moments.digits.careful_pass import Careful
 from pgm.beliefs.moments.passes.backward import Beliefs
 from pgm.beliefs.moments.steps import refusals
 from pgm.beliefs.moments.steps.plan import ChainPlan
@@ -82,19 +83,25 @@ class Later(NamedTuple):
         predicted belief, and includes them. `components` are the measurements as scalars, in the
         order in which the forward pass took them in.
         """
+        later = self
+        for component in reversed(components):
+            later = later.past(component)
+        return later
+
+    def past(self, component: Component) -> Later:
+        """Carry the message back through one scalar measurement, which it then includes."""
         vector, matrix, rounding, drift, blurred = self
-        for row, keep, innovation, weight, error, blur, moved in reversed(components):
-            said = innovation * weight[:, None]
-            lost = (blur * np.abs(vector.hi[..., 0])).sum(-1) + np.abs(said.hi[:, 0]) * error
-            along = row.hi * lost[:, None]
-            drift = drift + sandwich(matrix.hi, diagonal(moved**2))
-            drift = through(keep.hi.mT, drift) + along[..., None] * along[..., None, :]
-            own = (row * weight[:, None])[..., None] * row[:, None, :]
-            rounding = through(keep.hi.mT, rounding) + rounded(keep.hi.mT, matrix.hi, own.hi)
-            vector = keep.mT @ vector + row[..., None] * said[:, None, :]
-            matrix = keep.mT @ matrix @ keep + own
-            blurred = np.maximum(blurred, error)
-        return Later(vector, matrix, rounding, drift, blurred)
+        row, keep, innovation, weight, error, blur, moved = component
+        said = innovation * weight[:, None]
+        lost = (blur * np.abs(vector.hi[..., 0])).sum(-1) + np.abs(said.hi[:, 0]) * error
+        along = row.hi * lost[:, None]
+        drift = drift + sandwich(matrix.hi, diagonal(moved**2))
+        drift = through(keep.hi.mT, drift) + along[..., None] * along[..., None, :]
+        own = (row * weight[:, None])[..., None] * row[:, None, :]
+        rounding = through(keep.hi.mT, rounding) + rounded(keep.hi.mT, matrix.hi, own.hi)
+        vector = keep.mT @ vector + row[..., None] * said[:, None, :]
+        matrix = keep.mT @ matrix @ keep + own
+        return Later(vector, matrix, rounding, drift, np.maximum(blurred, error))
 
     def back(self, matrix: Twofold) -> Later:
         """The message Aᵀ r, Aᵀ N A to the slice one step before.
@@ -252,13 +259,12 @@ def smoothed(careful: Careful, last: int, first: int = 0) -> list[Smooth]:
     out: list[Smooth] = []
     for step in counted(range(last, first - 1, -1), "back, in twice the digits"):
         move, _, taken = careful.steps[step]
-        belief, parts, back = *_given(taken.belief, later), None
-        if out and (parts > _CLOSE).any():
-            gain, other, error = _reversed(taken.belief, careful.steps[step + 1], out[-1])
-            lost = error < parts.max(axis=-1)
-            back = Back(gain, lost[:, None, None])
-            belief = _either(back.lost, other, belief)
-            parts = np.where(lost[:, None], error[:, None], parts)
+        belief, parts, back = *given(taken.belief, later), None
+        if out and is_close(parts).any():
+            ahead, after = careful.steps[step + 1], out[-1]
+            assert ahead.move is not None
+            next_ = ahead.move, ahead.predicted, after.belief, after.parts
+            belief, parts, back = closer(taken.belief, belief, parts, *next_)
         here = later.before(taken.components)
         out.append(Smooth(step, belief, here, back, parts))
         if move is not None:
@@ -324,7 +330,7 @@ def _across(careful: Careful, slices: list[Smooth], first: int, second: int) -> 
     return found
 
 
-def _given(known: Belief, later: Later) -> tuple[Belief, Array]:
+def given(known: Belief, later: Later) -> tuple[Belief, Array]:
     """The smoothed belief m + P r, P − P N P over a slice, from its filtered belief `known`, m, P.
 
     `later` is the message r, N of the measurements after the slice's own. Returns the belief, with
@@ -347,19 +353,48 @@ def _given(known: Belief, later: Later) -> tuple[Belief, Array]:
     return found.certain(), rounding / np.where(after > 0.0, after, np.inf)
 
 
-def _reversed(known: Belief, after: Step, later: Smooth) -> tuple[Twofold, Belief, Array]:
+def is_close(parts: Array) -> Mask:
+    """The runs (runs,) in which Bayes' rule is tried, by the shares (runs, n) of rounding."""
+    found: Mask = (parts > _CLOSE).any(axis=-1)
+    return found
+
+
+def closer(
+    known: Belief,
+    belief: Belief,
+    parts: Array,
+    move: Move,
+    predicted: Belief,
+    later: Belief,
+    others: Array,
+) -> tuple[Belief, Array, Back]:
+    """The smoothed belief `belief` by Bayes' rule in its place, in the runs where that is closer.
+
+    `known` is the filtered belief over the slice; `move`, `predicted` and `later` are the
+    transition to the next slice, the belief predicted there, and the smoothed one. `parts` and
+    `others` (runs, n) are the shares of the variances of `belief` and `later` that may be rounding.
+    Returns the belief, its shares and the gain.
+    """
+    gain, other, error = _reversed(known, move, predicted, later, others)
+    lost = is_close(parts) & (error < parts.max(axis=-1))
+    back = Back(gain, lost[:, None, None])
+    return _either(back.lost, other, belief), np.where(lost[:, None], error[:, None], parts), back
+
+
+def _reversed(
+    known: Belief, move: Move, predicted: Belief, belief: Belief, others: Array
+) -> tuple[Twofold, Belief, Array]:
     """The smoothed belief over a slice by Bayes' rule, from that of the slice after it.
 
-    The filtered belief `known` has the moments m, P. The step `after` has the transition's matrix A
-    and noise covariance Q, and the predicted moments m⁻, P⁻; `later` has the smoothed ones m′, P′.
-    With the gain G = P Aᵀ (P⁻)⁺ the smoothed mean is m + G (m′ − m⁻), and the covariance
+    The filtered belief `known` has the moments m, P. The transition `move` to the next slice has
+    the matrix A and the noise covariance Q; there `predicted` has the moments m⁻, P⁻, and `belief`
+    the smoothed ones m′, P′, of whose variances shares `others` (runs, n) may be rounding. With the
+    gain G = P Aᵀ (P⁻)⁺ the smoothed mean is m + G (m′ − m⁻), and the covariance
     (1 − G A) P (1 − G A)ᵀ + G (Q + P′) Gᵀ, which subtracts nothing. Returns first G (runs, n, n),
     then the belief, then the largest share of a variance that may be rounding, (runs,).
     """
-    belief, predicted = later.belief, after.predicted
     columns, cov, own, drift, largest = known
-    assert after.move is not None
-    matrix, noise = after.move.matrix, after.move.cov
+    matrix, noise = move.matrix, move.cov
     floor = variances(predicted.rounding)
     unit, pivots = extended.eliminated(predicted.cov, CLEAR, floor)
     gain = extended.solve(unit, pivots, matrix @ cov).mT
@@ -382,7 +417,7 @@ def _reversed(known: Belief, after: Step, later: Smooth) -> tuple[Twofold, Belie
     moved = moved + ROUNDING * (size[..., 0] + np.abs(columns.hi[..., 0]))
     drift = through(keep.hi, drift) + through(gain.hi, belief.drift) + diagonal(moved**2)
     proper = np.where(pivots.hi > 0.0, pivots.hi, np.inf)
-    error = (floor / proper).max(axis=-1) + later.parts.max(axis=-1)
+    error = (floor / proper).max(axis=-1) + others.max(axis=-1)
     found = Belief(columns + gain @ shift, _symmetric(left), rounding, drift, largest)
     return gain, found.certain(), error
 

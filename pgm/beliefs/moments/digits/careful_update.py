@@ -11,6 +11,7 @@ from pgm.beliefs.moments.digits.careful_belief import (
     Component,
     Solved,
     decorrelated,
+    informed,
     rounded_belief,
     solved,
     take,
@@ -152,10 +153,10 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
         components: list[Component] = []
         log_density, left = np.zeros(runs), np.zeros(seen.shape)
         for k in range(seen.shape[-1]):
-            belief, component, predictive, indefinite = take(
+            belief, component, predictive, improper = take(
                 belief, rows[:, k, :-1], rows[:, k, -1], noises[:, k], seen[:, k]
             )
-            if indefinite:
+            if improper.any():
                 refusals.indefinite(parts, self.step)
             components.append(component)
             innovation, weight = component.innovation[:, 0], component.weight
@@ -179,8 +180,7 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
                 )
                 components.append(component)
         for component in components:
-            row = component.innovation[:, None, :]
-            information = information + row.mT @ (row * component.weight[:, None, None])
+            information = informed(information, component)
         unknown = solved(information)
         log_density = log_density + unknown.log_weight - solved(self.information).log_weight
         found = rounded_belief(belief, unknown)
