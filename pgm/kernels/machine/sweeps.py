@@ -42,7 +42,7 @@ def made(chain: Forward | Backward, lanes: int) -> Sweep:
     code = module.function("sweep", (ADDRESS, WHOLE, WHOLE), lanes=lanes)
     table, first, last = code.arguments
     w = Writer(code, table, chain)
-    with _runs(w, first, last):
+    with each_run(w, first, last):
         if isinstance(chain, Forward):
             _forward(w, chain)
         else:
@@ -51,7 +51,7 @@ def made(chain: Forward | Backward, lanes: int) -> Sweep:
 
 
 @contextmanager
-def _runs(w: Writer, first: Whole, last: Whole) -> Iterator[None]:
+def each_run(w: Writer, first: Whole, last: Whole) -> Iterator[None]:
     """The runs of a call, one after another, or pack by pack: the last may share runs."""
     code = w.code
     with code.loop((last - first + (code.lanes - 1)) // code.lanes) as k:

@@ -24,6 +24,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pgm.beliefs.moments.digits import compiled
 from pgm.beliefs.moments.digits.careful_belief import (
     Belief,
     Move,
@@ -66,6 +67,9 @@ def sweep(
     are indefinite or not finite, and measurements that contradict a certain belief, are refused
     with a NumericalError.
     """
+    made = compiled.sweep(plan, schedule, anchor, begin, gated)
+    if made is not None:
+        return made, Status.of([], np.ones(plan.runs, dtype=bool), plan.lead)
     out = Forward.empty(plan)
     steps: list[Step] = []
     ahead: list[Diffuse] = []
@@ -111,7 +115,8 @@ def sweep(
         refusals.belief(plan, plan.first + step, before[:2], belief[:2])
     if any(spread.open.any() for spread in ahead):
         out = replace(out, diffuse=Diffuse(*map(np.stack, zip(*ahead, strict=True))))
-    return Careful(out, steps), Status.of(record, converged, plan.lead)
+    error = np.max([step.taken.belief.error() for step in steps], axis=0)
+    return Careful(out, steps, error), Status.of(record, converged, plan.lead)
 
 
 def predict(plan: ChainPlan, step: int, known: Belief) -> Belief:

@@ -280,9 +280,11 @@ def solved(whole: Twofold) -> Solved:
     weights[:, 1:] = mean
     level = -(whole[:, :1, 1:] @ mean).hi[:, 0, 0]
     log_det = np.log(np.where(known, pivots.hi, 1.0)).sum(axis=-1)
-    if not known.all():
-        spanned = np.where(known[:, None, :], unit.hi, 0.0)
-        log_det += np.linalg.slogdet(spanned.mT @ spanned + np.eye(size) * ~known[:, None, :])[1]
+    lost = ~known.all(axis=-1)
+    if lost.any():  # elsewhere that is the determinant of U, of which rounding is all that differs
+        there = known[lost, None]
+        spanned = np.where(there, unit.hi[lost], 0.0)
+        log_det[lost] += np.linalg.slogdet(spanned.mT @ spanned + np.eye(size) * ~there)[1]
     open_ = np.where(known[:, None, :], 0.0, extended.inverse_unit(unit).mT.hi)
     return Solved(weights, cov, open_, 0.5 * (level - log_det))
 
@@ -426,11 +428,19 @@ def decorrelated(parts: Sequence[Measured], runs: int, width: int) -> tuple[Twof
             taken[:, place] = there
             rows[:, place] = extended.where(there[..., None], rows[:, place], 0.0)
             noise[:, place, place] = independent(noise[:, place, place], there)
+    return *uncorrelated(rows, noise), taken
+
+
+def uncorrelated(rows: Twofold, noise: Array) -> tuple[Twofold, Twofold]:
+    """Measurements [h z] (..., k, n + 1) by their noise covariances (..., k, k), decorrelated.
+
+    Returns the rows and the variances (..., k) of independent errors; see `decorrelated`.
+    """
     own = variances(noise)
     if np.count_nonzero(noise) == np.count_nonzero(own):
-        return rows, Twofold(own.copy()), taken
+        return rows, Twofold(own.copy())
     unit, noises = extended.eliminated(noise, NEGLIGIBLE)
-    return extended.solve_unit(unit, rows), noises, taken
+    return extended.solve_unit(unit, rows), noises
 
 
 def _by_run(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:

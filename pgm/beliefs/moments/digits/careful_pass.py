@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
-
-import numpy as np
 
 from pgm.beliefs.moments.digits.careful_belief import Belief, Move
 from pgm.beliefs.moments.digits.careful_update import CarefulUpdate
@@ -28,20 +27,16 @@ class Step(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Careful:
-    """A forward pass: its `steps` in twice the digits, and `forward`, their moments in float64."""
+    """A forward pass: its `steps` in twice the digits, and `forward`, their moments in float64.
+
+    `error` (runs,) is the largest rounding error of a filtered mean, at any step. An error is
+    divided by the standard deviation of its component, or, if larger, by 10⁻⁹ of the largest
+    standard deviation that was predicted for the component up to that step.
+    """
 
     forward: Forward
-    steps: list[Step]
-
-    @property
-    def error(self) -> Array:
-        """The largest rounding error of a filtered mean, at any step, (runs,).
-
-        An error is divided by the standard deviation of its component, or, if larger, by 10⁻⁹ of
-        the largest standard deviation that was predicted for the component up to that step.
-        """
-        largest: Array = np.max([step.taken.belief.error() for step in self.steps], axis=0)
-        return largest
+    steps: Sequence[Step]
+    error: Array
 
 
 class Begin(NamedTuple):

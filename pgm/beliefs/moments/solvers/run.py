@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from pgm.beliefs.moments.compiled import sweep as compiled
 from pgm.beliefs.moments.digits import careful, certificate, close_points, last_places
 from pgm.beliefs.moments.digits.careful_pass import Careful
 from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
@@ -313,8 +312,6 @@ def _carefully(solver: Solver, plan: ChainPlan, given: Array | None) -> ChainOut
     `given` (T+1, runs, n) are the means of the slices at which to linearise first, None if the user
     gave none.
     """
-    if compiled.is_used(plan):
-        plan.account.leave("float64 has too few digits, and twice as many are computed by NumPy")
     found = solver.carefully(plan, given)
     _refuse_infinite(found)
     return _told(found)

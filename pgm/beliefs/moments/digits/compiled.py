@@ -1,0 +1,252 @@
+"""The forward pass in twice the digits by machine code, for chains that are linear by now.
+
+What machine code does not know is left to NumPy's pass, and told by the plan's account. What it
+finds improper NumPy's pass does again, and refuses in its own words.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pgm.beliefs.moments.compiled.plans import Table, address
+from pgm.beliefs.moments.compiled.sweep import is_used
+from pgm.beliefs.moments.digits import laid_out, written
+from pgm.beliefs.moments.digits.careful_belief import Belief, Component, uncorrelated
+from pgm.beliefs.moments.digits.careful_chain import start, transition
+from pgm.beliefs.moments.digits.careful_pass import Begin, Careful
+from pgm.beliefs.moments.digits.laid_out import flat, mapped, two
+from pgm.beliefs.moments.digits.record import Record, at_all_steps, shown
+from pgm.beliefs.moments.passes.forward import Forward
+from pgm.beliefs.moments.steps import gate, refusals
+from pgm.beliefs.moments.steps.chain import MomentChain
+from pgm.beliefs.moments.steps.diffuse import Diffuse
+from pgm.beliefs.moments.steps.plan import ChainPlan
+from pgm.beliefs.moments.steps.readings import Moments
+from pgm.compile.machine import CONTROL, Compiled
+from pgm.kernels import roots
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, quiet, vacant, variances
+from pgm.kernels.extended import Twofold
+from pgm.kernels.machine import digits
+from pgm.kernels.machine.sweeps import LANES, Sweep
+from pgm.resources import in_threads
+from pgm.schedules.iteration import Anchor
+from pgm.schedules.schedule import Filtering
+
+# The most components of a slice: steps are straight lines, as long as the cube of it.
+_MOST = 6
+
+
+def sweep(
+    plan: ChainPlan,
+    schedule: Filtering | None,
+    anchor: Anchor | None,
+    begin: Begin | None,
+    gated: gate.Asked | None,
+) -> Careful | None:
+    """The forward pass over a plan; None if machine code does not know it, or to refuse it.
+
+    The arguments are those of `careful.sweep`.
+    """
+    if not is_used(plan):
+        return None
+    why = _unknown(plan, schedule, anchor, gated)
+    if why is not None:
+        plan.account.leave(f"float64 has too few digits, and {why}")
+        return None
+    found = _swept(plan, schedule, begin)
+    if found is not None:
+        plan.account.compiled += 1
+    return found
+
+
+def _unknown(
+    plan: ChainPlan,
+    schedule: Filtering | None,
+    anchor: Anchor | None,
+    gated: gate.Asked | None,
+) -> str | None:
+    """Why machine code does not know a pass."""
+    if schedule is not None:
+        gated = schedule.gate
+        for family in plan.families:
+            if not family.exact:
+                return f"{family.cpd!r} is linearised step by step"
+    if anchor is not None:
+        return CONTROL
+    if gated is not None:
+        return "gates reject sightings"
+    for sensor in plan.read:
+        if sensor.robust:
+            return f"{sensor.family.cpd!r} has robust noise"
+        if sensor.grouped and max(np.diff(sensor.bounds)) > 1:
+            return f"{sensor.family.cpd!r} has several sightings in a group"
+        if schedule is not None and sensor.variable.angles:
+            return f"{sensor.family.cpd!r} reads angles"
+    if plan.layout.slice_size > _MOST:
+        return f"a slice has more than {_MOST} components"
+    return None
+
+
+@quiet()
+def _swept(plan: ChainPlan, schedule: Filtering | None, begin: Begin | None) -> Careful | None:
+    """The pass of a plan that machine code knows; None where a number is improper."""
+    steps, runs = plan.steps + 1, plan.runs
+    if begin is None:
+        belief = start(plan, linearise=schedule is not None)
+        begin = Begin(belief, Twofold.zeros((runs, *(belief.columns.shape[-1:] * 2))))
+    else:
+        belief = begin.belief
+        belief = belief._replace(largest=variances(belief.cov.hi))  # as far back as the window goes
+        begin = begin._replace(belief=belief)
+    size, unknown = belief.columns.shape[-2], belief.columns.shape[-1] - 1
+    every, scalars, bounds = transition(plan, slice(None)), Scalars.of(plan), _bounds(plan)
+    each, own = partial(vacant, (steps, runs)), partial(vacant, (int(bounds[-1]), runs))
+    predicted, known = (laid_out.belief(each, size, unknown) for _ in range(2))
+    information = two(each, 1 + unknown, 1 + unknown)
+    component = laid_out.component(own, size, unknown)._replace(row=scalars.row)
+    predictive, improper = own(()), own(())
+    table = Table(plan, LANES if runs >= LANES else 1)
+
+    def arrays(*value: Any) -> digits.Arrays:
+        return tuple(map(table.array, flat(value)))
+
+    chain = digits.Ahead(
+        prediction=written.prediction(size, unknown),
+        measurement=written.measurement(size, unknown),
+        begin=arrays(mapped(lambda part: part[None], begin)),
+        move=arrays(every.matrix, every.offset, every.cov),
+        scalars=arrays(scalars.row, scalars.value, scalars.noise, scalars.seen),
+        taken=arrays(component[1:], predictive, improper),
+        bounds=table.at(bounds),
+        predicted=arrays(predicted),
+        known=arrays(known, information),
+    )
+    run(plan, digits.made(chain, table.lanes), table)
+    before = np.concatenate([begin.information.hi[None], information.hi[:-1]])
+    earlier = Twofold(before, np.concatenate([begin.information.lo[None], information.lo[:-1]]))
+    now, then = at_all_steps(information), at_all_steps(earlier)
+    log_density = _density(component, predictive, bounds) + now.log_weight - then.log_weight
+    moments = *shown(predicted, then), *shown(known, now)
+    sound = np.isfinite(log_density).all() and not improper.any()
+    if not sound or not _is_proper(plan, predicted, known):
+        return None
+    _require_consistent(plan, scalars, component, bounds, moments[0], moments[1])
+    made = Record(
+        every, predicted, known, information, now, *moments[2:], log_density, component, bounds
+    )
+    ahead = moments[1] if moments[1].open.any() else None
+    covs = moments[1].shown, moments[3].shown
+    forward = Forward(moments[0], covs[0], moments[2], covs[1], log_density, diffuse=ahead)
+    return Careful(forward, made, known.error().max(axis=0))
+
+
+class Scalars(NamedTuple):
+    """Measurements as scalars z = h x + e with independent errors, step after step.
+
+    `row` is h (K, runs, n), `value` z and `noise` the variance of e (K, runs); `seen` is one of
+    what was measured, else zero.
+    """
+
+    row: Twofold
+    value: Twofold
+    noise: Twofold
+    seen: Array
+
+    @classmethod
+    def of(cls, plan: ChainPlan) -> Scalars:
+        """All measurements of a plan, as they are linearised."""
+        size, due = plan.layout.slice_size, []
+        for sensor in plan.read:
+            found = sensor.reading(slice(None))
+            count, runs, height, _ = found.matrix.shape
+            rows = Twofold.zeros((count, runs, height, size + 1))
+            rows.hi[..., :-1][..., sensor.parents] = found.matrix
+            rows[..., -1] = Twofold(found.value) - found.offset
+            rows, noise = uncorrelated(rows, found.noise)
+            seen = np.ones((count, runs, height))
+            if found.taken is not None:
+                seen *= found.taken
+            steps = np.repeat(np.arange(plan.steps + 1), np.diff(sensor.bounds))
+            due.append((np.repeat(steps, height), rows[..., :-1], rows[..., -1], noise, seen))
+        if not due:
+            nothing = np.zeros((0, plan.runs))
+            return cls(Twofold(np.zeros((0, plan.runs, size))), *(Twofold(nothing),) * 2, nothing)
+        order = np.argsort(np.concatenate([steps for steps, *_ in due]), kind="stable")
+
+        def joined(*parts: Array) -> Array:
+            wide = [part.swapaxes(1, 2).reshape(-1, plan.runs, *part.shape[3:]) for part in parts]
+            found = vacant((len(order), plan.runs), wide[0].shape[2:])
+            found[...] = np.concatenate(wide)[order]
+            return found
+
+        def both(*parts: Twofold) -> Twofold:
+            return Twofold(*(joined(*(getattr(each, k) for each in parts)) for k in ("hi", "lo")))
+
+        _, rows, values, noises, seen = zip(*due, strict=True)
+        return cls(both(*rows), both(*values), both(*noises), joined(*seen))
+
+
+def _bounds(plan: ChainPlan) -> Integers:
+    """The first scalar measurement of each step, and one more, (T+2,)."""
+    found = np.zeros(plan.steps + 2, dtype=np.int64)
+    for sensor in plan.read:
+        found += np.array(sensor.bounds) * sensor.height
+    return found
+
+
+def run(plan: ChainPlan, made: Sweep, table: Table) -> None:
+    """Run a sweep on all runs of a plan."""
+    choice, whole = plan.layout.compiled, table.whole
+    threads = choice.threads if isinstance(choice, Compiled) else 1
+    threads = max(min(threads, plan.runs // table.lanes), 1)
+    in_threads(partial(made, address(whole)), plan.runs, threads)
+
+
+def _density(component: Component, predictive: Array, bounds: Integers) -> Array:
+    """The log-densities (T+1, runs) of each step's measurements, at δ = 0."""
+    innovation, weight = component.innovation[..., 0], component.weight
+    read = weight.hi > 0.0
+    level = (innovation * innovation * weight).hi + np.log(np.where(read, predictive, 1.0))
+    each = np.where(read, 0.5 * (level + LOG_2PI), 0.0)
+    found, counts = np.zeros((len(bounds) - 1, each.shape[1])), np.diff(bounds)
+    for k in range(counts.max(initial=0)):
+        steps = counts > k
+        found[steps] -= each[bounds[:-1][steps] + k]
+    return found
+
+
+def _is_proper(plan: ChainPlan, *beliefs: Belief) -> bool:
+    """Whether all beliefs are such as `refusals.belief` takes."""
+    for belief in beliefs:
+        for part in (belief.columns, belief.cov):
+            if not np.isfinite(part.hi + part.lo).all():
+                return False
+    if all(family.semidefinite for family in plan.families):
+        return True
+    return all(roots.is_proper(roots.root(belief.cov.hi)) for belief in beliefs)
+
+
+def _require_consistent(
+    plan: ChainPlan,
+    scalars: Scalars,
+    component: Component,
+    bounds: Integers,
+    mean: Array,
+    spread: Diffuse,
+) -> None:
+    """Refuse measurements that contradict what an exact model determines, with a NumericalError.
+
+    `mean` (T+1, runs, n) and `spread` are the predicted moments.
+    """
+    left = np.where(component.weight.hi > 0.0, 0.0, scalars.seen)
+    left = left * np.abs(component.innovation.hi[..., 0])
+    chain = MomentChain(plan, None)
+    steps = np.searchsorted(bounds, np.flatnonzero(left.any(axis=1)), side="right") - 1
+    for step in np.unique(steps):
+        at = Moments.of(plan, mean[step], spread.at(step).shown)
+        parts = [part.linearise(at.mean, at.cov) for part in chain.readings(step)]
+        off = left[bounds[step] : bounds[step + 1]]
+        refusals.contradiction(parts, plan.first + step, at.mean, off if plan.batch else off[:, 0])
