@@ -229,10 +229,17 @@ def _product(a: Array, a_low: Array, b: Array, b_low: Array) -> tuple[Array, Arr
     The error of a b is exact; a_low b_low is below the digits kept.
     """
     product = a * b
+    return product, _rounding(a, b, product) + (a * b_low + a_low * b)
+
+
+def _rounding(a: Array, b: Array, product: Array) -> Array:
+    """The error a b − `product`, exactly, of a rounded product."""
+    traced: Any = product
+    if product.dtype == object:  # processors have an operation for it
+        return traced.fused(a, b)
     a_head, a_tail = _halves(a)
     b_head, b_tail = _halves(b)
-    error = ((a_head * b_head - product) + a_head * b_tail + a_tail * b_head) + a_tail * b_tail
-    return product, error + (a * b_low + a_low * b)
+    return ((a_head * b_head - product) + a_head * b_tail + a_tail * b_head) + a_tail * b_tail
 
 
 def _add(a: Array, a_low: Array, b: Array, b_low: Array) -> tuple[Array, Array]:

@@ -9,17 +9,19 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from math import prod
 
 from pgm.kernels.machine.kinds import ADDRESS, WHOLE
 from pgm.kernels.machine.memory import Cells
 from pgm.kernels.machine.module import Module
-from pgm.kernels.machine.numbers import Number
+from pgm.kernels.machine.numbers import Number, constant
 from pgm.kernels.machine.sweeps import Sweep, each_run
 from pgm.kernels.machine.told import Array, Function
 from pgm.kernels.machine.traces import written
 from pgm.kernels.machine.variables import Variable
 from pgm.kernels.machine.wholes import Address, Whole
 from pgm.kernels.machine.writer import Writer, held
+from pgm.kernels.numbers import most
 
 Arrays = tuple[Array, ...]
 # The arguments of a trace: the numbers of each, by their place.
@@ -60,16 +62,61 @@ class Ahead:
     known: Arrays
 
 
+@dataclass(frozen=True)
+class Behind:
+    """Sweeps back: beliefs are smoothed by a message, or from the belief of the next step.
+
+    Attributes
+    ----------
+    smoothing, bayes, message, carried : Function
+        Traces: of a known belief and a message, what is smoothed, and one where the belief of the
+        next step is to be tried; of the known, what is smoothed, the transition, and the predicted
+        and what is smoothed of the next step, what is smoothed, and its gain; of a message and a
+        scalar measurement, or a transition's matrix, the message before. The second is long: it is
+        None in a sweep that tells whether it is needed.
+    move, known, predicted, taken : tuple of Array
+        What a sweep forward was told and has left; of `known` the belief alone, and of `taken` with
+        the scalars' rows.
+    bounds, sweeps : int
+        Places in the table: as of `Ahead`, and of the address of three numbers: the first and the
+        last step of the first sweep, and how many sweeps there are, each a step later.
+    smoothed, here, gain : tuple of Array
+        Each step's smoothed belief with its shares of rounding, the message to its predicted
+        belief, and the gain, with one where it was used, or is needed.
+    """
+
+    smoothing: Function
+    bayes: Function | None
+    message: Function
+    carried: Function
+    move: Arrays
+    known: Arrays
+    predicted: Arrays
+    taken: Arrays
+    bounds: int
+    sweeps: int
+    smoothed: Arrays
+    here: Arrays
+    gain: Arrays
+
+
 @lru_cache(maxsize=64)
-def made(chain: Ahead, lanes: int) -> Sweep:
+def made(chain: Ahead | Behind, lanes: int) -> Sweep:
     """The sweep of a chain, of single runs or of packs: ``sweep(table, first, last)``."""
     module = Module(contract=False)
     code = module.function("sweep", (ADDRESS, WHOLE, WHOLE), lanes=lanes)
     table, first, last = code.arguments
     w = Writer(code, table, chain)
-    bounds = Cells(code, Cells(code, table, Address).load(chain.bounds), Whole)
-    with each_run(w, first, last):
-        _ahead(w, chain, bounds)
+    addresses = Cells(code, table, Address)
+    bounds = Cells(code, addresses.load(chain.bounds), Whole)
+    if isinstance(chain, Ahead):
+        with each_run(w, first, last):
+            _ahead(w, chain, bounds)
+    else:
+        sweeps = Cells(code, addresses.load(chain.sweeps), Whole)
+        begin, end, count = (sweeps.load(k) for k in range(3))
+        with each_run(w, first, last), code.loop(count) as k:
+            _behind(w, chain, bounds, begin + k, end + k)
     return module.compile(_LEVEL).callable("sweep")
 
 
@@ -77,6 +124,8 @@ def _ahead(w: Writer, chain: Ahead, bounds: Cells[Whole]) -> None:
     """Write the sweep forward of the runs at hand."""
     code, width = w.code, len(chain.predicted)
     state = _Carried(w, chain.begin)
+    begin = zip(chain.begin, _stored(w, chain.begin), strict=True)
+    state.set([source(k) for array, source in begin for k in range(_size(array))])
     with code.loop(w.last + 1) as at:
         with code.when(at > 0):
             move = _stored(w, chain.move, at - 1)
@@ -90,15 +139,45 @@ def _ahead(w: Writer, chain: Ahead, bounds: Cells[Whole]) -> None:
         state.keep(chain.known, at)
 
 
+def _behind(w: Writer, chain: Behind, bounds: Cells[Whole], begin: Whole, end: Whole) -> None:
+    """Write a sweep back from a step to another, of the runs at hand."""
+    code = w.code
+    later, smooth, now = (
+        _Carried(w, each) for each in (chain.here, chain.smoothed, chain.smoothed)
+    )
+    with code.loop(end + 1, begin, down=True) as at:
+        known = _stored(w, chain.known, at)
+        found = _applied(w, chain.smoothing, [*known, *later.sources])
+        now.set(found)
+        used, close = w.at(chain.gain[-1], at), constant(code, found[-1])
+        if chain.bayes is None:
+            with code.when(at < end):
+                used.store(0, most(used.load(0), close))
+        else:
+            used.store(0, 0.0)
+            with code.when((at < end) & code.some(close != 0.0)):
+                after = [*_stored(w, chain.move, at), *_stored(w, chain.predicted, at + 1)]
+                better = _applied(w, chain.bayes, [*known, *now.sources, *after, *smooth.sources])
+                now.set(better)
+                _keep(w, chain.gain, better[now.size :], at)
+        smooth.set(now.numbers)
+        smooth.keep(chain.smoothed, at)
+        first = bounds.load(at)
+        with code.loop(bounds.load(at + 1), first, down=True) as row:
+            scalar = _stored(w, chain.taken, row)
+            later.set(_applied(w, chain.message, [*later.sources, *scalar]))
+        later.keep(chain.here, at)
+        with code.when(at > begin):
+            matrix = _stored(w, chain.move[:2], at - 1)
+            later.set(_applied(w, chain.carried, [*later.sources, *matrix]))
+
+
 class _Carried:
-    """Numbers that are carried from step to step, in variables: those of some arrays at a row."""
+    """Numbers that are carried from step to step, in variables: as many as arrays have, zeros."""
 
     def __init__(self, w: Writer, arrays: Arrays) -> None:
         self._w = w
-        self._variables: list[list[Variable[Number]]] = []
-        for source, array in zip(_stored(w, arrays), arrays, strict=True):
-            numbers = [source(k) for k in range(_size(array))]
-            self._variables.append([held(w.code, number) for number in numbers])
+        self._variables = [[held(w.code, 0.0) for _ in range(_size(each))] for each in arrays]
 
     @property
     def size(self) -> int:
@@ -114,6 +193,11 @@ class _Carried:
 
         return [source(each) for each in self._variables]
 
+    @property
+    def numbers(self) -> list[Number]:
+        """All numbers, as they are at this point of the code."""
+        return [variable.get() for each in self._variables for variable in each]
+
     def set(self, numbers: Sequence[Number | float]) -> None:
         """Replace the first numbers by others."""
         every = (variable for each in self._variables for variable in each)
@@ -122,15 +206,11 @@ class _Carried:
 
     def keep(self, arrays: Arrays, row: Whole) -> None:
         """Put the numbers into arrays at a row."""
-        numbers = [variable.get() for each in self._variables for variable in each]
-        _keep(self._w, arrays, numbers, row)
+        _keep(self._w, arrays, self.numbers, row)
 
 
 def _size(array: Array) -> int:
-    size = 1
-    for length in array.shape:
-        size *= length
-    return size
+    return prod(array.shape)
 
 
 def _stored(w: Writer, arrays: Arrays, row: Whole | None = None) -> list[Source]:

@@ -1,4 +1,4 @@
-"""The forward pass in twice the digits by machine code, for chains that are linear by now.
+"""Passes in twice the digits by machine code, of chains that are linear by now.
 
 What machine code does not know is left to NumPy's pass, and told by the plan's account. What it
 finds improper NumPy's pass does again, and refuses in its own words.
@@ -18,7 +18,7 @@ from pgm.beliefs.moments.digits.careful_belief import Belief, Component, uncorre
 from pgm.beliefs.moments.digits.careful_chain import start, transition
 from pgm.beliefs.moments.digits.careful_pass import Begin, Careful
 from pgm.beliefs.moments.digits.laid_out import flat, mapped, two
-from pgm.beliefs.moments.digits.record import Record, at_all_steps, shown
+from pgm.beliefs.moments.digits.record import Record, Slices, at_all_steps, shown
 from pgm.beliefs.moments.passes.forward import Forward
 from pgm.beliefs.moments.steps import gate, refusals
 from pgm.beliefs.moments.steps.chain import MomentChain
@@ -29,7 +29,7 @@ from pgm.compile.machine import CONTROL, Compiled
 from pgm.kernels import roots
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, quiet, vacant, variances
 from pgm.kernels.extended import Twofold
-from pgm.kernels.machine import digits
+from pgm.kernels.machine import digits, told
 from pgm.kernels.machine.sweeps import LANES, Sweep
 from pgm.resources import in_threads
 from pgm.schedules.iteration import Anchor
@@ -108,7 +108,7 @@ def _swept(plan: ChainPlan, schedule: Filtering | None, begin: Begin | None) -> 
     information = two(each, 1 + unknown, 1 + unknown)
     component = laid_out.component(own, size, unknown)._replace(row=scalars.row)
     predictive, improper = own(()), own(())
-    table = Table(plan, LANES if runs >= LANES else 1)
+    table = Table(plan, _lanes(plan))
 
     def arrays(*value: Any) -> digits.Arrays:
         return tuple(map(table.array, flat(value)))
@@ -124,7 +124,7 @@ def _swept(plan: ChainPlan, schedule: Filtering | None, begin: Begin | None) -> 
         predicted=arrays(predicted),
         known=arrays(known, information),
     )
-    run(plan, digits.made(chain, table.lanes), table)
+    _run(plan, digits.made(chain, table.lanes), table)
     before = np.concatenate([begin.information.hi[None], information.hi[:-1]])
     earlier = Twofold(before, np.concatenate([begin.information.lo[None], information.lo[:-1]]))
     now, then = at_all_steps(information), at_all_steps(earlier)
@@ -135,12 +135,64 @@ def _swept(plan: ChainPlan, schedule: Filtering | None, begin: Begin | None) -> 
         return None
     _require_consistent(plan, scalars, component, bounds, moments[0], moments[1])
     made = Record(
-        every, predicted, known, information, now, *moments[2:], log_density, component, bounds
+        plan,
+        every,
+        predicted,
+        known,
+        information,
+        now,
+        *moments[2:],
+        log_density,
+        component,
+        bounds,
     )
     ahead = moments[1] if moments[1].open.any() else None
     covs = moments[1].shown, moments[3].shown
     forward = Forward(moments[0], covs[0], moments[2], covs[1], log_density, diffuse=ahead)
     return Careful(forward, made, known.error().max(axis=0))
+
+
+@quiet()
+def smoothed(made: Record, last: int, first: int, count: int = 1) -> Slices:
+    """The slices given the measurements up to some step, of a forward pass by machine code.
+
+    There are `count` sweeps back: the first from step `last` to `first`, each other from and to a
+    step later. A slice is of the last sweep that comes to it. Returns the slices from `first` on.
+    """
+    plan, (size, columns) = made.plan, made.known.columns.shape[-2:]
+    of, room = (size, columns - 1), partial(vacant, (plan.steps + 1, plan.runs))
+    belief, here, parts = laid_out.belief(room, *of), laid_out.later(room, *of), room((size,))
+    gain, lost = two(room, size, size), room(())
+    lost[...] = 0.0
+
+    def swept(bayes: told.Function | None) -> None:
+        table = Table(plan, _lanes(plan))
+
+        def arrays(*value: Any) -> digits.Arrays:
+            return tuple(map(table.array, flat(value)))
+
+        chain = digits.Behind(
+            smoothing=written.smoothing(*of),
+            bayes=bayes,
+            message=written.message(*of),
+            carried=written.carried(*of),
+            move=arrays(made.every.matrix, made.every.offset, made.every.cov),
+            known=arrays(made.known),
+            predicted=arrays(made.predicted),
+            taken=arrays(made.components),
+            bounds=table.at(made.bounds),
+            sweeps=table.at(np.array([first, last, count], dtype=np.int64)),
+            smoothed=arrays(belief, parts),
+            here=arrays(here),
+            gain=arrays(gain, lost),
+        )
+        _run(plan, digits.made(chain, table.lanes), table)
+
+    swept(None)
+    if lost.any():
+        swept(written.bayes(*of))
+    found = belief, parts, here, gain, lost
+    return Slices(first, *mapped(lambda part: part[first : last + count], found))
 
 
 class Scalars(NamedTuple):
@@ -197,7 +249,11 @@ def _bounds(plan: ChainPlan) -> Integers:
     return found
 
 
-def run(plan: ChainPlan, made: Sweep, table: Table) -> None:
+def _lanes(plan: ChainPlan) -> int:
+    return LANES if plan.runs >= LANES else 1
+
+
+def _run(plan: ChainPlan, made: Sweep, table: Table) -> None:
     """Run a sweep on all runs of a plan."""
     choice, whole = plan.layout.compiled, table.whole
     threads = choice.threads if isinstance(choice, Compiled) else 1

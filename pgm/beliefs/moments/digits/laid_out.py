@@ -6,10 +6,12 @@ knows it as the list of these arrays, `flat`. What makes an array of a shape is 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
-from pgm.beliefs.moments.digits.adjoint import Later
+import numpy as np
+
+from pgm.beliefs.moments.digits.adjoint_belief import Later
 from pgm.beliefs.moments.digits.careful_belief import Belief, Component, Move
 from pgm.kernels.arrays import Array
 from pgm.kernels.extended import Twofold
@@ -26,7 +28,9 @@ def two(make: Maker, *shape: int) -> Twofold:
 def belief(make: Maker, size: int, unknown: int) -> Belief:
     """A belief over n = `size` components, of q = `unknown` components of δ."""
     n = size
-    return Belief(two(make, n, 1 + unknown), two(make, n, n), make((n, n)), make((n, n)), make((n,)))
+    return Belief(
+        two(make, n, 1 + unknown), two(make, n, n), make((n, n)), make((n, n)), make((n,))
+    )
 
 
 def move(make: Maker, size: int) -> Move:
@@ -72,3 +76,13 @@ def mapped(function: Callable[[Array], Array], value: Any) -> Any:
         parts = [mapped(function, part) for part in value]
         return type(value)._make(parts) if hasattr(value, "_make") else tuple(parts)
     return function(value)
+
+
+def piled(values: Sequence[Any]) -> Any:
+    """Values of one layout as one, whose arrays have an axis more in front."""
+    first = values[0]
+    if isinstance(first, Twofold):
+        return Twofold(np.stack([x.hi for x in values]), np.stack([x.lo for x in values]))
+    if isinstance(first, tuple):
+        return type(first)._make(map(piled, zip(*values, strict=True)))  # type: ignore[attr-defined]
+    return np.stack(values)

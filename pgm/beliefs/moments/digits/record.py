@@ -1,4 +1,4 @@
-"""A forward pass of machine code in twice the digits, whose steps are rows of arrays."""
+"""Passes of machine code in twice the digits, whose steps are rows of arrays."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from pgm.beliefs.moments.digits.adjoint_belief import Back, Later, Smooth
 from pgm.beliefs.moments.digits.careful_belief import (
     Belief,
     Component,
@@ -18,22 +19,28 @@ from pgm.beliefs.moments.digits.careful_belief import (
 )
 from pgm.beliefs.moments.digits.careful_pass import Step
 from pgm.beliefs.moments.digits.careful_update import CarefulUpdate
-from pgm.beliefs.moments.digits.laid_out import mapped
+from pgm.beliefs.moments.digits.laid_out import mapped, piled
 from pgm.beliefs.moments.steps.diffuse import Diffuse
+from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.extended import Twofold
+
+# What slices have of each, in order.
+_SMOOTH = ("belief", "parts", "here")
 
 
 @dataclass(frozen=True, eq=False)
 class Record(Sequence[Step]):
-    """The steps of a pass, each made of its rows when it is asked for.
+    """The steps of a forward pass, each made of its rows when it is asked for.
 
-    `every` has the transitions (T or 1, runs or 1, ...), `predicted` and `known` the beliefs before
-    and after measurements (T+1, runs, ...), and `information` and `unknown` what is known of δ
-    after them. `mean`, `spread` and `log_density` are as of `CarefulUpdate`; `components` are those
-    of all steps (K, runs, ...), and rows bounds[t] to bounds[t + 1] are of step t.
+    `plan` is what was swept. `every` has the transitions (T or 1, runs or 1, ...), `predicted` and
+    `known` the beliefs before and after measurements (T+1, runs, ...), and `information` and
+    `unknown` what is known of δ after them. `mean`, `spread` and `log_density` are as of
+    `CarefulUpdate`; `components` are those of all steps (K, runs, ...), and rows bounds[t] to
+    bounds[t + 1] are of step t.
     """
 
+    plan: ChainPlan
     every: Move
     predicted: Belief
     known: Belief
@@ -66,6 +73,49 @@ class Record(Sequence[Step]):
             unknown,
         )
         return Step(move, row(self.predicted, step), taken)
+
+
+@dataclass(frozen=True, eq=False)
+class Slices(Sequence[Smooth]):
+    """The smoothed slices at consecutive steps from `first` on, each made when it is asked for.
+
+    The arrays are (steps, runs, ...): of beliefs, of the shares of their variances that may be
+    rounding, of the messages to the predicted beliefs, and of the gains of Bayes' rule where it was
+    used, which `lost` (steps, runs) marks by one.
+    """
+
+    first: int
+    belief: Belief
+    parts: Array
+    here: Later
+    gain: Twofold
+    lost: Array
+
+    @classmethod
+    def of(cls, slices: Sequence[Smooth]) -> Slices:
+        """The slices of a pass that made one after another."""
+        none = Back(Twofold.zeros(slices[0].here.matrix.shape), np.zeros((1, 1, 1), dtype=bool))
+        backs = [none if each.back is None else each.back for each in slices]
+        runs = len(slices[0].parts)
+        lost = [np.broadcast_to(back.lost[:, 0, 0], runs) for back in backs]
+        return cls(
+            slices[0].step,
+            *(piled([getattr(each, name) for each in slices]) for name in _SMOOTH),
+            piled([back.gain for back in backs]),
+            np.array(lost, dtype=np.float64),
+        )
+
+    def __len__(self) -> int:
+        return len(self.parts)
+
+    def __getitem__(self, place: Any) -> Any:
+        """The slice at this place."""
+        place, back = range(len(self))[place], None
+        lost = self.lost[place] != 0.0
+        if lost.any():
+            back = Back(self.gain[place], lost[:, None, None])
+        belief, here = row(self.belief, place), row(self.here, place)
+        return Smooth(self.first + place, belief, here, back, self.parts[place])
 
 
 def row(value: Any, place: int) -> Any:

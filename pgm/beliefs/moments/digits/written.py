@@ -6,13 +6,14 @@ one run; pairs of float64 are then pairs of traced numbers (`Twofold`). So a ste
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from math import prod
 from typing import Any
 
 import numpy as np
 
 from pgm.beliefs.moments.digits import laid_out
+from pgm.beliefs.moments.digits.adjoint_belief import closer, given, is_close
 from pgm.beliefs.moments.digits.careful_belief import informed, predicted, take
 from pgm.beliefs.moments.digits.laid_out import flat, two
 from pgm.kernels.machine.told import Function
@@ -59,3 +60,45 @@ def measurement(size: int, unknown: int) -> Function:
     after, component, predictive, improper = take(belief, row, value, noise, seen != 0.0)
     known = informed(known, component)
     return trace.function((after, known, component[1:], predictive, np.where(improper, 1.0, 0.0)))
+
+
+@lru_cache(maxsize=16)
+def smoothing(size: int, unknown: int) -> Function:
+    """The smoothed belief of a filtered one and a message, its shares of rounding, and `is_close`.
+
+    That is one where Bayes' rule is to be tried.
+    """
+    trace = _Trace()
+    known = laid_out.belief(trace.given, size, unknown)
+    belief, parts = given(known, laid_out.later(trace.given, size, unknown))
+    return trace.function((belief, parts, np.where(is_close(parts), 1.0, 0.0)))
+
+
+@lru_cache(maxsize=16)
+def bayes(size: int, unknown: int) -> Function:
+    """The belief and its shares by Bayes' rule where that is closer, the gain, and one if it was.
+
+    It is of a filtered belief, the smoothed one and its shares, the transition to the next slice,
+    the belief predicted there, and the smoothed one with its shares.
+    """
+    trace = _Trace()
+    make, belief = trace.given, partial(laid_out.belief, trace.given, size, unknown)
+    known, found, parts, move = belief(), belief(), make((size,)), laid_out.move(make, size)
+    found, parts, back = closer(known, found, parts, move, belief(), belief(), make((size,)))
+    return trace.function((found, parts, back.gain, np.where(back.lost, 1.0, 0.0)))
+
+
+@lru_cache(maxsize=16)
+def message(size: int, unknown: int) -> Function:
+    """A message of later measurements carried back through a scalar one."""
+    trace = _Trace()
+    later = laid_out.later(trace.given, size, unknown)
+    return trace.function(later.past(laid_out.component(trace.given, size, unknown)))
+
+
+@lru_cache(maxsize=16)
+def carried(size: int, unknown: int) -> Function:
+    """A message carried back through the matrix of a transition."""
+    trace = _Trace()
+    later = laid_out.later(trace.given, size, unknown)
+    return trace.function(later.back(two(trace.given, size, size)))
