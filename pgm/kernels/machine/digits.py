@@ -7,7 +7,7 @@ in which order. Products and sums are never contracted: pairs live on what each 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from math import prod
 
@@ -26,8 +26,6 @@ from pgm.kernels.numbers import most
 Arrays = tuple[Array, ...]
 # The arguments of a trace: the numbers of each, by their place.
 Source = Callable[[int], Number]
-# The first passes of LLVM are enough: steps are straight lines.
-_LEVEL = 1
 
 
 @dataclass(frozen=True)
@@ -100,9 +98,18 @@ class Behind:
     gain: Arrays
 
 
+def length(chain: Ahead | Behind) -> int:
+    """How many operations the steps of a chain are."""
+    parts = (getattr(chain, each.name) for each in fields(chain))
+    return sum(len(part.operations) for part in parts if isinstance(part, Function))
+
+
 @lru_cache(maxsize=64)
-def made(chain: Ahead | Behind, lanes: int) -> Sweep:
-    """The sweep of a chain, of single runs or of packs: ``sweep(table, first, last)``."""
+def made(chain: Ahead | Behind, lanes: int, level: int) -> Sweep:
+    """The sweep of a chain, of single runs or of packs: ``sweep(table, first, last)``.
+
+    It is compiled at a level of optimisation, 0 or 1: steps are straight lines.
+    """
     module = Module(contract=False)
     code = module.function("sweep", (ADDRESS, WHOLE, WHOLE), lanes=lanes)
     table, first, last = code.arguments
@@ -117,7 +124,7 @@ def made(chain: Ahead | Behind, lanes: int) -> Sweep:
         begin, end, count = (sweeps.load(k) for k in range(3))
         with each_run(w, first, last), code.loop(count) as k:
             _behind(w, chain, bounds, begin + k, end + k)
-    return module.compile(_LEVEL).callable("sweep")
+    return module.compile(level).callable("sweep")
 
 
 def _ahead(w: Writer, chain: Ahead, bounds: Cells[Whole]) -> None:

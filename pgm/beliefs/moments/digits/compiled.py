@@ -30,13 +30,16 @@ from pgm.kernels import roots
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, quiet, vacant, variances
 from pgm.kernels.extended import Twofold
 from pgm.kernels.machine import digits, told
-from pgm.kernels.machine.sweeps import LANES, Sweep
+from pgm.kernels.machine.sweeps import LANES
 from pgm.resources import in_threads
 from pgm.schedules.iteration import Anchor
 from pgm.schedules.schedule import Filtering
 
 # The most components of a slice: steps are straight lines, as long as the cube of it.
 _MOST = 6
+# A thousand operations take 15 ms to compile, or 65 to run four times faster: steps of few of them,
+# or many steps, are worth that.
+_SHORT, _MANY = 6_000, 20_000
 
 
 def sweep(
@@ -124,7 +127,7 @@ def _swept(plan: ChainPlan, schedule: Filtering | None, begin: Begin | None) -> 
         predicted=arrays(predicted),
         known=arrays(known, information),
     )
-    _run(plan, digits.made(chain, table.lanes), table)
+    _run(plan, chain, table)
     before = np.concatenate([begin.information.hi[None], information.hi[:-1]])
     earlier = Twofold(before, np.concatenate([begin.information.lo[None], information.lo[:-1]]))
     now, then = at_all_steps(information), at_all_steps(earlier)
@@ -186,7 +189,7 @@ def smoothed(made: Record, last: int, first: int, count: int = 1) -> Slices:
             here=arrays(here),
             gain=arrays(gain, lost),
         )
-        _run(plan, digits.made(chain, table.lanes), table)
+        _run(plan, chain, table)
 
     swept(None)
     if lost.any():
@@ -253,9 +256,11 @@ def _lanes(plan: ChainPlan) -> int:
     return LANES if plan.runs >= LANES else 1
 
 
-def _run(plan: ChainPlan, made: Sweep, table: Table) -> None:
+def _run(plan: ChainPlan, chain: digits.Ahead | digits.Behind, table: Table) -> None:
     """Run a sweep on all runs of a plan."""
     choice, whole = plan.layout.compiled, table.whole
+    short = digits.length(chain) <= _SHORT or plan.steps * plan.runs >= _MANY
+    made = digits.made(chain, table.lanes, 1 if short else 0)
     threads = choice.threads if isinstance(choice, Compiled) else 1
     threads = max(min(threads, plan.runs // table.lanes), 1)
     in_threads(partial(made, address(whole)), plan.runs, threads)
