@@ -11,17 +11,20 @@ from dataclasses import dataclass, fields
 from functools import lru_cache
 from math import prod
 
+from pgm.kernels.machine.cpd import keep, linearised
 from pgm.kernels.machine.kinds import ADDRESS, WHOLE
 from pgm.kernels.machine.memory import Cells
 from pgm.kernels.machine.module import Module
+from pgm.kernels.machine.motion import line_of
 from pgm.kernels.machine.numbers import Number, constant
 from pgm.kernels.machine.sweeps import Sweep, each_run
-from pgm.kernels.machine.told import Array, Function
+from pgm.kernels.machine.told import Array, Function, Motion, Sensor
 from pgm.kernels.machine.traces import written
 from pgm.kernels.machine.variables import Variable
 from pgm.kernels.machine.wholes import Address, Whole
 from pgm.kernels.machine.writer import Writer, held
-from pgm.kernels.numbers import most
+from pgm.kernels.numbers import Matrix, most, where
+from pgm.kernels.step import nearest
 
 Arrays = tuple[Array, ...]
 # The arguments of a trace: the numbers of each, by their place.
@@ -45,6 +48,12 @@ class Ahead:
         Of each scalar measurement, in order: itself, and what has come of it.
     bounds : int
         The place in the table of the address of the first scalar of each step, and one more.
+    motion : Motion or None
+        A transition to be linearised at each known belief; it is kept where `move` is read.
+    sensors : tuple of Sensor
+        To be linearised at each predicted belief; `scalars` are then what comes of them.
+    difference : Function
+        A trace: of two floats, their difference in twice the digits.
     predicted, known : tuple of Array
         Each step's belief before its measurements, and the belief and what is known after them.
     """
@@ -56,6 +65,9 @@ class Ahead:
     scalars: Arrays
     taken: Arrays
     bounds: int
+    motion: Motion | None
+    sensors: tuple[Sensor, ...]
+    difference: Function
     predicted: Arrays
     known: Arrays
 
@@ -135,15 +147,72 @@ def _ahead(w: Writer, chain: Ahead, bounds: Cells[Whole]) -> None:
     state.set([source(k) for array, source in begin for k in range(_size(array))])
     with code.loop(w.last + 1) as at:
         with code.when(at > 0):
+            if chain.motion is not None:
+                mean, cov = _moments(state, chain)
+                line_of(w, chain.motion, at - 1, mean, mean, cov)
             move = _stored(w, chain.move, at - 1)
             state.set(_applied(w, chain.prediction, [*state.sources[:width], *move]))
         state.keep(chain.predicted, at)
+        if chain.sensors:
+            _read(w, chain, at, *_moments(state, chain), bounds.load(at))
         with code.loop(bounds.load(at + 1), bounds.load(at)) as row:
             scalar = _stored(w, chain.scalars, row)
             found = _applied(w, chain.measurement, [*state.sources, *scalar])
             state.set(found)
             _keep(w, chain.taken, found[state.size :], row)
         state.keep(chain.known, at)
+
+
+def _moments(state: _Carried, chain: Ahead) -> tuple[Matrix, Matrix]:
+    """The mean and the covariance of a belief that does not depend on δ, in single floats."""
+    mean, _, cov = state.sources[:3]
+    size = chain.begin[0].shape[0]
+    rows = [[cov(i * size + j) for j in range(size)] for i in range(size)]
+    found = Matrix([0.5 * (rows[i][j] + rows[j][i]) for j in range(size)] for i in range(size))
+    return Matrix.column(mean(i) for i in range(size)), found
+
+
+def _read(w: Writer, chain: Ahead, at: Whole, mean: Matrix, cov: Matrix, first: Whole) -> None:
+    """Linearise the measurements of a step, and keep them as scalars from a first one on."""
+    place = w.code.variable(first)
+    for sensor in chain.sensors:
+        if sensor.bounds is None:
+            _linearised(w, chain, sensor, at, mean, cov, place)
+        else:
+            begin, end = w.sightings(sensor, at)
+            with w.code.loop(end, begin) as row:
+                _linearised(w, chain, sensor, row, mean, cov, place)
+
+
+def _linearised(
+    w: Writer,
+    chain: Ahead,
+    sensor: Sensor,
+    row: Whole,
+    mean: Matrix,
+    cov: Matrix,
+    place: Variable[Whole],
+) -> None:
+    """Linearise a sighting, and keep its components as the next scalars, [h, z − b, r, whether]."""
+    parents, size = sensor.parents, mean.shape[0]
+    x = mean.part(parents, (0,))
+    line = linearised(w, sensor, row, x, cov.part(parents, parents))
+    keep(w, sensor, row, x, line)
+    values = [number for (number,) in w.column(sensor.readings, row).rows]
+    for k in sensor.angles:
+        values[k] = nearest(values[k], line.value[k, 0])
+    w.keep(sensor.moved, Matrix.column(values), row)
+    constant_of, own = line.value - line.matrix @ x, line.own.diagonal
+    for k, value in enumerate(values):
+        seen = value == value if sensor.missing else w.true
+        slope = dict(zip(parents, line.matrix.rows[k], strict=True))
+        found = [where(seen, slope.get(j, 0.0), 0.0) for j in range(size)]
+        given = [[value], [constant_of[k, 0]]]
+        offset = _applied(w, chain.difference, [each.__getitem__ for each in given])
+        found += [0.0] * size + [where(seen, each, 0.0) for each in offset]
+        found += [where(seen, own[k], 1.0), 0.0, seen.number()]
+        _keep(w, chain.scalars, found, place.get())
+        place.set(place.get() + 1)
 
 
 def _behind(w: Writer, chain: Behind, bounds: Cells[Whole], begin: Whole, end: Whole) -> None:

@@ -29,7 +29,7 @@ def predicted(w: Writer, chain: Forward, at: Whole, mean: Matrix, cov: Matrix) -
     """The slice at a row of the transition, from the moments of the slice before."""
     if chain.single:
         motion = chain.motions[0]
-        line = _line(w, motion, at, mean, mean, cov)
+        line = line_of(w, motion, at, mean, mean, cov)
         after = step.predict(cov, line.matrix, line.noise)
         return Predicted(line.value, after, line.sure & _is_certain(motion, line, cov, after))
     front = chain.states
@@ -37,7 +37,7 @@ def predicted(w: Writer, chain: Forward, at: Whole, mean: Matrix, cov: Matrix) -
     sure = w.true
     for motion in chain.motions:
         x, block = pair.part(motion.parents, (0,)), joint.part(motion.parents, motion.parents)
-        line = _line(w, motion, at, pair, x, block)
+        line = line_of(w, motion, at, pair, x, block)
         joint = step.extend(joint, motion.parents, line.matrix, line.noise)
         own = joint.part(*([range(pair.shape[0], joint.shape[0])] * 2))
         sure = sure & line.sure & _is_certain(motion, line, block, own)
@@ -46,7 +46,7 @@ def predicted(w: Writer, chain: Forward, at: Whole, mean: Matrix, cov: Matrix) -
     return Predicted(pair.part(own, (0,)), joint.part(own, own), sure)
 
 
-def _line(
+def line_of(
     w: Writer, motion: Motion, at: Whole, before: Matrix, mean: Matrix, cov: Matrix
 ) -> Line:
     """A CPD linearised, with its angles on the chart of those `before`, and kept."""

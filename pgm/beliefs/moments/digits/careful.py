@@ -69,7 +69,8 @@ def sweep(
     """
     made = compiled.sweep(plan, schedule, anchor, begin, gated)
     if made is not None:
-        return made, Status.of([], np.ones(plan.runs, dtype=bool), plan.lead)
+        settled = np.full(plan.runs, schedule is None or plan.linear)
+        return made, Status.of([], settled, plan.lead)
     out = Forward.empty(plan)
     steps: list[Step] = []
     ahead: list[Diffuse] = []

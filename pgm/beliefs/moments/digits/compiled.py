@@ -1,4 +1,4 @@
-"""Passes in twice the digits by machine code, of chains that are linear by now.
+"""Passes in twice the digits by machine code.
 
 What machine code does not know is left to NumPy's pass, and told by the plan's account. What it
 finds improper NumPy's pass does again, and refuses in its own words.
@@ -11,10 +11,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pgm.beliefs.moments.compiled.plans import Table, address
+from pgm.beliefs.moments.compiled.judged import judge
+from pgm.beliefs.moments.compiled.plans import (
+    Table,
+    Uncompiled,
+    address,
+    motion_of,
+    sensor_of,
+)
 from pgm.beliefs.moments.compiled.sweep import is_used
 from pgm.beliefs.moments.digits import laid_out, written
-from pgm.beliefs.moments.digits.careful_belief import Belief, Component, uncorrelated
+from pgm.beliefs.moments.digits.careful_belief import Belief, Component, Move, uncorrelated
 from pgm.beliefs.moments.digits.careful_chain import start, transition
 from pgm.beliefs.moments.digits.careful_pass import Begin, Careful
 from pgm.beliefs.moments.digits.laid_out import flat, mapped, two
@@ -55,47 +62,61 @@ def sweep(
     """
     if not is_used(plan):
         return None
-    why = _unknown(plan, schedule, anchor, gated)
-    if why is not None:
+    try:
+        found = _swept(plan, schedule, anchor, begin, gated)
+    except Uncompiled as why:
         plan.account.leave(f"float64 has too few digits, and {why}")
         return None
-    found = _swept(plan, schedule, begin)
     if found is not None:
         plan.account.compiled += 1
     return found
 
 
-def _unknown(
-    plan: ChainPlan,
-    schedule: Filtering | None,
-    anchor: Anchor | None,
-    gated: gate.Asked | None,
-) -> str | None:
-    """Why machine code does not know a pass."""
-    if schedule is not None:
-        gated = schedule.gate
-        for family in plan.families:
-            if not family.exact:
-                return f"{family.cpd!r} is linearised step by step"
+def _require_known(
+    plan: ChainPlan, schedule: Filtering | None, anchor: Anchor | None, gated: gate.Asked | None
+) -> None:
+    """Raise Uncompiled for a pass that machine code does not know, but for what it linearises."""
     if anchor is not None:
-        return CONTROL
-    if gated is not None:
-        return "gates reject sightings"
+        raise Uncompiled(CONTROL)
+    if (gated if schedule is None else schedule.gate) is not None:
+        raise Uncompiled("gates reject sightings")
     for sensor in plan.read:
         if sensor.robust:
-            return f"{sensor.family.cpd!r} has robust noise"
+            raise Uncompiled(f"{sensor.family.cpd!r} has robust noise")
         if sensor.grouped and max(np.diff(sensor.bounds)) > 1:
-            return f"{sensor.family.cpd!r} has several sightings in a group"
-        if schedule is not None and sensor.variable.angles:
-            return f"{sensor.family.cpd!r} reads angles"
+            raise Uncompiled(f"{sensor.family.cpd!r} has several sightings in a group")
     if plan.layout.slice_size > _MOST:
-        return f"a slice has more than {_MOST} components"
-    return None
+        raise Uncompiled(f"a slice has more than {_MOST} components")
+
+
+def _require_lines(plan: ChainPlan, schedule: Filtering, unknown: int) -> None:
+    """Raise Uncompiled for functions of which machine code in twice the digits makes no lines."""
+    if schedule.iterations > 1 and not plan.linear:
+        raise Uncompiled("the measurements of a step are linearised again")
+    if unknown:
+        raise Uncompiled("functions stand beside a flat prior")
+    for link in plan.transition:
+        if not (link.family.exact or plan.layout.single):
+            raise Uncompiled(f"{link.family.cpd!r} is one of several CPDs of a slice")
+    for family in plan.families:
+        if not (family.exact or family.taylor):
+            raise Uncompiled(f"{family.lineariser!r} linearises {family.cpd!r}")
+    for sensor in plan.read:
+        noise = sensor.family.own_noise
+        if np.count_nonzero(noise) > np.count_nonzero(variances(noise)):
+            raise Uncompiled(f"{sensor.family.cpd!r} has correlated noise")
 
 
 @quiet()
-def _swept(plan: ChainPlan, schedule: Filtering | None, begin: Begin | None) -> Careful | None:
-    """The pass of a plan that machine code knows; None where a number is improper."""
+def _swept(
+    plan: ChainPlan,
+    schedule: Filtering | None,
+    anchor: Anchor | None,
+    begin: Begin | None,
+    gated: gate.Asked | None,
+) -> Careful | None:
+    """The pass of a plan; Uncompiled if machine code does not know it, None to refuse it."""
+    _require_known(plan, schedule, anchor, gated)
     steps, runs = plan.steps + 1, plan.runs
     if begin is None:
         belief = start(plan, linearise=schedule is not None)
@@ -105,13 +126,28 @@ def _swept(plan: ChainPlan, schedule: Filtering | None, begin: Begin | None) -> 
         belief = belief._replace(largest=variances(belief.cov.hi))  # as far back as the window goes
         begin = begin._replace(belief=belief)
     size, unknown = belief.columns.shape[-2], belief.columns.shape[-1] - 1
-    every, scalars, bounds = transition(plan, slice(None)), Scalars.of(plan), _bounds(plan)
+    every, bounds = transition(plan, slice(None)), _bounds(plan)
     each, own = partial(vacant, (steps, runs)), partial(vacant, (int(bounds[-1]), runs))
+    table = Table(plan, _lanes(plan))
+    motion, sensors = None, ()
+    turned = any(sensor.variable.angles for sensor in plan.read)
+    if schedule is None or (plan.exact and not turned):
+        scalars = Scalars.of(plan)
+    else:
+        _require_lines(plan, schedule, unknown)
+        scalars = Scalars(two(own, size), two(own), two(own), own(()))
+        cpds = {"stored": False, "keep": True}
+        sensors = tuple(sensor_of(plan, sensor, table, **cpds) for sensor in plan.read)
+        if plan.transition and not plan.transition[0].family.exact:
+            link = plan.transition[0]
+            motion = motion_of(plan, link, table, **cpds)
+            every = every._replace(
+                matrix=_bare(link.family.matrix), offset=_bare(link.family.offset)
+            )
     predicted, known = (laid_out.belief(each, size, unknown) for _ in range(2))
     information = two(each, 1 + unknown, 1 + unknown)
     component = laid_out.component(own, size, unknown)._replace(row=scalars.row)
     predictive, improper = own(()), own(())
-    table = Table(plan, _lanes(plan))
 
     def arrays(*value: Any) -> digits.Arrays:
         return tuple(map(table.array, flat(value)))
@@ -124,19 +160,34 @@ def _swept(plan: ChainPlan, schedule: Filtering | None, begin: Begin | None) -> 
         scalars=arrays(scalars.row, scalars.value, scalars.noise, scalars.seen),
         taken=arrays(component[1:], predictive, improper),
         bounds=table.at(bounds),
+        motion=motion,
+        sensors=sensors,
+        difference=written.difference(),
         predicted=arrays(predicted),
         known=arrays(known, information),
     )
     _run(plan, chain, table)
-    before = np.concatenate([begin.information.hi[None], information.hi[:-1]])
-    earlier = Twofold(before, np.concatenate([begin.information.lo[None], information.lo[:-1]]))
+    first = begin.information
+    earlier = Twofold(
+        np.concatenate([first.hi[None], information.hi[:-1]]),
+        np.concatenate([first.lo[None], information.lo[:-1]]),
+    )
     now, then = at_all_steps(information), at_all_steps(earlier)
     log_density = _density(component, predictive, bounds) + now.log_weight - then.log_weight
     moments = *shown(predicted, then), *shown(known, now)
     sound = np.isfinite(log_density).all() and not improper.any()
     if not sound or not _is_proper(plan, predicted, known):
         return None
+    if schedule is not None:
+        judge(
+            plan,
+            (moments[2], moments[3].cov),
+            (moments[0], moments[1].cov),
+            np.ones(runs, dtype=bool),
+        )
     _require_consistent(plan, scalars, component, bounds, moments[0], moments[1])
+    if motion is not None:
+        every = transition(plan, slice(None))
     made = Record(
         plan,
         every,
@@ -242,6 +293,11 @@ class Scalars(NamedTuple):
 
         _, rows, values, noises, seen = zip(*due, strict=True)
         return cls(both(*rows), both(*values), both(*noises), joined(*seen))
+
+
+def _bare(array: Array) -> Twofold:
+    """Numbers of float64 as pairs, whose low parts are one zero for all rows and runs."""
+    return Twofold(array, np.zeros((1, 1, *array.shape[2:])))
 
 
 def _bounds(plan: ChainPlan) -> Integers:

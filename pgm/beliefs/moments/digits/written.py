@@ -16,6 +16,7 @@ from pgm.beliefs.moments.digits import laid_out
 from pgm.beliefs.moments.digits.adjoint_belief import closer, given, is_close
 from pgm.beliefs.moments.digits.careful_belief import informed, predicted, take
 from pgm.beliefs.moments.digits.laid_out import flat, two
+from pgm.kernels.extended import Twofold
 from pgm.kernels.machine.told import Function
 from pgm.tracing.traced import Node, Recorder, Traced, bare
 
@@ -102,3 +103,10 @@ def carried(size: int, unknown: int) -> Function:
     trace = _Trace()
     later = laid_out.later(trace.given, size, unknown)
     return trace.function(later.back(two(trace.given, size, size)))
+
+
+@lru_cache(maxsize=1)
+def difference() -> Function:
+    """The difference of two floats."""
+    trace = _Trace()
+    return trace.function(Twofold(trace.given((1,))) - trace.given((1,)))
