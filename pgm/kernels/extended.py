@@ -14,6 +14,8 @@ from pgm.kernels.arrays import Array, Mask
 
 # 2²⁷ + 1 cuts a number into two halves of 26 bits.
 _CUT = 134217729.0
+# Terms of ln((1 + s)/(1 − s)) up to which |s| < .18 leaves 32 digits.
+_LAST_TERM = 22
 
 
 class Twofold:
@@ -103,6 +105,42 @@ def where(mask: Mask, a: Twofold | float, b: Twofold | float) -> Twofold:
     """The numbers of `a` where the mask is true, those of `b` elsewhere; all three broadcast."""
     a, b = _twofold(a), _twofold(b)
     return Twofold(np.where(mask, a.hi, b.hi), np.where(mask, a.lo, b.lo))
+
+
+def sqrt(x: Twofold) -> Twofold:
+    """√x to 31 digits: that of float64, with one step of Newton's; as NumPy's of special values."""
+    near = np.sqrt(x.hi)
+    proper = (near > 0.0) & (near < np.inf)
+    unit = np.where(proper, near, 1.0)
+    rest = (x - Twofold(unit) * unit).hi / (2.0 * unit)
+    return where(proper, Twofold(*_normal(unit, rest)), Twofold(near))
+
+
+def log(x: Twofold) -> Twofold:
+    """The natural logarithm ln x to 30 digits; as NumPy's of special values.
+
+    With x = 2ᵏ m it is k ln 2 + 2 (s + s³/3 + s⁵/5 + ...), s = (m − 1) / (m + 1), |s| < .18.
+    """
+    near = np.log(x.hi)
+    proper = (x.hi > 0.0) & (x.hi < np.inf)
+    power = np.where(proper, np.rint(np.log2(np.where(proper, x.hi, 1.0))), 0.0)
+    half = np.floor(0.5 * power)
+    first, second = _power_of_two(-half), _power_of_two(half - power)
+    m = Twofold(x.hi * first * second, x.lo * first * second)
+    m = where(proper, m, 1.0)
+    s = (m - 1.0) / (m + 1.0)
+    square, total = s * s, Twofold(np.zeros_like(s.hi))
+    for k in range(_LAST_TERM, -1, -1):
+        total = total * square + 1.0 / _twofold(2.0 * k + 1.0)
+    return where(proper, _LN_2 * power + 2.0 * (s * total), Twofold(near))
+
+
+def _power_of_two(exponent: Array) -> Array:
+    """2ᵏ of whole numbers up to 540 or so, exactly, whatever digits the exponential has."""
+    near = np.exp2(exponent)
+    cut = (2.0**52 + 1.0) * near
+    rounded: Array = cut - (cut - near)
+    return rounded
 
 
 def eye(shape: tuple[int, ...]) -> Twofold:
@@ -265,3 +303,7 @@ def _sum(high: Array, low: Array) -> tuple[Array, Array]:
         empty = np.zeros((*high.shape[:-2], high.shape[-1]))
         return empty, empty.copy()
     return _normal(high[..., 0, :], low[..., 0, :])
+
+
+# ln 2, to 32 digits.
+_LN_2 = Twofold(np.float64(0.6931471805599453), np.float64(2.3190468138462996e-17))

@@ -93,23 +93,28 @@ def _conditional(links: list[Link], rows: slice, front: int, size: int) -> Move:
     done = 0
     for link, (own, shift, noise), open_ in zip(links, parts, flat, strict=True):
         child, parents, slope = link.child, link.parents, Twofold(own)
-        matrix[..., child, :] = slope @ matrix[..., parents, :]
-        offset[..., child] = (slope @ offset[..., parents][..., None])[..., 0] + shift
-        columns[..., child, :] = slope @ columns[..., parents, :]
+        spread = regular(noise, open_)
+        if link is links[0]:  # whose parents are given: products would be with ones and zeros
+            matrix.hi[..., child, parents], offset.hi[..., child] = own, shift
+        else:
+            matrix[..., child, :] = slope @ matrix[..., parents, :]
+            offset[..., child] = (slope @ offset[..., parents][..., None])[..., 0] + shift
+            columns[..., child, :] = slope @ columns[..., parents, :]
+            cross = slope @ cov[..., parents, :]
+            cov[..., child, :] = cross
+            cov[..., :, child] = cross.mT
+            spread = cross[..., parents] @ slope.mT + spread
+        cov[..., child, child] = spread
         for place in np.flatnonzero(open_):
             columns.hi[..., child.start + int(place), done] = 1.0
             done += 1
-        cross = slope @ cov[..., parents, :]
-        cov[..., child, :] = cross
-        cov[..., :, child] = cross.mT
-        cov[..., child, child] = cross[..., parents] @ slope.mT + _regular(noise, open_)
     rest = slice(front, None)
     return Move(
         matrix[..., rest, :], offset[..., rest], cov[..., rest, rest], columns[..., rest, :]
     )
 
 
-def _regular(noise: Array, flat: Mask) -> Twofold:
+def regular(noise: Array, flat: Mask) -> Twofold:
     """A noise covariance (..., d, d) in twice the digits, made exactly singular where it should be.
 
     That is where it is singular but for its rounding in float64: pivots of its elimination that are

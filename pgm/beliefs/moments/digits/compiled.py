@@ -22,14 +22,14 @@ from pgm.beliefs.moments.compiled.plans import (
 from pgm.beliefs.moments.compiled.sweep import is_used
 from pgm.beliefs.moments.digits import laid_out, written
 from pgm.beliefs.moments.digits.careful_belief import Belief, Component, Move, uncorrelated
-from pgm.beliefs.moments.digits.careful_chain import start, transition
+from pgm.beliefs.moments.digits.careful_chain import regular, start, transition
 from pgm.beliefs.moments.digits.careful_pass import Begin, Careful
-from pgm.beliefs.moments.digits.laid_out import flat, mapped, two
+from pgm.beliefs.moments.digits.laid_out import Maker, flat, mapped, two
 from pgm.beliefs.moments.digits.record import Record, Slices, at_all_steps, shown
 from pgm.beliefs.moments.passes.forward import Forward
+from pgm.beliefs.moments.passes.likelihoods import shortened
 from pgm.beliefs.moments.steps import gate, refusals
 from pgm.beliefs.moments.steps.chain import MomentChain
-from pgm.beliefs.moments.steps.diffuse import Diffuse
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.readings import Moments
 from pgm.compile.machine import CONTROL, Compiled
@@ -117,93 +117,69 @@ def _swept(
 ) -> Careful | None:
     """The pass of a plan; Uncompiled if machine code does not know it, None to refuse it."""
     _require_known(plan, schedule, anchor, gated)
-    steps, runs = plan.steps + 1, plan.runs
     if begin is None:
         belief = start(plan, linearise=schedule is not None)
-        begin = Begin(belief, Twofold.zeros((runs, *(belief.columns.shape[-1:] * 2))))
+        begin = Begin(belief, Twofold.zeros((plan.runs, *(belief.columns.shape[-1:] * 2))))
     else:
         belief = begin.belief
         belief = belief._replace(largest=variances(belief.cov.hi))  # as far back as the window goes
         begin = begin._replace(belief=belief)
-    size, unknown = belief.columns.shape[-2], belief.columns.shape[-1] - 1
-    every, bounds = transition(plan, slice(None)), _bounds(plan)
-    each, own = partial(vacant, (steps, runs)), partial(vacant, (int(bounds[-1]), runs))
-    table = Table(plan, _lanes(plan))
-    motion, sensors = None, ()
-    turned = any(sensor.variable.angles for sensor in plan.read)
-    if schedule is None or (plan.exact and not turned):
-        scalars = Scalars.of(plan)
+    of = _, unknown = belief.columns.shape[-2], belief.columns.shape[-1] - 1
+    bounds, table = _bounds(plan), Table(plan, _lanes(plan))
+    each = partial(vacant, (plan.steps + 1, plan.runs))
+    own = partial(vacant, (int(bounds[-1]), plan.runs))
+    if schedule is None or (plan.exact and not any(s.variable.angles for s in plan.read)):
+        lines = Lines(transition(plan, slice(None)), Scalars.of(plan))
     else:
         _require_lines(plan, schedule, unknown)
-        scalars = Scalars(two(own, size), two(own), two(own), own(()))
-        cpds = {"stored": False, "keep": True}
-        sensors = tuple(sensor_of(plan, sensor, table, **cpds) for sensor in plan.read)
-        if plan.transition and not plan.transition[0].family.exact:
-            link = plan.transition[0]
-            motion = motion_of(plan, link, table, **cpds)
-            every = every._replace(
-                matrix=_bare(link.family.matrix), offset=_bare(link.family.offset)
-            )
-    predicted, known = (laid_out.belief(each, size, unknown) for _ in range(2))
+        lines = Lines.to_be_made(plan, table, own)
+    predicted, known = (laid_out.belief(each, *of) for _ in range(2))
     information = two(each, 1 + unknown, 1 + unknown)
-    component = laid_out.component(own, size, unknown)._replace(row=scalars.row)
+    component = laid_out.component(own, *of)._replace(row=lines.scalars.row)
     predictive, improper = own(()), own(())
 
     def arrays(*value: Any) -> digits.Arrays:
         return tuple(map(table.array, flat(value)))
 
     chain = digits.Ahead(
-        prediction=written.prediction(size, unknown),
-        measurement=written.measurement(size, unknown),
+        prediction=written.prediction(*of),
+        measurement=written.measurement(*of),
         begin=arrays(mapped(lambda part: part[None], begin)),
-        move=arrays(every.matrix, every.offset, every.cov),
-        scalars=arrays(scalars.row, scalars.value, scalars.noise, scalars.seen),
+        move=arrays(lines.every[:3]),
+        scalars=arrays(tuple(lines.scalars)),
         taken=arrays(component[1:], predictive, improper),
         bounds=table.at(bounds),
-        motion=motion,
-        sensors=sensors,
+        motion=lines.motion,
+        sensors=lines.sensors,
         difference=written.difference(),
         predicted=arrays(predicted),
         known=arrays(known, information),
     )
     _run(plan, chain, table)
-    first = begin.information
-    earlier = Twofold(
-        np.concatenate([first.hi[None], information.hi[:-1]]),
-        np.concatenate([first.lo[None], information.lo[:-1]]),
-    )
-    now, then = at_all_steps(information), at_all_steps(earlier)
-    log_density = _density(component, predictive, bounds) + now.log_weight - then.log_weight
-    moments = *shown(predicted, then), *shown(known, now)
-    sound = np.isfinite(log_density).all() and not improper.any()
-    if not sound or not _is_proper(plan, predicted, known):
+    if improper.any() or not _is_proper(plan, predicted, known):
         return None
+    now, then = (at_all_steps(each) for each in (information, _earlier(information, begin)))
+    log_density = _density(component, predictive, bounds) + now.log_weight - then.log_weight
+    if not np.isfinite(log_density).all():
+        return None
+    ahead, after = shown(predicted, then), shown(known, now)
+    mean, cov, ahead_cov = after[0], after[1].shown, ahead[1].shown
     if schedule is not None:
-        judge(
-            plan,
-            (moments[2], moments[3].cov),
-            (moments[0], moments[1].cov),
-            np.ones(runs, dtype=bool),
-        )
-    _require_consistent(plan, scalars, component, bounds, moments[0], moments[1])
-    if motion is not None:
-        every = transition(plan, slice(None))
-    made = Record(
-        plan,
-        every,
-        predicted,
-        known,
-        information,
-        now,
-        *moments[2:],
-        log_density,
-        component,
-        bounds,
-    )
-    ahead = moments[1] if moments[1].open.any() else None
-    covs = moments[1].shown, moments[3].shown
-    forward = Forward(moments[0], covs[0], moments[2], covs[1], log_density, diffuse=ahead)
-    return Careful(forward, made, known.error().max(axis=0))
+        judge(plan, (mean, cov), (ahead[0], ahead_cov), np.ones(plan.runs, dtype=bool))
+    _require_consistent(plan, lines.scalars, component, bounds, ahead[0], ahead_cov)
+    every = lines.every if lines.motion is None else transition(plan, slice(None))
+    beliefs = predicted, known, information, now
+    steps = Record(plan, every, *beliefs, *after, log_density, component, bounds)
+    diffuse = ahead[1] if ahead[1].open.any() else None
+    forward = Forward(ahead[0], ahead_cov, mean, cov, log_density, diffuse=diffuse)
+    return Careful(forward, steps, known.error().max(axis=0))
+
+
+def _earlier(information: Twofold, begin: Begin) -> Twofold:
+    """What is known before each step, from what is known at each."""
+    first, parts = begin.information, (information.hi, information.lo)
+    known = zip((first.hi, first.lo), parts, strict=True)
+    return Twofold(*(np.concatenate([one[None], each[:-1]]) for one, each in known))
 
 
 @quiet()
@@ -247,6 +223,37 @@ def smoothed(made: Record, last: int, first: int, count: int = 1) -> Slices:
         swept(written.bayes(*of))
     found = belief, parts, here, gain, lost
     return Slices(first, *mapped(lambda part: part[first : last + count], found))
+
+
+class Lines(NamedTuple):
+    """The CPDs of a chain as lines, or where lines will stand as a sweep makes them.
+
+    `every` has the transitions and `scalars` the measurements; `motion` and `sensors` are what is
+    linearised.
+    """
+
+    every: Move
+    scalars: Scalars
+    motion: told.Motion | None = None
+    sensors: tuple[told.Sensor, ...] = ()
+
+    @classmethod
+    def to_be_made(cls, plan: ChainPlan, table: Table, room: Maker) -> Lines:
+        """Lines that a sweep makes of all measurements, and of a transition of one CPD."""
+        size = plan.layout.slice_size
+        scalars = Scalars(two(room, size), two(room), two(room), room(()))
+        sensors = tuple(sensor_of(plan, s, table, stored=False, keep=True) for s in plan.read)
+        link = plan.transition[0]
+        if link.family.exact:
+            return cls(transition(plan, slice(None)), scalars, None, sensors)
+        motion = motion_of(plan, link, table, stored=False, keep=True)
+        cov = regular(shortened(link.family.noise), np.zeros(size, dtype=bool))
+        matrix, offset = (
+            Twofold(part, np.zeros((1, 1, *part.shape[2:])))
+            for part in (link.family.matrix, link.family.offset)
+        )
+        every = Move(matrix, offset, cov, Twofold.zeros((1, 1, size, 0)))
+        return cls(every, scalars, motion, sensors)
 
 
 class Scalars(NamedTuple):
@@ -293,11 +300,6 @@ class Scalars(NamedTuple):
 
         _, rows, values, noises, seen = zip(*due, strict=True)
         return cls(both(*rows), both(*values), both(*noises), joined(*seen))
-
-
-def _bare(array: Array) -> Twofold:
-    """Numbers of float64 as pairs, whose low parts are one zero for all rows and runs."""
-    return Twofold(array, np.zeros((1, 1, *array.shape[2:])))
 
 
 def _bounds(plan: ChainPlan) -> Integers:
@@ -352,18 +354,18 @@ def _require_consistent(
     component: Component,
     bounds: Integers,
     mean: Array,
-    spread: Diffuse,
+    cov: Array,
 ) -> None:
     """Refuse measurements that contradict what an exact model determines, with a NumericalError.
 
-    `mean` (T+1, runs, n) and `spread` are the predicted moments.
+    `mean` (T+1, runs, n) and `cov` are the predicted moments.
     """
     left = np.where(component.weight.hi > 0.0, 0.0, scalars.seen)
     left = left * np.abs(component.innovation.hi[..., 0])
     chain = MomentChain(plan, None)
     steps = np.searchsorted(bounds, np.flatnonzero(left.any(axis=1)), side="right") - 1
     for step in np.unique(steps):
-        at = Moments.of(plan, mean[step], spread.at(step).shown)
+        at = Moments.of(plan, mean[step], cov[step])
         parts = [part.linearise(at.mean, at.cov) for part in chain.readings(step)]
         off = left[bounds[step] : bounds[step + 1]]
         refusals.contradiction(parts, plan.first + step, at.mean, off if plan.batch else off[:, 0])

@@ -21,7 +21,7 @@ from pgm.kernels.machine.told import Function
 from pgm.tracing.traced import Node, Recorder, Traced, bare
 
 
-class _Trace:
+class Trace:
     """A trace that is being recorded, with arguments of one run."""
 
     def __init__(self) -> None:
@@ -46,7 +46,7 @@ class _Trace:
 @lru_cache(maxsize=16)
 def prediction(size: int, unknown: int) -> Function:
     """The belief over the next slice, of a belief and a transition."""
-    trace = _Trace()
+    trace = Trace()
     belief = laid_out.belief(trace.given, size, unknown)
     return trace.function(predicted(belief, laid_out.move(trace.given, size)))
 
@@ -54,7 +54,7 @@ def prediction(size: int, unknown: int) -> Function:
 @lru_cache(maxsize=16)
 def measurement(size: int, unknown: int) -> Function:
     """A belief and the information Σ [v V]ᵀ[v V] / S given a scalar measurement; see `Taken`."""
-    trace = _Trace()
+    trace = Trace()
     make = trace.given
     belief, known = laid_out.belief(make, size, unknown), two(make, 1 + unknown, 1 + unknown)
     row, value, noise, seen = two(make, size), two(make), two(make), make(())
@@ -69,7 +69,7 @@ def smoothing(size: int, unknown: int) -> Function:
 
     That is one where Bayes' rule is to be tried.
     """
-    trace = _Trace()
+    trace = Trace()
     known = laid_out.belief(trace.given, size, unknown)
     belief, parts = given(known, laid_out.later(trace.given, size, unknown))
     return trace.function((belief, parts, np.where(is_close(parts), 1.0, 0.0)))
@@ -82,7 +82,7 @@ def bayes(size: int, unknown: int) -> Function:
     It is of a filtered belief, the smoothed one and its shares, the transition to the next slice,
     the belief predicted there, and the smoothed one with its shares.
     """
-    trace = _Trace()
+    trace = Trace()
     make, belief = trace.given, partial(laid_out.belief, trace.given, size, unknown)
     known, found, parts, move = belief(), belief(), make((size,)), laid_out.move(make, size)
     found, parts, back = closer(known, found, parts, move, belief(), belief(), make((size,)))
@@ -92,7 +92,7 @@ def bayes(size: int, unknown: int) -> Function:
 @lru_cache(maxsize=16)
 def message(size: int, unknown: int) -> Function:
     """A message of later measurements carried back through a scalar one."""
-    trace = _Trace()
+    trace = Trace()
     later = laid_out.later(trace.given, size, unknown)
     return trace.function(later.past(laid_out.component(trace.given, size, unknown)))
 
@@ -100,7 +100,7 @@ def message(size: int, unknown: int) -> Function:
 @lru_cache(maxsize=16)
 def carried(size: int, unknown: int) -> Function:
     """A message carried back through the matrix of a transition."""
-    trace = _Trace()
+    trace = Trace()
     later = laid_out.later(trace.given, size, unknown)
     return trace.function(later.back(two(trace.given, size, size)))
 
@@ -108,5 +108,5 @@ def carried(size: int, unknown: int) -> Function:
 @lru_cache(maxsize=1)
 def difference() -> Function:
     """The difference of two floats."""
-    trace = _Trace()
+    trace = Trace()
     return trace.function(Twofold(trace.given((1,))) - trace.given((1,)))
