@@ -272,9 +272,10 @@ def _product(a: Array, a_low: Array, b: Array, b_low: Array) -> tuple[Array, Arr
 
 def _rounding(a: Array, b: Array, product: Array) -> Array:
     """The error a b − `product`, exactly, of a rounded product."""
-    traced: Any = product
     if product.dtype == object:  # processors have an operation for it
-        return traced.fused(a, b)
+        traced: Any = product
+        found: Array = traced.fused(a, b)
+        return found
     a_head, a_tail = _halves(a)
     b_head, b_tail = _halves(b)
     return ((a_head * b_head - product) + a_head * b_tail + a_tail * b_head) + a_tail * b_tail
@@ -306,4 +307,4 @@ def _sum(high: Array, low: Array) -> tuple[Array, Array]:
 
 
 # ln 2, to 32 digits.
-_LN_2 = Twofold(np.float64(0.6931471805599453), np.float64(2.3190468138462996e-17))
+_LN_2 = Twofold(np.array(0.6931471805599453), np.array(2.3190468138462996e-17))

@@ -16,6 +16,7 @@ from pgm.beliefs.moments.solvers import run
 pytestmark = [
     pytest.mark.skipif(find_spec("llvmlite") is None, reason="llvmlite is not installed"),
     pytest.mark.filterwarnings("ignore::pgm.PrecisionWarning"),
+    pytest.mark.filterwarnings("ignore::pgm.ConvergenceWarning"),
 ]
 
 mp = mpmath.mp.clone()
@@ -253,3 +254,57 @@ def test_what_is_left_to_numpy_is_told():
     evidence = {z: drawn(0, 12, 1)}
     words = told(model, evidence, schedule=pgm.Filtering(gate=0.999))
     assert words == "not compiled: float64 has too few digits, and gates reject sightings"
+
+
+def robot(sharp):
+    """README's robot, its sensor sharper."""
+    x = pgm.Variable("x", components=("east", "north", "heading"), angles=("heading",))
+    u = pgm.Variable("u", components=("v", "omega"))
+    z = pgm.Variable("z", components=("range", "bearing"), angles=("bearing",))
+    m = pgm.Variable("m", components=("east", "north"))
+
+    def drive(x, u, dt=0.5):
+        heading = x[..., 2] + 0.5 * dt * u[..., 1]
+        step = dt * u[..., 0]
+        change = [step * np.cos(heading), step * np.sin(heading), dt * u[..., 1]]
+        return x + np.stack(change, axis=-1)
+
+    def range_bearing(x, m):
+        away = m - x[..., :2]
+        bearing = np.arctan2(away[..., 1], away[..., 0]) - x[..., 2]
+        return np.stack([np.hypot(away[..., 0], away[..., 1]), bearing], axis=-1)
+
+    square = np.square
+    moved, seen = square([0.05, 0.05, 0.03]), square([0.2 * sharp, 0.05 * sharp])
+    model = pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(x, mean=[0, 0, 0], cov=square([0.1, 0.1, 0.05]))],
+        transition=[pgm.NonlinearGaussianCPD(x, given=(x.previous, u), function=drive, cov=moved)],
+        observation=[pgm.NonlinearGaussianCPD(z, given=(x, m), function=range_bearing, cov=seen)],
+    )
+    steps = np.arange(0, 61, 3)
+    landmarks = np.tile([[7.0, 1.0], [-6.0, 8.0], [4.0, 12.0]], (7, 1))
+    given = {m: landmarks}
+    return x, model, {u: np.tile([1.0, 0.2], (60, 1)), z: pgm.sightings(step=steps, given=given)}
+
+
+@pytest.mark.parametrize("runs", [(), 9])
+@pytest.mark.parametrize(
+    "schedule", [pgm.Filtering(), pgm.Smoothing(), pgm.Smoothing(iterations=3), pgm.FixedLag(4)]
+)
+@pytest.mark.parametrize("sharp", [1.0, 1e-7])
+def test_functions_are_linearised_as_by_numpy(passes, monkeypatch, schedule, sharp, runs):
+    """Angles that turn, and bearings on their branch; alike but for what a function rounds."""
+    monkeypatch.setattr(run, "_suffices", lambda _: False)
+    x, model, asked = robot(sharp)
+    evidence = model.sample(asked, runs=runs, rng=1).evidence
+    found, due = (
+        pgm.infer(pgm.compile(model, steps=60, compiled=choice), evidence, schedule=schedule)
+        for choice in (True, False)
+    )
+    assert isinstance(passes.swept[0][2].steps, Record)
+    assert found.status.compilation == "compiled"
+    std = due[x].std
+    np.testing.assert_array_less(np.abs(found[x].mean - due[x].mean) / std, 1e-10)
+    np.testing.assert_allclose(found[x].std, std, rtol=1e-10)
+    np.testing.assert_allclose(found.log_evidence, due.log_evidence, rtol=1e-10)
+    np.testing.assert_array_equal(found.status.converged, due.status.converged)

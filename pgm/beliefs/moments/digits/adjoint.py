@@ -95,7 +95,7 @@ class CarefulSmoothed:
             refusals.infinite("the smoothed belief", plan.first + int(finite.argmin()))
         beliefs = Beliefs(stacked(shape[:2], shape[2:]), stacked(shape[:2], shape[2:] * 2))
         beliefs.mean[...], beliefs.cov[...] = mean, spread.shown
-        open_, proper = spread.open.any(axis=(1, 2, 3)), None
+        open_, proper = np.asarray(spread.open.any(axis=(1, 2, 3))), None
         if open_.any():
             proper = np.where(open_[:, None, None, None], spread.cov, beliefs.cov)
         return cls(careful, slices, beliefs, plan.layout, proper)

@@ -130,7 +130,7 @@ def given(known: Belief, later: Later) -> tuple[Belief, Array]:
 
 def is_close(parts: Array) -> Mask:
     """The runs (runs,) in which Bayes' rule is tried, by the shares (runs, n) of rounding."""
-    found: Mask = (parts > _CLOSE).any(axis=-1)
+    found: Mask = np.logical_or.reduce(parts > _CLOSE, axis=-1)
     return found
 
 

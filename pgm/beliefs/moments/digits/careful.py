@@ -69,8 +69,8 @@ def sweep(
     """
     made = compiled.sweep(plan, schedule, anchor, begin, gated)
     if made is not None:
-        settled = np.full(plan.runs, schedule is None or plan.linear)
-        return made, Status.of([], settled, plan.lead)
+        once = np.full(plan.runs, schedule is None or plan.linear)
+        return made, Status.of([], once, plan.lead)
     out = Forward.empty(plan)
     steps: list[Step] = []
     ahead: list[Diffuse] = []

@@ -24,7 +24,7 @@ from pgm.beliefs.moments.digits import laid_out, written
 from pgm.beliefs.moments.digits.careful_belief import Belief, Component, Move, uncorrelated
 from pgm.beliefs.moments.digits.careful_chain import regular, start, transition
 from pgm.beliefs.moments.digits.careful_pass import Begin, Careful
-from pgm.beliefs.moments.digits.laid_out import Maker, flat, mapped, two
+from pgm.beliefs.moments.digits.laid_out import Maker, flat, mapped, piled, two
 from pgm.beliefs.moments.digits.record import Record, Slices, at_all_steps, shown
 from pgm.beliefs.moments.passes.forward import Forward
 from pgm.beliefs.moments.passes.likelihoods import shortened
@@ -271,7 +271,10 @@ class Scalars(NamedTuple):
     @classmethod
     def of(cls, plan: ChainPlan) -> Scalars:
         """All measurements of a plan, as they are linearised."""
-        size, due = plan.layout.slice_size, []
+        size = plan.layout.slice_size
+        nothing = Twofold.zeros((0, plan.runs))
+        due = [cls(Twofold.zeros((0, plan.runs, size)), nothing, nothing, nothing.hi)]
+        steps = [np.zeros(0, dtype=np.intp)]
         for sensor in plan.read:
             found = sensor.reading(slice(None))
             count, runs, height, _ = found.matrix.shape
@@ -282,24 +285,25 @@ class Scalars(NamedTuple):
             seen = np.ones((count, runs, height))
             if found.taken is not None:
                 seen *= found.taken
-            steps = np.repeat(np.arange(plan.steps + 1), np.diff(sensor.bounds))
-            due.append((np.repeat(steps, height), rows[..., :-1], rows[..., -1], noise, seen))
-        if not due:
-            nothing = np.zeros((0, plan.runs))
-            return cls(Twofold(np.zeros((0, plan.runs, size))), *(Twofold(nothing),) * 2, nothing)
-        order = np.argsort(np.concatenate([steps for steps, *_ in due]), kind="stable")
+            made = cls(rows[..., :-1], rows[..., -1], noise, seen)
+            due.append(mapped(_one_after_another, made))
+            rows_of = np.repeat(np.arange(plan.steps + 1), np.diff(sensor.bounds))
+            steps.append(np.repeat(rows_of, height))
+        order = np.argsort(np.concatenate(steps), kind="stable")
 
-        def joined(*parts: Array) -> Array:
-            wide = [part.swapaxes(1, 2).reshape(-1, plan.runs, *part.shape[3:]) for part in parts]
-            found = vacant((len(order), plan.runs), wide[0].shape[2:])
-            found[...] = np.concatenate(wide)[order]
+        def ordered(part: Array) -> Array:
+            found = vacant((len(order), plan.runs), part.shape[2:])
+            found[...] = part[order]
             return found
 
-        def both(*parts: Twofold) -> Twofold:
-            return Twofold(*(joined(*(getattr(each, k) for each in parts)) for k in ("hi", "lo")))
+        every: Scalars = mapped(ordered, piled(due, np.concatenate))
+        return every
 
-        _, rows, values, noises, seen = zip(*due, strict=True)
-        return cls(both(*rows), both(*values), both(*noises), joined(*seen))
+
+def _one_after_another(part: Array) -> Array:
+    """Numbers of sightings (k, runs, d, ...) as those of their components, (k d, runs, ...)."""
+    count, runs, height, *own = part.shape
+    return part.swapaxes(1, 2).reshape(count * height, runs, *own)
 
 
 def _bounds(plan: ChainPlan) -> Integers:

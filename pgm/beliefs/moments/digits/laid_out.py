@@ -78,11 +78,12 @@ def mapped(function: Callable[[Array], Array], value: Any) -> Any:
     return function(value)
 
 
-def piled(values: Sequence[Any]) -> Any:
-    """Values of one layout as one, whose arrays have an axis more in front."""
+def piled(values: Sequence[Any], how: Callable[[Sequence[Array]], Array] = np.stack) -> Any:
+    """Values of one layout as one: their arrays stacked, or put together in another way."""
     first = values[0]
     if isinstance(first, Twofold):
-        return Twofold(np.stack([x.hi for x in values]), np.stack([x.lo for x in values]))
+        return Twofold(how([x.hi for x in values]), how([x.lo for x in values]))
     if isinstance(first, tuple):
-        return type(first)._make(map(piled, zip(*values, strict=True)))  # type: ignore[attr-defined]
-    return np.stack(values)
+        parts = [piled(each, how) for each in zip(*values, strict=True)]
+        return type(first)._make(parts) if hasattr(first, "_make") else tuple(parts)
+    return how(values)

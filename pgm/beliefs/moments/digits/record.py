@@ -25,9 +25,6 @@ from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.extended import Twofold
 
-# What slices have of each, in order.
-_SMOOTH = ("belief", "parts", "here")
-
 
 @dataclass(frozen=True, eq=False)
 class Record(Sequence[Step]):
@@ -98,12 +95,9 @@ class Slices(Sequence[Smooth]):
         backs = [none if each.back is None else each.back for each in slices]
         runs = len(slices[0].parts)
         lost = [np.broadcast_to(back.lost[:, 0, 0], runs) for back in backs]
-        return cls(
-            slices[0].step,
-            *(piled([getattr(each, name) for each in slices]) for name in _SMOOTH),
-            piled([back.gain for back in backs]),
-            np.array(lost, dtype=np.float64),
-        )
+        belief, parts, here = piled([(each.belief, each.parts, each.here) for each in slices])
+        gain = piled([back.gain for back in backs])
+        return cls(slices[0].step, belief, parts, here, gain, np.array(lost, dtype=np.float64))
 
     def __len__(self) -> int:
         return len(self.parts)
@@ -125,7 +119,8 @@ def row(value: Any, place: int) -> Any:
 
 def at_all_steps(information: Twofold) -> Solved:
     """The estimates of δ (steps, runs, ...) from what is known at each step."""
-    return _as_runs(solved, information)
+    found: Solved = _as_runs(solved, information)
+    return found
 
 
 def shown(belief: Belief, unknown: Solved) -> tuple[Array, Diffuse]:
