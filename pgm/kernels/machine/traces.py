@@ -12,7 +12,10 @@ from pgm.kernels.machine.numbers import Number, constant
 class Trace(Protocol):
     """A straight line of operations; see `pgm.tracing.graph.Graph`."""
 
-    operations: Sequence[tuple[Any, ...]]
+    @property
+    def operations(self) -> Sequence[tuple[Any, ...]]:
+        """The operations, each on earlier ones."""
+        ...
 
     def reachable(self, outputs: Iterable[int]) -> list[int]:
         """The operations on which the outputs depend, in order."""

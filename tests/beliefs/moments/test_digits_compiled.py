@@ -308,3 +308,28 @@ def test_functions_are_linearised_as_by_numpy(passes, monkeypatch, schedule, sha
     np.testing.assert_allclose(found[x].std, std, rtol=1e-10)
     np.testing.assert_allclose(found.log_evidence, due.log_evidence, rtol=1e-10)
     np.testing.assert_array_equal(found.status.converged, due.status.converged)
+
+
+def test_robust_noise_counts_with_the_weights_that_were_found(passes, monkeypatch):
+    """The filter that finds them is NumPy's, which is told; passes with them are compiled."""
+    monkeypatch.setattr(run, "_suffices", lambda _: False)
+    moved, noise, seen, prior, error = matrices(2, 4, sharp=0.5)
+    x, z = pgm.Variable("x", components=("a", "b")), pgm.Variable("z", components=("a",))
+    sensor = pgm.LinearGaussianCPD(z, {x: seen}, cov=error, noise=pgm.StudentT(4.0))
+    model = pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(x, np.zeros(2), prior)],
+        transition=[pgm.LinearGaussianCPD(x, {x.previous: moved}, cov=noise)],
+        observation=[sensor],
+    )
+    found, due = (
+        pgm.infer(
+            pgm.compile(model, steps=20, compiled=choice),
+            {z: drawn(3, 20, 1)},
+            schedule=pgm.Smoothing(iterations=4),
+        )
+        for choice in (True, False)
+    )
+    assert "robust noise" in found.status.compilation
+    assert any(isinstance(each[2].steps, Record) for each in passes.swept)
+    np.testing.assert_allclose(found[x].mean, due[x].mean, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(found.log_evidence, due.log_evidence, rtol=1e-12)

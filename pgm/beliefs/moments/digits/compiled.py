@@ -32,6 +32,7 @@ from pgm.beliefs.moments.steps import gate, refusals
 from pgm.beliefs.moments.steps.chain import MomentChain
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.readings import Moments
+from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.compile.machine import CONTROL, Compiled
 from pgm.kernels import roots
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, quiet, vacant, variances
@@ -81,7 +82,7 @@ def _require_known(
     if (gated if schedule is None else schedule.gate) is not None:
         raise Uncompiled("gates reject sightings")
     for sensor in plan.read:
-        if sensor.robust:
+        if sensor.robust and schedule is not None:
             raise Uncompiled(f"{sensor.family.cpd!r} has robust noise")
         if sensor.grouped and max(np.diff(sensor.bounds)) > 1:
             raise Uncompiled(f"{sensor.family.cpd!r} has several sightings in a group")
@@ -160,6 +161,8 @@ def _swept(
         return None
     now, then = (at_all_steps(each) for each in (information, _earlier(information, begin)))
     log_density = _density(component, predictive, bounds) + now.log_weight - then.log_weight
+    for sensor in plan.robust:
+        np.add.at(log_density, _steps(plan, sensor), sensor.weights.surplus(slice(None)))
     if not np.isfinite(log_density).all():
         return None
     ahead, after = shown(predicted, then), shown(known, now)
@@ -287,8 +290,7 @@ class Scalars(NamedTuple):
                 seen *= found.taken
             made = cls(rows[..., :-1], rows[..., -1], noise, seen)
             due.append(mapped(_one_after_another, made))
-            rows_of = np.repeat(np.arange(plan.steps + 1), np.diff(sensor.bounds))
-            steps.append(np.repeat(rows_of, height))
+            steps.append(np.repeat(_steps(plan, sensor), height))
         order = np.argsort(np.concatenate(steps), kind="stable")
 
         def ordered(part: Array) -> Array:
@@ -306,6 +308,11 @@ def _one_after_another(part: Array) -> Array:
     return part.swapaxes(1, 2).reshape(count * height, runs, *own)
 
 
+def _steps(plan: ChainPlan, sensor: Sensor) -> Integers:
+    """The step of each sighting of a sensor, counted from the plan's first."""
+    return np.repeat(np.arange(plan.steps + 1), np.diff(sensor.bounds))
+
+
 def _bounds(plan: ChainPlan) -> Integers:
     """The first scalar measurement of each step, and one more, (T+2,)."""
     found = np.zeros(plan.steps + 2, dtype=np.int64)
@@ -321,7 +328,8 @@ def _lanes(plan: ChainPlan) -> int:
 def _run(plan: ChainPlan, chain: digits.Ahead | digits.Behind, table: Table) -> None:
     """Run a sweep on all runs of a plan."""
     choice, whole = plan.layout.compiled, table.whole
-    short = digits.length(chain) <= _SHORT or plan.steps * plan.runs >= _MANY
+    many = plan.steps * plan.runs >= _MANY * table.lanes
+    short = digits.length(chain) <= _SHORT or many
     made = digits.made(chain, table.lanes, 1 if short else 0)
     threads = choice.threads if isinstance(choice, Compiled) else 1
     threads = max(min(threads, plan.runs // table.lanes), 1)
