@@ -170,7 +170,7 @@ def test_machine_code_is_numpys_pass(passes, schedule, n, height, units, flat_, 
     _, z, model = network(matrices(n, n, units=units, height=height), flat_=flat_)
     graph = pgm.compile(model, steps=steps, compiled=True)
     found = pgm.infer(graph, {z: drawn(1, steps, height, runs, missing)}, schedule=schedule)
-    assert found.status.compilation == "compiled"
+    assert found.status.compilation.startswith("compiled")
     assert assert_alike(passes)
 
 
@@ -302,7 +302,7 @@ def test_functions_are_linearised_as_by_numpy(passes, monkeypatch, schedule, sha
         for choice in (True, False)
     )
     assert isinstance(passes.swept[0][2].steps, Record)
-    assert found.status.compilation == "compiled"
+    assert found.status.compilation.startswith("compiled")
     std = due[x].std
     np.testing.assert_array_less(np.abs(found[x].mean - due[x].mean) / std, 1e-10)
     np.testing.assert_allclose(found[x].std, std, rtol=1e-10)

@@ -254,7 +254,9 @@ def run(
                     swept = _fitting(solver.solve(plan, given, room), schedule)
                     found = _told(swept) if _suffices(swept) else None
                 if found is None:
+                    account = plan.account
                     plan = _plan(graph, bound, lineariser, schedule, judge, probe=False)
+                    plan.account.left.update(account.left)
             if found is None:
                 found = _carefully(solver, plan, given)
     assert found is not None
