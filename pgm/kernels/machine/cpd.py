@@ -38,15 +38,14 @@ def evaluated(
     """The value of a CPD's function at its row, and the derivative, row by row, if it is asked."""
     function = row.function
     assert function is not None
-    places = {column: k for k, column in enumerate(function.observed)}
-    observed = None if row.inputs is None else w.at(row.inputs, at)
+    arguments = dict.fromkeys(argument for argument, _ in function.observed)
+    inputs = {argument: w.at(array, at) for argument, array in zip(arguments, row.inputs, strict=True)}
     known = dict(zip(function.hidden, x, strict=True))
 
     def of(argument: int, component: int) -> Any:
         column = argument, component
         if column not in known:
-            assert observed is not None
-            known[column] = observed.load(places[column])
+            known[column] = inputs[argument].load(component)
         return known[column]
 
     return traced(w, function, of, slope=slope)
@@ -70,7 +69,10 @@ def linearised(w: Writer, row: Row, at: Whole, mean: Matrix, cov: Matrix) -> Lin
         assert row.matrix is not None
         assert row.offset is not None
         matrix = w.matrix(row.matrix, at)
-        return Line(matrix, matrix @ mean + w.column(row.offset, at), noise, w.true)
+        offset = w.column(row.offset, at)
+        for shift, values in zip(row.shifts, row.inputs, strict=False):
+            offset = offset + w.matrix(shift) @ w.column(values, at)
+        return Line(matrix, matrix @ mean + offset, noise, w.true)
     x = [number for (number,) in mean.rows]
     if row.points is not None and x:
         return _regressed(w, row, at, mean, cov, noise)

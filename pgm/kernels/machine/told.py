@@ -138,8 +138,11 @@ class Row:
         None of an affine CPD.
     points : Points or None
         Of the rule by which it is linearised; None of `Taylor`.
-    inputs : Array or None
-        What is observed of the arguments, (m,).
+    inputs : tuple of Array
+        The observed arguments, (m,) each, in the order of the function's.
+    shifts : tuple of Array
+        Of an affine CPD whose inputs come later, their matrices B (d, m): b + B u + ... is its
+        offset.
     kept : Array or None
         Where the covariance of e with the error is kept.
     angles : tuple of int
@@ -153,7 +156,8 @@ class Row:
     offset: Array | None = None
     function: Function | None = None
     points: Points | None = None
-    inputs: Array | None = None
+    inputs: tuple[Array, ...] = ()
+    shifts: tuple[Array, ...] = ()
     kept: Array | None = None
     angles: tuple[int, ...] = ()
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -153,27 +152,16 @@ def _row(
     rule = points_of(family)
     if isinstance(rule, str):
         raise Uncompiled(f"{family.cpd!r}: {rule}")
-    inputs = [
-        family.inputs[parent]
+    found |= {"function": function_of(template, answers.trace), "points": rule}
+    found["noise"] = table.array(family.own_noise)
+    found["inputs"] = tuple(
+        table.array(family.inputs[parent])
         for parent, place in zip(template.given, template.places, strict=True)
         if place is None
-    ]
-    found |= {"function": function_of(template, answers.trace), "points": rule}
-    found["noise"], found["inputs"] = table.array(family.own_noise), _joined(inputs, table)
+    )
     if keep:
         found["matrix"], found["offset"] = table.array(family.matrix), table.array(family.offset)
         if rule is not None:
             family.keep_errors()
             found["kept"] = table.array(family.noise)
     return found
-
-
-def _joined(inputs: Sequence[Array], table: Table) -> told.Array | None:
-    """Inputs (rows, runs or 1, d), one after another."""
-    if not inputs:
-        return None
-    if len(inputs) == 1:
-        return table.array(inputs[0])
-    lead = np.broadcast_shapes(*(values.shape[:2] for values in inputs))
-    wide = [np.broadcast_to(values, (*lead, values.shape[2])) for values in inputs]
-    return table.array(np.concatenate(wide, axis=-1))
