@@ -44,16 +44,21 @@ class Soft(InCode):
 class Sightings(Shown, Immutable):
     """Measurements of one sensor at any steps, as `sightings` makes them."""
 
-    __slots__ = ("given", "step", "values")
+    __slots__ = ("_given", "step", "values")
 
     values: Any
     step: Any
-    given: Mapping[Variable, Any]
+    _given: Mapping[Variable, Any]
 
     def __init__(
         self, values: Any, step: Any = None, given: Mapping[Variable, Any] = MappingProxyType({})
     ) -> None:
-        self._set(values=values, step=step, given=given)
+        self._set(values=values, step=step, _given=dict(given))
+
+    @property
+    def given(self) -> Mapping[Variable, Any]:
+        """The observed parents that differ from measurement to measurement."""
+        return MappingProxyType(self._given)
 
     @property
     def _title(self) -> str:
@@ -156,7 +161,7 @@ def sightings(
         )
     found: Sightings = _new(_Unlocked)  # quicker than `Sightings(...)`
     found.values, found.step = values, step
-    found.given = MappingProxyType({**given} if given else {})
+    found._given = {**given} if given else {}
     found.__class__ = Sightings
     return found
 

@@ -59,9 +59,9 @@ from pgm.variables import Variable
 _REGULAR = 1.0 / certificate.MODERATE
 
 
-# The core of a belief: the compiled steps of its filter, its step, its mean and covariance as one
-# array (n + 1, n), log-evidence, kind and status.
-Core = tuple["Steps", int, Array, float, Kind, Status]
+# The core of a belief: the compiled steps of its filter, its step, its mean, covariance and
+# log-evidence as the bytes of float64 numbers, its kind and status.
+Core = tuple["Steps", int, bytes, Kind, Status]
 
 
 class Steps(Protocol):
@@ -73,6 +73,14 @@ class Steps(Protocol):
 
     layout: SliceLayout
     only: Variable | None
+
+
+_array = np.ndarray
+
+
+def _moments(numbers: bytes, size: int) -> tuple[Array, Array]:
+    """The mean (n,) and covariance (n, n) of a core, as views that cannot be written to."""
+    return _array((size,), float, numbers), _array((size, size), float, numbers, 8 * size)
 
 
 class _Later:
@@ -90,9 +98,10 @@ class _Later:
         core = None if belief is None else belief._core
         if belief is None or core is None:
             raise AttributeError(self.name)
-        steps, step, both, log_evidence, kind, status = core
-        set_writeable(both, False)
-        parts = step, steps.layout, (), both[0], both[1:], np.array(log_evidence), status, kind
+        steps, step, numbers, kind, status = core
+        mean, cov = _moments(numbers, steps.layout.slice_size)
+        log_evidence = _array((), float, numbers, len(numbers) - 8)
+        parts = step, steps.layout, (), mean, cov, log_evidence, status, kind
         MomentBelief.__init__(belief, *parts)
         put_core(belief, core)
         return belief.__dict__[self.name]
@@ -180,9 +189,7 @@ class MomentBelief(_Kept, OnlineBelief, Immutable):
         """
         core = self._core
         if core is not None and variable is core[0].only:
-            both = core[2]
-            set_writeable(both, False)
-            return Gaussian._sealed((variable,), both[0], both[1:])
+            return Gaussian._sealed((variable,), *_moments(core[2], core[0].layout.slice_size))
         if type(variable) is not Variable:
             require_variable(variable)
         layout, template = self.layout, variable.template
