@@ -49,7 +49,7 @@ class Evidence:
     given : tuple of told.Array or None
         The parents that are given with sightings; None of a row.
     bounds : int or None
-        Of sightings, the sensor's `told.Sensor.bounds`.
+        Of sightings, the sensor's `told.Sensor.bounds`; None where there is to be one.
     """
 
     array: told.Array
@@ -192,7 +192,9 @@ def _evidence(python: Python, online: Step, table: _Table, values: Address) -> N
         ):
             of(parent)
             row(its, each, array, 2, count)
-        assert each.bounds is not None
+        if each.bounds is None:
+            python.give_none_unless(count == 1)
+            continue
         bounds = Cells(code, Address(code, code.reserve("[2 x i64]")), Whole)
         bounds.store(0, code.whole(0))
         bounds.store(1, count)

@@ -78,7 +78,7 @@ class Steps(Protocol):
 _array = np.ndarray
 
 
-def _moments(numbers: bytes, size: int) -> tuple[Array, Array]:
+def unpacked(numbers: bytes, size: int) -> tuple[Array, Array]:
     """The mean (n,) and covariance (n, n) of a core, as views that cannot be written to."""
     return _array((size,), float, numbers), _array((size, size), float, numbers, 8 * size)
 
@@ -99,7 +99,7 @@ class _Later:
         if belief is None or core is None:
             raise AttributeError(self.name)
         steps, step, numbers, kind, status = core
-        mean, cov = _moments(numbers, steps.layout.slice_size)
+        mean, cov = unpacked(numbers, steps.layout.slice_size)
         log_evidence = _array((), float, numbers, len(numbers) - 8)
         parts = step, steps.layout, (), mean, cov, log_evidence, status, kind
         MomentBelief.__init__(belief, *parts)
@@ -189,7 +189,7 @@ class MomentBelief(_Kept, OnlineBelief, Immutable):
         """
         core = self._core
         if core is not None and variable is core[0].only:
-            return Gaussian._sealed((variable,), *_moments(core[2], core[0].layout.slice_size))
+            return Gaussian._sealed((variable,), *unpacked(core[2], core[0].layout.slice_size))
         if type(variable) is not Variable:
             require_variable(variable)
         layout, template = self.layout, variable.template

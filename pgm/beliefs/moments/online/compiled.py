@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pgm.beliefs.moments.compiled.judged import judge
-from pgm.beliefs.moments.online.beliefs import MomentBelief, is_plain, put_core
+from pgm.beliefs.moments.online.beliefs import MomentBelief, is_plain, put_core, unpacked
 from pgm.beliefs.moments.online.kind import Kind, Made
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.compile import SliceLayout
@@ -138,7 +138,7 @@ class CompiledSteps:
                         self._last[moves] = kind.step, kind.status
                         return after
                     due = general(belief, values)
-                    if _tried(kind, after, due):
+                    if _tried(kind, *unpacked(found, self.layout.slice_size), due):
                         return after
                     self.left[_JUDGED] += 1
                     return self.adopted(due)
@@ -215,16 +215,16 @@ def _floats(value: Any, axes: int) -> Array | None:
     return None if found is None or not found.size else np.ascontiguousarray(found)
 
 
-def _tried(kind: Kind, found: MomentBelief, due: MomentBelief) -> bool:
+def _tried(kind: Kind, mean: Array, cov: Array, due: MomentBelief) -> bool:
     """Whether machine code and NumPy give the same belief, to 10⁻⁶ standard deviations.
 
-    `found` is the belief by machine code, `due` that by NumPy. The first few steps of a `kind` are
-    such trials, of which one is used up. If the two differ, steps of the kind are made by NumPy
-    from now on.
+    `mean` and `cov` are those of machine code, `due` is the belief by NumPy. The first few steps of
+    a `kind` are such trials, of which one is used up. If the two differ, steps of the kind are made
+    by NumPy from now on.
     """
     std = np.sqrt(np.maximum(due.cov.diagonal(), 0.0))
-    close = np.abs(found.mean - due.mean) <= _CLOSE * std + 1e-12 * np.abs(due.mean)
-    alike = np.abs(found.cov - due.cov) <= _CLOSE * np.outer(std, std)
+    close = np.abs(mean - due.mean) <= _CLOSE * std + 1e-12 * np.abs(due.mean)
+    alike = np.abs(cov - due.cov) <= _CLOSE * np.outer(std, std)
     kind.trials -= 1
     if not (close.all() and alike.all()):
         kind.step, kind.why = None, _JUDGED
