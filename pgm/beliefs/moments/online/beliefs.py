@@ -59,8 +59,7 @@ from pgm.variables import Variable
 _REGULAR = 1.0 / certificate.MODERATE
 
 
-# The core of a belief: the compiled steps of its filter, its step, its mean, covariance and
-# log-evidence as the bytes of float64 numbers, its kind and status.
+# The core of a belief: the compiled steps of its filter, its step, its numbers, kind and status.
 Core = tuple["Steps", int, bytes, Kind, Status]
 
 
@@ -68,19 +67,21 @@ class Steps(Protocol):
     """The part of a filter's compiled steps that a belief reads from its core.
 
     `layout` is that of the slices, and `only` the slice's hidden variable if there is just one,
-    else None.
+    else None. `record` says how numbers lie in a core's bytes: the mean (n,), the covariance
+    (n, n), and the log-evidence.
     """
 
     layout: SliceLayout
     only: Variable | None
+    record: Any
+
+
+def opened(steps: Steps, numbers: bytes) -> Array:
+    """The numbers of a core by name, as views that cannot be written to."""
+    return _array((), steps.record, numbers)
 
 
 _array = np.ndarray
-
-
-def unpacked(numbers: bytes, size: int) -> tuple[Array, Array]:
-    """The mean (n,) and covariance (n, n) of a core, as views that cannot be written to."""
-    return _array((size,), float, numbers), _array((size, size), float, numbers, 8 * size)
 
 
 class _Later:
@@ -99,9 +100,8 @@ class _Later:
         if belief is None or core is None:
             raise AttributeError(self.name)
         steps, step, numbers, kind, status = core
-        mean, cov = unpacked(numbers, steps.layout.slice_size)
-        log_evidence = _array((), float, numbers, len(numbers) - 8)
-        parts = step, steps.layout, (), mean, cov, log_evidence, status, kind
+        parts = tuple(map(opened(steps, numbers).__getitem__, steps.record.names))
+        parts = step, steps.layout, (), *parts, status, kind
         MomentBelief.__init__(belief, *parts)
         put_core(belief, core)
         return belief.__dict__[self.name]
@@ -189,7 +189,8 @@ class MomentBelief(_Kept, OnlineBelief, Immutable):
         """
         core = self._core
         if core is not None and variable is core[0].only:
-            return Gaussian._sealed((variable,), *unpacked(core[2], core[0].layout.slice_size))
+            numbers = opened(core[0], core[2])
+            return Gaussian._sealed((variable,), numbers["mean"], numbers["cov"])
         if type(variable) is not Variable:
             require_variable(variable)
         layout, template = self.layout, variable.template

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pgm.beliefs.moments.compiled.judged import judge
-from pgm.beliefs.moments.online.beliefs import MomentBelief, is_plain, put_core, unpacked
+from pgm.beliefs.moments.online.beliefs import MomentBelief, is_plain, opened, put_core
 from pgm.beliefs.moments.online.kind import Kind, Made
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.compile import SliceLayout
@@ -68,6 +68,8 @@ class CompiledSteps:
     ) -> None:
         self.layout, model = layout, layout.model
         self.only = layout.slice[0] if len(layout.slice) == 1 else None
+        own = layout.slice_size
+        self.record = np.dtype([("mean", float, (own,)), ("cov", float, (own, own)), ("total", float)])
         self._ways = (seen, taken), (ahead, moved)
         self._statuses = linearised, done
         # Machine code tells variables by their identity: those of the model itself.
@@ -138,7 +140,7 @@ class CompiledSteps:
                         self._last[moves] = kind.step, kind.status
                         return after
                     due = general(belief, values)
-                    if _tried(kind, *unpacked(found, self.layout.slice_size), due):
+                    if _tried(kind, opened(self, found), due):
                         return after
                     self.left[_JUDGED] += 1
                     return self.adopted(due)
@@ -215,16 +217,16 @@ def _floats(value: Any, axes: int) -> Array | None:
     return None if found is None or not found.size else np.ascontiguousarray(found)
 
 
-def _tried(kind: Kind, mean: Array, cov: Array, due: MomentBelief) -> bool:
+def _tried(kind: Kind, found: Array, due: MomentBelief) -> bool:
     """Whether machine code and NumPy give the same belief, to 10⁻⁶ standard deviations.
 
-    `mean` and `cov` are those of machine code, `due` is the belief by NumPy. The first few steps of
-    a `kind` are such trials, of which one is used up. If the two differ, steps of the kind are made
+    `found` are the numbers of machine code, `due` is the belief by NumPy. The first few steps of a
+    `kind` are such trials, of which one is used up. If the two differ, steps of the kind are made
     by NumPy from now on.
     """
     std = np.sqrt(np.maximum(due.cov.diagonal(), 0.0))
-    close = np.abs(mean - due.mean) <= _CLOSE * std + 1e-12 * np.abs(due.mean)
-    alike = np.abs(cov - due.cov) <= _CLOSE * np.outer(std, std)
+    close = np.abs(found["mean"] - due.mean) <= _CLOSE * std + 1e-12 * np.abs(due.mean)
+    alike = np.abs(found["cov"] - due.cov) <= _CLOSE * np.outer(std, std)
     kind.trials -= 1
     if not (close.all() and alike.all()):
         kind.step, kind.why = None, _JUDGED
