@@ -16,7 +16,7 @@ settings.load_profile("everywhere")
 
 # Folders of long tests come first, so that no worker is left alone with one.
 LONG = tuple(f"tests/{folder}/" for folder in ("experiments", "viewer", "docs", "plot"))
-KERNELS = ("forward", "online"), ("forward_together", "backward_together", "backward", "newton")
+KERNELS = ("forward",), ("forward_together", "backward_together", "backward", "newton")
 COMPILED = """
 from importlib import import_module
 from pgm.kernels.compiled import sweeps
@@ -37,7 +37,7 @@ def pytest_configure(config):
     if not getattr(config.option, "numprocesses", None):
         return
     config.option.loadscopereorder = False
-    if find_spec("numba") is not None:
+    if find_spec("llvmlite") is not None:
         each = [[sys.executable, "-c", COMPILED.format(names)] for names in KERNELS]
         config.stash[COMPILERS] = [subprocess.Popen(command) for command in each]
 

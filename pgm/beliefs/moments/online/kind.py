@@ -77,6 +77,8 @@ class Kind:
         sensors = []
         for sensor in plan.read:
             variable = sensor.variable
+            if sensor.robust:
+                raise Uncompiled(f"{sensor.family.cpd!r} has robust noise")
             if isinstance(values[variable], Sightings) and not sensor.grouped:
                 bounds[variable] = table.at(np.empty(0))
             sensors.append(
