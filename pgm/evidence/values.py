@@ -79,9 +79,7 @@ class Sightings(Shown, Immutable):
 
 
 _new, _slots = object.__new__, vars(Sightings)
-_put_values, _put_step, _put_given = (
-    _slots[name].__set__ for name in ("values", "step", "_given")
-)
+_put_values, _put_step, _put_given = (_slots[name].__set__ for name in ("values", "step", "_given"))
 
 # By variable: a plain array, a constant, or sightings; of a discrete one states, or soft weights.
 Evidence = Mapping[Variable, Any]

@@ -45,8 +45,8 @@ def evaluated(
     """The value of a CPD's function at its row, and the derivative, row by row, if it is asked."""
     function = row.function
     assert function is not None
-    arguments = dict.fromkeys(argument for argument, _ in function.observed)
-    inputs = {argument: w.at(array, at) for argument, array in zip(arguments, row.inputs, strict=True)}
+    observed = dict.fromkeys(argument for argument, _ in function.observed)
+    inputs = {a: w.at(array, at) for a, array in zip(observed, row.inputs, strict=True)}
     known = dict(zip(function.hidden, x, strict=True))
 
     def of(argument: int, component: int) -> Any:

@@ -13,12 +13,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import accumulate
 from math import inf, prod
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pgm.kernels import step
 from pgm.kernels.machine import told
 from pgm.kernels.machine.code import Code
-from pgm.kernels.machine.compiled import Compiled
 from pgm.kernels.machine.memory import Cells
 from pgm.kernels.machine.module import Module
 from pgm.kernels.machine.motion import predicted
@@ -28,6 +27,9 @@ from pgm.kernels.machine.reading import taken
 from pgm.kernels.machine.wholes import Address, Whole
 from pgm.kernels.machine.writer import Writer, arrays
 from pgm.kernels.numbers import Matrix
+
+if TYPE_CHECKING:
+    from pgm.kernels.machine.compiled import Compiled
 
 STEP = "step"
 # What a step is bound to: the constants, the class of arrays, that of sightings, the names of what

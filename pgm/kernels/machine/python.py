@@ -10,15 +10,17 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable
 from functools import cache
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
-from pgm.kernels.machine.code import Code, Value
-from pgm.kernels.machine.compiled import Compiled
+from pgm.kernels.machine.code import Code
 from pgm.kernels.machine.kinds import ADDRESS, WHOLE, Kind
 from pgm.kernels.machine.memory import Cells
 from pgm.kernels.machine.module import Module
 from pgm.kernels.machine.numbers import Number
 from pgm.kernels.machine.wholes import Address, Whole
+
+if TYPE_CHECKING:
+    from pgm.kernels.machine.compiled import Compiled
 
 _CALLED_WITH_AN_ARRAY = 0x80  # METH_FASTCALL
 _CONTIGUOUS = 0x08 | 0x04  # PyBUF_ND | PyBUF_FORMAT
@@ -43,7 +45,7 @@ class Python:
         self.given: Objects = tuple(map(objects.load, range(count)))
         self.holds, self.lends = 0, 0
 
-    def call(self, name: str, *given: Value | int, result: Kind | None = ADDRESS) -> Any:
+    def call(self, name: str, *given: Any, result: Kind | None = ADDRESS) -> Any:
         """The value of one of Python's functions."""
         code = self.code
         values = [code.whole(each) if isinstance(each, int) else each for each in given]
@@ -175,9 +177,7 @@ def bound(machine: Compiled, name: str, values: tuple[object, ...]) -> Callable[
 
     It owns its machine code: all that it needs is in the tuple, which Python keeps as long.
     """
-    definition = _Definition(
-        name.encode(), machine.address(name), _CALLED_WITH_AN_ARRAY, None
-    )
+    definition = _Definition(name.encode(), machine.address(name), _CALLED_WITH_AN_ARRAY, None)
     owned = *values, machine, definition
     found: Callable[..., Any] = _new_function()(ctypes.addressof(definition), owned, None)
     return found
@@ -196,9 +196,7 @@ class _Definition(ctypes.Structure):
 
 @cache
 def _new_function() -> Any:
-    kind = ctypes.PYFUNCTYPE(
-        ctypes.py_object, ctypes.c_void_p, ctypes.py_object, ctypes.c_void_p
-    )
+    kind = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.py_object, ctypes.c_void_p)
     return kind(("PyCFunction_NewEx", ctypes.pythonapi))
 
 

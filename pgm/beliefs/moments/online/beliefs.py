@@ -76,7 +76,7 @@ class Steps(Protocol):
     record: Any
 
 
-def opened(steps: Steps, numbers: bytes) -> Array:
+def opened(steps: Steps, numbers: bytes) -> Any:
     """The numbers of a core by name, as views that cannot be written to."""
     return _array((), steps.record, numbers)
 

@@ -39,6 +39,7 @@ _new = object.__new__
 _OTHER = "the belief is of many runs, in twice the digits, has lost digits, or is of another filter"
 _START = "an update at step 0"
 _ODD = "values came in another form than numbers or sightings without steps"
+_WAITED = "machine code is made for longer work, or by compiled=True"
 _JUDGED = "a function's trace, or machine code, answered otherwise than the function"
 _FAR = "numbers are too far apart, or a reading is too sharp"
 
@@ -53,7 +54,8 @@ class CompiledSteps:
     made in the general way, by reason: the belief is of many runs or of another filter, or float64
     has too few digits for it; a value is neither an array of numbers nor sightings without steps;
     the update is at step 0; machine code cannot make steps of the kind, or its results, compared
-    with NumPy's, were others; or numbers are too far apart.
+    with NumPy's, were others; or numbers are too far apart. So many steps of a kind as `wait` are
+    made in the general way before there is machine code.
     """
 
     def __init__(
@@ -65,11 +67,15 @@ class CompiledSteps:
         taken: General,
         done: Status,
         linearised: Status,
+        *,
+        wait: int = 0,
     ) -> None:
         self.layout, model = layout, layout.model
         self.only = layout.slice[0] if len(layout.slice) == 1 else None
         own = layout.slice_size
-        self.record = np.dtype([("mean", float, (own,)), ("cov", float, (own, own)), ("total", float)])
+        self.record = np.dtype(
+            [("mean", float, (own,)), ("cov", float, (own, own)), ("total", float)]
+        )
         self._ways = (seen, taken), (ahead, moved)
         self._statuses = linearised, done
         # Machine code tells variables by their identity: those of the model itself.
@@ -78,6 +84,7 @@ class CompiledSteps:
         # The kinds of the last update and the last prediction, which are looked at first; all.
         self._last: list[tuple[Made, Status] | None] = [None, None]
         self._known: dict[Key, Kind] = {}
+        self._wait, self._waited = wait, Counter[Key]()
         # Why steps were made the general way, and how many of them.
         self.left: Counter[str] = Counter()
 
@@ -129,8 +136,8 @@ class CompiledSteps:
                 given, why = self._given(values), _ODD
         if core and given:
             kind = self._kind(belief, *given, moves=moves)
-            why = kind.why
-            if kind.step is not None:
+            why = _WAITED if kind is None else kind.why
+            if kind is not None and kind.step is not None:
                 found, why = kind.step(core[2], given[1]), _FAR
                 if found:
                     after: MomentBelief = _new(MomentBelief)
@@ -147,13 +154,18 @@ class CompiledSteps:
         self.left[why] += 1
         return self.adopted(general(belief, values))
 
-    def _kind(self, belief: MomentBelief, key: Key, values: Values, *, moves: bool) -> Kind:
-        """The kind of a step, looked up or made."""
-        kind = self._known.get((moves, key))
+    def _kind(self, belief: MomentBelief, key: Key, values: Values, *, moves: bool) -> Kind | None:
+        """The kind of a step, looked up or made; None as long as it waits."""
+        key = moves, *key
+        kind = self._known.get(key)
         if kind is None:
-            if len(self._known) >= MOST:
+            if len(self._known) + len(self._waited) >= 2 * MOST:
                 self._known.clear()
-            kind = self._known[moves, key] = self._made(self._ways[moves][0], belief, values)
+                self._waited.clear()
+            if self._waited[key] < self._wait:
+                self._waited[key] += 1
+                return None
+            kind = self._known[key] = self._made(self._ways[moves][0], belief, values)
         return kind
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
@@ -181,34 +193,36 @@ class CompiledSteps:
         return made
 
     def _given(self, values: Values) -> tuple[Key, Values] | None:
-        """The key of the kind of the values given, and the values as the kind's machine code has
-        them; None where a value has another form.
+        """The kind of the values given, and the values as its machine code takes them.
 
         A value has to be an array (d,), or sightings without steps: the sensor's array (M, d), and
-        those of the parents given with them.
+        those of the parents given with them. None where one has another form.
         """
         if not isinstance(values, dict):
             return None
         key: list[Any] = []
         found: dict[Variable, Any] = {}
-        for variable, value in values.items():
-            variable = self._own.get(variable, variable)
-            key.append(variable)
+        for variable, value in self._named(values).items():
             if type(value) is not Sightings:
                 row = _floats(value, 1)
                 if row is None:
                     return None
                 found[variable] = row
-                key.append(row.shape)
+                key += variable, row.shape
                 continue
-            first = _floats(value.values, 2)
-            given = {self._own.get(v, v): _floats(each, 2) for v, each in value.given.items()}
-            if first is None or value.step is not None or any(v is None for v in given.values()):
+            parts = {None: value.values, **self._named(value.given)}
+            rows = {v: row for v, part in parts.items() if (row := _floats(part, 2)) is not None}
+            if len(rows) < len(parts) or value.step is not None:
                 return None
-            found[variable] = Sightings(first, None, given)
-            key += first.shape[1], len(first) == 1 and variable in self._grouped
-            key += [(parent, each.shape[1]) for parent, each in given.items()]
+            first = rows.pop(None)
+            found[variable] = Sightings(first, None, rows)
+            key += variable, first.shape[1], len(first) == 1 and variable in self._grouped
+            key += [(parent, each.shape[1]) for parent, each in rows.items()]
         return tuple(key), found
+
+    def _named(self, values: Values) -> dict[Any, Any]:
+        """The same values by the model's own variables."""
+        return {self._own.get(variable, variable): value for variable, value in values.items()}
 
 
 def _floats(value: Any, axes: int) -> Array | None:
@@ -217,7 +231,7 @@ def _floats(value: Any, axes: int) -> Array | None:
     return None if found is None or not found.size else np.ascontiguousarray(found)
 
 
-def _tried(kind: Kind, found: Array, due: MomentBelief) -> bool:
+def _tried(kind: Kind, found: Any, due: MomentBelief) -> bool:
     """Whether machine code and NumPy give the same belief, to 10⁻⁶ standard deviations.
 
     `found` are the numbers of machine code, `due` is the belief by NumPy. The first few steps of a

@@ -14,7 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from pgm.beliefs.moments.compiled.plans import Table, Uncompiled, motion_of, places, sensor_of, unknown
+from pgm.beliefs.moments.compiled.plans import (
+    Table,
+    Uncompiled,
+    motion_of,
+    places,
+    sensor_of,
+    unknown,
+)
 from pgm.beliefs.moments.digits.close_points import families, largest
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.sensor import Sensor
@@ -113,9 +120,10 @@ class Kind:
         evidence = _evidence(values, given, bounds)
         machine = online.made(online.Step(chain, not plan.read, tuple(constants), evidence))
         numbers = b"".join(each.tobytes() for each in constants.values())
+        # As of `online.VARIABLES` and before.
         names = "values", "step", "_given"
-        variables = (variable for _, variable in given)
-        return python.bound(machine, online.STEP, (numbers, np.ndarray, Sightings, *names, *variables))
+        own = numbers, np.ndarray, Sightings, *names, *(variable for _, variable in given)
+        return python.bound(machine, online.STEP, own)
 
 
 class _Constants(Table):
@@ -163,9 +171,7 @@ def _evidence(
     return tuple(found)
 
 
-def _fed(
-    family: Family, sensor: Sensor | None, given: Where, table: _Constants
-) -> dict[str, Any]:
+def _fed(family: Family, sensor: Sensor | None, given: Where, table: _Constants) -> dict[str, Any]:
     """The inputs of a CPD as they are given at each step."""
     if family.noisy:
         raise Uncompiled(f"{family.cpd!r} has a noise that depends on inputs")
