@@ -222,7 +222,7 @@ def test_settings_are_refused(monkeypatch):
         pgm.OnlineFilter(model, belief=pgm.Particles(10), compiled=True)
     monkeypatch.setitem(sys.modules, "llvmlite", None)
     assert not pgm.OnlineFilter(model).compiled
-    with pytest.raises(ImportError, match=r"pip install llvmlite"):
+    with pytest.raises(ImportError, match="pip install 'llvmlite'"):
         pgm.OnlineFilter(model, compiled=True)
 
 

@@ -29,6 +29,7 @@ from pgm.cpds import AffineCPD
 from pgm.evidence import Sightings
 from pgm.kernels.arrays import Array
 from pgm.kernels.machine import online, python, told
+from pgm.kernels.machine.evidence import Evidence
 from pgm.kernels.machine.memory import Runs
 from pgm.kernels.machine.writer import arrays
 from pgm.linearisation.family import Family
@@ -120,7 +121,7 @@ class Kind:
         evidence = _evidence(values, given, bounds)
         machine = online.made(online.Step(chain, not plan.read, tuple(constants), evidence))
         numbers = b"".join(each.tobytes() for each in constants.values())
-        # As of `online.VARIABLES` and before.
+        # As of `evidence.VARIABLES` and before.
         names = "values", "step", "_given"
         own = numbers, np.ndarray, Sightings, *names, *(variable for _, variable in given)
         return python.bound(machine, online.STEP, own)
@@ -158,16 +159,14 @@ def _widths(values: Values) -> Iterable[tuple[tuple[Variable | None, Variable], 
             yield (variable, parent), each.shape[1]
 
 
-def _evidence(
-    values: Values, given: Where, bounds: dict[Variable, int]
-) -> tuple[online.Evidence, ...]:
+def _evidence(values: Values, given: Where, bounds: dict[Variable, int]) -> tuple[Evidence, ...]:
     found = []
     for variable, value in values.items():
         parents = None
         if isinstance(value, Sightings):
             parents = tuple(given[variable, parent] for parent in value.given)
         read = variable in bounds or parents is not None
-        found.append(online.Evidence(given[None, variable], read, parents, bounds.get(variable)))
+        found.append(Evidence(given[None, variable], read, parents, bounds.get(variable)))
     return tuple(found)
 
 
