@@ -28,6 +28,9 @@ _CONTIGUOUS = 0x08 | 0x04  # PyBUF_ND | PyBUF_FORMAT
 _BUFFER, _OWNER, _FORMAT, _SHAPE, _WIDE = 0, 1, 5, 6, 10
 # The text "d" of a float64 in the machine's own order of bytes, as a number of 16 bits.
 _DOUBLE = int.from_bytes(b"d\0", "little")
+# Words of exceptions, which stay in memory as long as code that refers to them.
+_OTHER_SIZE = ctypes.create_string_buffer(b"bytes of another size were due")
+_OTHER_COUNT = ctypes.create_string_buffer(b"another number of arguments was due")
 
 Objects = tuple[Address, ...]
 
@@ -100,8 +103,7 @@ class Python:
         found: Address = self.call("PyBytes_AsString", thing)
         self.give_null_if(found.is_null())
         with self.code.when(self.call("PyBytes_Size", thing, result=WHOLE) != size):
-            self.call("PyErr_SetNone", self.code.address(_exception("ValueError")), result=None)
-            self.code.give(self.null)
+            _refuse(self.code, "ValueError", _OTHER_SIZE)
         return found
 
     def items(self, thing: Address, count: int) -> list[tuple[Address, Address]]:
@@ -160,9 +162,7 @@ def written(module: Module, name: str, count: int, write: Callable[[Python], Non
     for place in places:
         lent.store(place, null)
     with code.when(number != count):
-        error = code.address(_exception("TypeError"))
-        code.call_at(code.address(_function("PyErr_SetNone")), error)
-        code.give(null)
+        _refuse(code, "TypeError", _OTHER_COUNT)
     found = code.variable(code.call(inner, me, given, held, views))
     for place in places:
         release = code.address(_function("PyBuffer_Release"))
@@ -206,6 +206,13 @@ def _function(name: str) -> int:
     found = ctypes.cast(getattr(ctypes.pythonapi, name), ctypes.c_void_p).value
     assert found is not None
     return found
+
+
+def _refuse(code: Code, kind: str, words: ctypes.Array[ctypes.c_char]) -> None:
+    """End a function with an exception."""
+    error, text = code.address(_exception(kind)), code.address(ctypes.addressof(words))
+    code.call_at(code.address(_function("PyErr_SetString")), error, text)
+    code.give(Address(code, "null"))
 
 
 def _exception(name: str) -> int:
