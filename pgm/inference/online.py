@@ -55,8 +55,8 @@ class OnlineFilter(InCode, Immutable):
         without machine code, with equal results: those of many runs, with a lag, a gate, a watch or
         iterations, in twice the digits, with noise that depends on inputs, or with functions that
         make floats of their input. Machine code runs in one thread. If not given, steps of linear
-        models are made in it from a thousand of a kind on, when they have repaid its making; those
-        of others are not, since a function that is recorded may change unseen.
+        models are made in it after some thousands of a kind, which take as long as its making;
+        those of others are not, since a function that is recorded may change unseen.
 
     Raises
     ------

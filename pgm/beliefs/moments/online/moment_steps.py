@@ -58,7 +58,8 @@ from pgm.schedules.gates import Gate
 from pgm.schedules.schedule import ONCE, Filtering, FixedLag
 from pgm.variables import Variable
 
-# Steps of a kind that NumPy makes before machine code, unasked: these take as long as its making.
+# Steps of a kind that NumPy makes before machine code, unasked, for each four components of a slice:
+# they take as long as its making.
 _LONG = 1000
 # The statuses of one robot's steps in which nothing was to iterate, or CPDs were linearised once.
 _DONE, _LINEARISED = (Status(1, np.empty(0), np.array(converged)) for converged in (True, False))
@@ -155,13 +156,14 @@ class MomentSteps(InCode, Immutable):
         They allow it if the schedule is a `Filtering` of one linearisation without a gate, and
         there is no watch.
         """
-        wait = 0 if self.compiled else _LONG
+        layout = self._graph.layout
+        wait = 0 if self.compiled else _LONG * -(-layout.slice_size // 4)
         schedule = self.schedule
         single = isinstance(schedule, Filtering) and schedule.iterations == 1
         if single and schedule.gate is None and not self.watch:
             ways = self._ahead, self._seen, self.predict, self.update
             statuses = _DONE, _LINEARISED
-            steps = CompiledSteps(self._graph.layout, *ways, *statuses, wait=wait)
+            steps = CompiledSteps(layout, *ways, *statuses, wait=wait)
             self._set(_steps=steps, predict=steps.predict, update=steps.update)
 
     @property
