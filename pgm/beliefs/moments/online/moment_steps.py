@@ -58,8 +58,8 @@ from pgm.schedules.gates import Gate
 from pgm.schedules.schedule import ONCE, Filtering, FixedLag
 from pgm.variables import Variable
 
-# Steps of a kind that NumPy makes before machine code, unasked, for each four components of a slice:
-# they take as long as its making.
+# Steps of a kind that NumPy makes before machine code, unasked, for each four components of a
+# slice: they take as long as its making.
 _LONG = 1000
 # The statuses of one robot's steps in which nothing was to iterate, or CPDs were linearised once.
 _DONE, _LINEARISED = (Status(1, np.empty(0), np.array(converged)) for converged in (True, False))
