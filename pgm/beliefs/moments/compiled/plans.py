@@ -71,6 +71,11 @@ class Table:
             runs = Runs.APART if across else Runs.SAME
         return told.Array(place, array.shape[2:], runs, cell == 1)
 
+    def count(self, number: int) -> int:
+        """The place in the table of a number."""
+        self.numbers.append(number)
+        return len(self.numbers) - 1
+
     @property
     def whole(self) -> Integers64:
         """The table."""
@@ -111,7 +116,7 @@ def motion_of(
             raise Uncompiled(f"{family.cpd!r} turns an angle of which its function does not know")
         turning = tuple((new, before, own.index(before)) for new, before in link.turning)
     return told.Motion(
-        **_row(family, places(link.parents, size), table, stored=stored, keep=keep),
+        **row_of(family, places(link.parents, size), table, stored=stored, keep=keep),
         bare=family.bare,
         unsure=not family.semidefinite,
         turning=turning,
@@ -129,7 +134,7 @@ def sensor_of(
     single = sensor.bounds == list(range(plan.steps + 2))
     kept = keep and not stored and bool(sensor.variable.angles)
     return told.Sensor(
-        **_row(family, places(sensor.parents, size), table, stored=stored, keep=keep),
+        **row_of(family, places(sensor.parents, size), table, stored=stored, keep=keep),
         readings=table.array(values),
         moved=table.array(sensor.moved) if kept else None,
         missing=sensor.taken is not None,
@@ -137,9 +142,10 @@ def sensor_of(
     )
 
 
-def _row(
+def row_of(
     family: Family, parents: tuple[int, ...], table: Table, *, stored: bool, keep: bool
 ) -> dict[str, Any]:
+    """What is told of a CPD of any kind; see `told.Row`."""
     found: dict[str, Any] = {"parents": parents, "height": family.shape[2]}
     if not stored:
         found["angles"] = tuple(np.flatnonzero(family.cpd.child.angle_mask).tolist())
