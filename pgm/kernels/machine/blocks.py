@@ -7,7 +7,8 @@ there beside the matrix is never read for a number of it. Results lie in memory 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 from pgm.kernels.machine.code import Code, Variable
@@ -17,8 +18,8 @@ from pgm.kernels.machine.wholes import Address, Whole
 from pgm.kernels.numbers import inverse, least, sqrt
 
 Place = Whole | int
-# Rows and packs of a product that are worked on together, so that sums do not wait for each other.
-_ROWS, _PACKS = 4, 2
+# Rows of a product, and packs of a solution, that are worked on together: no sum waits for another.
+_TOGETHER = 4
 # Of the widest packs; and up to how many columns rows may be filled up to half of such.
 _LANES, _NARROW = 8, 28
 
@@ -101,12 +102,12 @@ class Block:
 
     def fill(self, number: float) -> Block:
         """Set all numbers to one that is known."""
-        self._each(lambda i, p: number)
+        self._each(lambda p: number)
         return self
 
     def set(self, other: Block) -> None:
         """Set all numbers to those of another matrix, whose rows are filled up as these are."""
-        self._each(other.pack)
+        self._each(lambda p: other.pack(0, p))
 
     @property
     def T(self) -> Block:
@@ -119,12 +120,12 @@ class Block:
 
     def __add__(self, other: Block) -> Block:
         found = self._like()
-        found._each(lambda i, p: self.pack(i, p) + other.pack(i, p))
+        found._each(lambda p: self.pack(0, p) + other.pack(0, p))
         return found
 
     def __sub__(self, other: Block) -> Block:
         found = self._like()
-        found._each(lambda i, p: self.pack(i, p) - other.pack(i, p))
+        found._each(lambda p: self.pack(0, p) - other.pack(0, p))
         return found
 
     def __matmul__(self, other: Block) -> Block:
@@ -149,11 +150,10 @@ class Block:
     def _like(self) -> Block:
         return self.space.block(*self.shape)
 
-    def _each(self, pack: Callable[[Whole, Whole], Operand]) -> None:
-        """Set each pack of each row."""
-        code = self.space.code
-        with code.loop(self.shape[0]) as i, code.loop(self.packs) as p:
-            self.put(i, p, pack(i, p))
+    def _each(self, pack: Callable[[Whole], Operand]) -> None:
+        """Set each pack, row after row, counted from the first of the first."""
+        with self.space.code.loop(self.shape[0] * self.packs) as p:
+            self.put(0, p, pack(p))
 
     def _contiguous_transpose(self) -> Block:
         code, (height, width) = self.space.code, self.shape
@@ -165,21 +165,14 @@ class Block:
     def _product(self, other: Block, found: Block, packs: Callable[[Whole], Place]) -> None:
         """Set the packs of rows of a matrix, up to so many by a row's number, to those of A B."""
         code, (height, inner) = self.space.code, self.shape
+        with by_groups(code, height) as (i, count), code.loop(packs(i + (count - 1))) as p:
 
-        def rows(i: Whole, count: int) -> None:
-            def panel(p: Whole, many: int) -> None:
-                def terms(k: Whole) -> list[Number]:
-                    right = [other.pack(k, p + q) for q in range(many)]
-                    left = [self.load(i + r, k) for r in range(count)]
-                    return [a * b for a in left for b in right]
+            def terms(k: Whole) -> list[Number]:
+                right = other.pack(k, p)
+                return [self.load(i + r, k) * right for r in range(count)]
 
-                totals = summed(code, inner, 0, terms, [0.0] * (count * many), other.lanes)
-                for each, total in enumerate(totals):
-                    found.put(i + each // many, p + each % many, total)
-
-            by_groups(code, packs(i + (count - 1)), _PACKS, panel)
-
-        by_groups(code, height, _ROWS, rows)
+            for r, total in enumerate(summed(code, inner, 0, terms, [0.0] * count, other.lanes)):
+                found.put(i + r, p, total)
 
 
 class Root:
@@ -236,17 +229,15 @@ class Root:
     ) -> None:
         """Solve for a row, given those from one to another."""
         code, over = self._space.code, self._over.load(i)
+        with by_groups(code, right.packs) as (p, count):
 
-        def panel(p: Whole, many: int) -> None:
             def terms(k: Whole) -> list[Number]:
                 part = -factor.load(i, k)
-                return [part * found.pack(k, p + q) for q in range(many)]
+                return [part * found.pack(k, p + q) for q in range(count)]
 
-            begin = [right.pack(i, p + q) for q in range(many)]
+            begin = [right.pack(i, p + q) for q in range(count)]
             for q, total in enumerate(summed(code, last, first, terms, begin, right.lanes)):
                 found.put(i, p + q, total * over)
-
-        by_groups(code, right.packs, 2 * _PACKS, panel)
 
 
 def summed(
@@ -268,20 +259,12 @@ def summed(
     return [total.get() for total in totals]
 
 
-def by_groups(
-    code: Code, count: Place, size: int, write: Callable[[Whole, int], None]
-) -> None:
-    """Code for groups of so many indices, from 0 up to a count, and for those that are left."""
-    if isinstance(count, int):
-        whole = count - count % size
-        if whole:
-            with code.loop(whole // size) as k:
-                write(k * size, size)
-        if whole < count:
-            write(code.whole(whole), count - whole)
-        return
-    groups = count // size
-    with code.loop(groups) as k:
-        write(k * size, size)
-    with code.loop(count, groups * size) as k:
-        write(k, 1)
+@contextmanager
+def by_groups(code: Code, count: int) -> Iterator[tuple[Whole, int]]:
+    """The code inside runs for the first of each group of indices below a count.
+
+    It gets their number, too; the last group shares indices with the one before.
+    """
+    size = min(count, _TOGETHER)
+    with code.loop(-(-count // size)) as k:
+        yield (k * size).at_most(code.whole(count - size)), size

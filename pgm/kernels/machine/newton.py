@@ -55,7 +55,7 @@ class _Written:
 
     def __init__(self, module: Module, chain: told.Newton, rows: list[Rows]) -> None:
         kinds = ADDRESS, WHOLE, WHOLE, ADDRESS, ADDRESS
-        self.code = code = module.function("newton", kinds)
+        self.code = code = module.function("newton", kinds, disjoint=True)
         self.table, first, last, self.work, self.equations = code.arguments
         self.chain, self.rows, self.layout = chain, rows, Layout(chain.size)
         self.w = w = Writer(code, self.table, chain)

@@ -27,7 +27,7 @@ from pgm.kernels.machine.writer import Writer
 from pgm.kernels.numbers import Matrix, is_zero, where
 
 # Products that are written as straight lines.
-_MOST = 500
+_MOST = 300
 
 
 def is_small(height: int, every: int) -> bool:
@@ -44,7 +44,7 @@ class Rows:
 
     def __init__(self, module: Module, chain: told.Newton, cpd: told.Squares, name: str) -> None:
         kinds = ADDRESS, WHOLE, WHOLE, WHOLE, ADDRESS, ADDRESS
-        self.code = code = module.function(name, kinds, lanes=cpd.lanes, internal=True)
+        self.code = code = module.function(name, kinds, lanes=cpd.lanes, internal=True, inline=False, disjoint=True)
         table, self.run, begin, end, self.equations, work = code.arguments
         self.cpd, self.layout, self.reference = cpd, Layout(chain.size), chain.reference
         self.w, self._along = Writer(code, table, cpd), Writer(code, table, chain.reference)
@@ -95,12 +95,25 @@ class Rows:
             due = [(target, number) for target, number in due if not is_zero(number)]
             for k, (_, number) in enumerate(due):
                 room.store(k, number)
+            add = self._adding([target for target, _ in due])
             ending = (self._last - row).at_most(code.whole(lanes))
             with code.loop(ending, begin - row) as lane:
-                cells = self._cells(row + lane)
-                found = Memory(code, room.address + lane, step=lanes, lanes=1)
-                for k, (target, _) in enumerate(due):
-                    cells.store(target, cells.load(target) + found.load(k))
+                code.call(add, self._cells(row + lane).address, room.address + lane)
+
+    def _adding(self, targets: Sequence[int]) -> Code:
+        """The function that adds the squares of a lane to the equations of its step.
+
+        Outside of the loop of lanes LLVM does not look for what one lane leaves to the next.
+        """
+        code = self.code.module.function(
+            f"{self.code.name} added", (ADDRESS, ADDRESS), internal=True, inline=False, disjoint=True
+        )
+        cells = Memory(code, code.arguments[0])
+        found = Memory(code, code.arguments[1], step=self.cpd.lanes)
+        sums = [cells.load(target) + found.load(k) for k, target in enumerate(targets)]
+        for target, number in zip(targets, sums, strict=True):
+            cells.store(target, number)
+        return code
 
     def _by_loops(self) -> None:
         code, w, space, cpd = self.code, self.w, self.space, self.cpd
