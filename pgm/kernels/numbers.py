@@ -229,8 +229,8 @@ class Root:
         for i, row in enumerate(right.rows):
             rest = list(row)
             for x, above in zip(self.lower[i], found, strict=False):
-                rest = [a - x * b for a, b in zip(rest, above, strict=True)]
-            found.append([a * self.over[i] for a in rest])
+                rest = [a if is_zero(b) else a - x * b for a, b in zip(rest, above, strict=True)]
+            found.append([a if is_zero(a) else a * self.over[i] for a in rest])
         return Matrix(found, right.width)
 
     def solve_transposed(self, right: Matrix) -> Matrix:
@@ -244,3 +244,11 @@ class Root:
                 rest = [a - x * b for a, b in zip(rest, found[k], strict=True)]
             found[i] = [a * self.over[i] for a in rest]
         return Matrix(found, right.width)
+
+    @property
+    def inverse(self) -> Matrix:
+        """The matrix A⁻¹."""
+        size = range(len(self.lower))
+        eye = Matrix([1.0 if i == j else 0.0 for j in size] for i in size)
+        white = self.solve(eye).T
+        return white.times(white)

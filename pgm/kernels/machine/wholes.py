@@ -66,6 +66,11 @@ class Whole:
     def __bool__(self) -> NoReturn:
         raise TypeError("a whole number is known only when its code runs; compare it, then `when`")
 
+    def at_most(self, other: Whole) -> Whole:
+        """The lesser of two whole numbers."""
+        two = f"i64 {self.text}, i64 {other.text}"
+        return Whole(self.code, self.code.value(f"select i1 {(self < other).text}, {two}"))
+
     def number(self) -> Number:
         """The nearest float, of one lane."""
         return Number(self.code, self.code.value(f"sitofp i64 {self.text} to double"))

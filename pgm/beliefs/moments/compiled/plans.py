@@ -75,6 +75,11 @@ class Table:
             runs = Runs.APART if across else Runs.SAME
         return told.Array(place, array.shape[2:], runs, cell == 1)
 
+    def count(self, number: int) -> int:
+        """The place in the table of a number."""
+        self.numbers.append(number)
+        return len(self.numbers) - 1
+
     @property
     def whole(self) -> Integers64:
         """The table."""
@@ -113,7 +118,7 @@ def motion_of(
             raise Uncompiled(f"{family.cpd!r} turns an angle of which its function does not know")
         turning = tuple((new, before, own.index(before)) for new, before in link.turning)
     return told.Motion(
-        **_row(family, places(link.parents, size), table, stored=stored, keep=keep),
+        **row_of(family, places(link.parents, size), table, stored=stored, keep=keep),
         bare=family.bare,
         unsure=not family.semidefinite,
         turning=turning,
@@ -144,7 +149,7 @@ def sensor_of(
     kept = keep and not stored and bool(sensor.variable.angles)
     loss = _loss_of(sensor, table, taken is not None, found=stored) if sensor.robust else None
     return told.Sensor(
-        **_row(family, places(sensor.parents, size), table, stored=stored, keep=keep),
+        **row_of(family, places(sensor.parents, size), table, stored=stored, keep=keep),
         readings=table.array(values),
         moved=table.array(sensor.moved) if kept else None,
         missing=taken is not None,
@@ -187,9 +192,10 @@ def decided(table: Table) -> None:
         sensor.taken[...] = sensor.gated.given & ~sensor.gated.rejected[..., None]
 
 
-def _row(
+def row_of(
     family: Family, parents: tuple[int, ...], table: Table, *, stored: bool, keep: bool
 ) -> dict[str, Any]:
+    """What is told of a CPD of any kind; see `told.Row`."""
     found: dict[str, Any] = {"parents": parents, "height": family.shape[2]}
     if not stored:
         found["angles"] = tuple(np.flatnonzero(family.cpd.child.angle_mask).tolist())
