@@ -16,7 +16,7 @@ settings.load_profile("everywhere")
 
 # Folders of long tests come first, so that no worker is left alone with one.
 LONG = tuple(f"tests/{folder}/" for folder in ("experiments", "viewer", "docs", "plot"))
-KERNELS = ("forward", "online"), ("forward_together", "backward_together", "backward", "newton")
+KERNELS = ("forward", "online"), ("forward_together", "backward_together", "backward")
 COMPILED = """
 from importlib import import_module
 from pgm.kernels.compiled import sweeps

@@ -30,14 +30,7 @@ AFFINE, TAYLOR, REGRESSION = range(3)
 (CONTROL_GAIN, CONTROL_SHIFT, CONTROL_REST) = range(72, 84, 4)
 FIELDS = 84
 
-# Of a chain of Gauss–Newton steps: the trajectory of the linearisation, the one that is found, its
-# variances, and the equations: those of the prior, and room for those of each step, of so many
-# threads. Of its CPDs: their rows, the step of each, and where its squares go.
-REFERENCE, FOUND, VARIANCE = MEAN, LATER_MEAN, LATER_COV
-BEGIN, EQUATIONS, THREADS = BEGIN_MEAN, GAIN, SHIFT
-ROWS, STEP, TARGETS = COUNT, LEAST, POINTS
-
-# How a run ended: done, or to be done by the general kernels, or not worked on.
-DONE, LEFT, IDLE = 0, 1, 2
+# How a run ended: done, or to be done by the general kernels.
+DONE, LEFT = 0, 1
 # Packs are of so many runs, or of so many floats of a row.
 RUNS, ROW = 8, 4

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -16,25 +15,18 @@ from pgm.beliefs.moments.compiled.numba_table import (
     sensor_row,
     unknown,
 )
-from pgm.beliefs.moments.compiled.sweep import stretches
 from pgm.beliefs.moments.steps.plan import ChainPlan
-from pgm.compile.machine import Compiled
-from pgm.kernels.arrays import Array
 from pgm.kernels.compiled import tables as t
-from pgm.resources import in_threads
-
-_LINE = 64
 
 
 class Chain:
     """A plan as a row of integers, the tables it tells of, and room to work in."""
 
-    def __init__(self, plan: ChainPlan, *, rows: Rows | None = None) -> None:
+    def __init__(self, plan: ChainPlan) -> None:
         layout = plan.layout
-        self.plan, self.rows = plan, rows or Rows(plan.runs >= t.RUNS)
+        self.plan, self.rows = plan, Rows(plan.runs >= t.RUNS)
         self.fields = np.zeros(t.FIELDS, dtype=np.int64)
         self.status = np.zeros(plan.runs, dtype=np.int64)
-        self.out: Sequence[Array] = ()
         fields = self.fields
         fields[t.LAST], fields[t.SINGLE] = plan.steps, layout.single
         fields[t.FRONT], fields[t.WIDTH] = layout.state_size, layout.slice_size
@@ -67,44 +59,6 @@ class Chain:
         self.links, self.sensors = links, sensors
         self.fields[t.LINKS], self.fields[t.LINK_COUNT] = rows.at(links), len(links)
         self.fields[t.SENSORS], self.fields[t.SENSOR_COUNT] = rows.at(sensors), len(sensors)
-
-    def put(self, place: int, array: Array) -> None:
-        """Lay out an array (steps, runs, ...)."""
-        self.fields[place : place + 4] = self.rows.told(array, array.ndim - 2)
-
-    def count(self, left: list[slice], why: str) -> None:
-        """Note in the plan's account how a sweep went: the runs that it left, and why."""
-        account, runs = self.plan.account, sum(each.stop - each.start for each in left)
-        account.compiled += runs < self.plan.runs
-        if runs:
-            account.leave(why, runs)
-
-    def run(self, kernel: Any) -> list[slice]:
-        """Run a kernel on all runs; those that it leaves."""
-        from pgm.kernels.compiled import sweeps as s
-        from pgm.kernels.compiled.memory import ready
-
-        plan, rows = self.plan, self.rows
-        chain, choice = address(self.fields), plan.layout.compiled
-        together = plan.runs >= t.RUNS
-        lanes, kernel = (t.RUNS, kernel[1]) if together else (1, kernel[0])
-        threads = choice.threads if isinstance(choice, Compiled) else 1
-        threads = max(min(threads, plan.runs // lanes), 1)
-        ready(kernel, "int64(int64,int64,int64,int64)")
-        size = s.room(
-            plan.layout.slice_size, plan.layout.state_size, rows.height, rows.points, lanes
-        )
-
-        def work(first: int, last: int) -> None:
-            # Large pages of fresh memory are cleared once, each by one thread.
-            for array in self.out if threads > 1 else ():
-                begin, end = (runs * len(array) // plan.runs for runs in (first, last))
-                array[begin:end, first:last:512] = 0.0
-            room = np.empty(size + _LINE)
-            kernel(chain, first, last, -(-address(room) // _LINE) * _LINE)  # a line of the cache
-
-        in_threads(work, plan.runs, threads)
-        return stretches(self.status != t.DONE)
 
 
 def _keep(family: Any, row: Integers64, rows: Rows) -> None:

@@ -25,30 +25,21 @@ from pgm.linearisers.regression import StatisticalRegression
 Integers64 = npt.NDArray[np.int64]
 
 
-
-
 def address(array: npt.NDArray[Any]) -> int:
     """Where an array's memory begins."""
     found: int = array.__array_interface__["data"][0]
     return found
 
 
-def at_least(array: npt.NDArray[Any], rows: int) -> npt.NDArray[Any]:
-    """An array with its last row repeated, if there are some, but fewer."""
-    if not 0 < len(array) < rows:
-        return array
-    return array[np.minimum(np.arange(rows), len(array) - 1)]
-
-
 class Rows:
     """The arrays of a table, which have to stay in memory as long as it does.
 
-    `together` says whether functions are of packs, and `least` how many rows there have to be.
+    `together` says whether functions are of packs.
     """
 
-    def __init__(self, together: bool = False, least: int = 0) -> None:
+    def __init__(self, together: bool = False) -> None:
         self.kept: list[object] = []
-        self.points, self.height, self.together, self.least = 0, 1, together, least
+        self.points, self.height, self.together = 0, 1, together
 
     def at(self, array: npt.NDArray[Any]) -> int:
         """The address of an array, which is kept."""
@@ -57,8 +48,6 @@ class Rows:
 
     def told(self, array: Array, own: int) -> tuple[int, int, int, int]:
         """The address of an array (rows or 1, runs or 1, own axes), and its strides, in floats."""
-        if len(array) > 1:  # one row stands for all
-            array = at_least(array, self.least)
         inner = [(k, n) for k, n in zip(array.strides[2:], array.shape[2:], strict=True) if n > 1]
         for (outer, _), (stride, size) in pairwise(inner):
             if outer != stride * size:
