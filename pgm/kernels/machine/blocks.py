@@ -113,10 +113,9 @@ class Block:
     def T(self) -> Block:
         """The matrix transposed, in the same memory."""
         height, width = self.shape
-        turned = Block(
+        return Block(
             self.space, self.address, width, height, wide=self.wide, turned=not self.turned
         )
-        return turned
 
     def __add__(self, other: Block) -> Block:
         found = self._like()

@@ -85,7 +85,8 @@ def _engine(text: str, level: int) -> Any:
     module = binding.parse_assembly(text)
     module.verify()
     tuning = binding.create_pipeline_tuning_options(speed_level=level)
-    # Packs and groups are made as code is written; LLVM's search for more takes longer than it brings.
+    # Packs are made as code is written, and sums side by side; LLVM's search for more takes longer
+    # than it brings.
     tuning.slp_vectorization = tuning.loop_vectorization = tuning.loop_unrolling = False
     builder = binding.create_pass_builder(machine, tuning)
     if level < 2:

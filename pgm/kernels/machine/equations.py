@@ -100,25 +100,24 @@ class Kept:
     def clear(self, place: Address, count: int) -> None:
         """Set so many floats to zero."""
         cells = Memory(self._code, place)
-        for k in range(count if self._straight else 0):
-            cells.store(k, 0.0)
-        if not self._straight:
-            with self._code.loop(count) as k:
-                cells.store(k, 0.0)
+        self._times(count, lambda k: cells.store(k, 0.0))
 
     def each(self, write: Callable[[Any], None]) -> None:
         """Write code for each component of a slice."""
-        if self._straight:
-            for i in range(self._layout.size):
-                write(i)
-            return
-        with self._code.loop(self._layout.size) as k:
+        self._times(self._layout.size, write)
+
+    def _times(self, count: int, write: Callable[[Any], None]) -> None:
+        for k in range(count if self._straight else 0):
             write(k)
+        if not self._straight:
+            with self._code.loop(count) as index:
+                write(index)
 
     def _matrix(self, place: Address, where: Callable[[int, int], tuple[int, int]]) -> Any:
         size = self._layout.size
         if not self._straight:
             return Block(self._space, place, size, size)
         cells, every = Memory(self._code, place), range(size)
-        known = {k: cells.load(k[0] * size + k[1]) for i in every for j in every for k in [where(i, j)]}
-        return Matrix([known[where(i, j)] for j in every] for i in every)
+        due = [[where(i, j) for j in every] for i in every]
+        known = {(i, j): cells.load(i * size + j) for row in due for i, j in row}
+        return Matrix([known[at] for at in row] for row in due)

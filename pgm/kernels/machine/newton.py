@@ -56,7 +56,8 @@ class _Written:
     def __init__(self, module: Module, chain: told.Newton, rows: list[Rows]) -> None:
         kinds = ADDRESS, WHOLE, WHOLE, ADDRESS, ADDRESS
         self.code = code = module.function("newton", kinds, disjoint=True)
-        self.table, first, last, self.work, self.equations = code.arguments
+        self.table, first, last, self.work, equations = code.arguments
+        self.equations: Address = equations
         self.chain, self.rows, self.layout = chain, rows, Layout(chain.size)
         self.w = w = Writer(code, self.table, chain)
         self.space = Workspace(code, self.work)
@@ -109,7 +110,8 @@ class _Written:
         kept.put(place, found.cov)
         kept.put(place + layout.across, found.gain)
         kept.put(place + layout.right, found.offset)
-        return found.share > 0.0
+        goes: Number = found.share > 0.0
+        return goes
 
     def _back(self) -> None:
         """Find slice after slice, going back."""

@@ -8,7 +8,7 @@ for some rows at once, as lanes of packs; large ones by loops, row by row.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import groupby
 from typing import Any
 
@@ -28,6 +28,8 @@ from pgm.kernels.numbers import Matrix, is_zero, where
 
 # Products that are written as straight lines.
 _MOST = 300
+# Functions that stay by themselves are compiled faster: LLVM's analyses grow by their squares.
+_APART: Any = {"internal": True, "inline": False, "disjoint": True}
 
 
 def is_small(height: int, every: int) -> bool:
@@ -44,7 +46,7 @@ class Rows:
 
     def __init__(self, module: Module, chain: told.Newton, cpd: told.Squares, name: str) -> None:
         kinds = ADDRESS, WHOLE, WHOLE, WHOLE, ADDRESS, ADDRESS
-        self.code = code = module.function(name, kinds, lanes=cpd.lanes, internal=True, inline=False, disjoint=True)
+        self.code = code = module.function(name, kinds, lanes=cpd.lanes, **_APART)
         table, self.run, begin, end, self.equations, work = code.arguments
         self.cpd, self.layout, self.reference = cpd, Layout(chain.size), chain.reference
         self.w, self._along = Writer(code, table, cpd), Writer(code, table, chain.reference)
@@ -70,7 +72,7 @@ class Rows:
         return self.space.taken
 
     def _straight(self) -> None:
-        code, lanes, size = self.code, self.cpd.lanes, self.layout.size
+        code, lanes = self.code, self.cpd.lanes
         due: list[tuple[int, Any]] = []
         every = range(len(self.places))
         room = code.room(len(every) * (len(every) + 3) // 2)
@@ -84,7 +86,8 @@ class Rows:
             residual, shift = self._residual([value for (value,) in line.value.rows], x)
             line = line._replace(value=line.value + Matrix.column(shift))
             cpds.keep(self.w, self.cpd, self.run, mean, line)
-            slope = Matrix([*row_, *one] for row_, one in zip(line.matrix.rows, self._own(), strict=True))
+            pairs = zip(line.matrix.rows, self._own(), strict=True)
+            slope = Matrix([*by_parents, *by_child] for by_parents, by_child in pairs)
             weighed = (line.noise @ slope).T
             squares = weighed.times(slope.T)
             for i in every:
@@ -105,9 +108,7 @@ class Rows:
 
         Outside of the loop of lanes LLVM does not look for what one lane leaves to the next.
         """
-        code = self.code.module.function(
-            f"{self.code.name} added", (ADDRESS, ADDRESS), internal=True, inline=False, disjoint=True
-        )
+        code = self.code.module.function(f"{self.code.name} added", (ADDRESS, ADDRESS), **_APART)
         cells = Memory(code, code.arguments[0])
         found = Memory(code, code.arguments[1], step=self.cpd.lanes)
         sums = [cells.load(target) + found.load(k) for k, target in enumerate(targets)]
@@ -119,10 +120,8 @@ class Rows:
         code, w, space, cpd = self.code, self.w, self.space, self.cpd
         height, size, run = cpd.height, len(cpd.parents), self.run
         slope = space.block(height, len(self.places)).fill(0.0)
-        for i, row_ in enumerate(self._own()):
-            for j, number in enumerate(row_):
-                if number:
-                    slope.store(i, size + j, number)
+        for i in range(len(cpd.child)):
+            slope.store(i, size + i, -1.0)
         matrix = Block(space, slope.address, height, size, wide=slope.wide)
         point, weight = space.block(size, 1), space.block(height, height)
         off = space.block(height, 1)
@@ -142,7 +141,7 @@ class Rows:
                 value, slopes = cpds.evaluated(w, cpd, run, x[:size], slope=True)
                 for k, number in enumerate(slopes):
                     if not is_zero(number):
-                        matrix.store(k // size, k % size, number)
+                        matrix.store(*divmod(k, size), number)
             residual, shift = self._residual(value, x)
             if cpd.function is not None and cpd.matrix is not None:
                 assert cpd.offset is not None
@@ -194,10 +193,8 @@ class Rows:
         size = range(len(self.cpd.child))
         return [[-1.0 if i == j else 0.0 for j in size] for i in range(self.cpd.height)]
 
-    def _residual(
-        self, value: Sequence[Any], x: Sequence[Number]
-    ) -> tuple[list[Any], list[Any]]:
-        """Residuals of a value, and by how much it moves to the branch of the reference."""
+    def _residual(self, value: Sequence[Any], x: Sequence[Number]) -> tuple[list[Any], list[Any]]:
+        """Residuals of a value; and its shift, where a transition's child is on another branch."""
         cpd, w = self.cpd, self.w
         if cpd.readings is None:
             given = list(x[len(cpd.parents) :])
@@ -210,17 +207,15 @@ class Rows:
         found = [a - b for a, b in zip(left, value, strict=True)]
         if cpd.missing:
             found = [where(a == a, b, 0.0) for a, b in zip(left, found, strict=True)]
-        if cpd.readings is not None:
-            return found, [0.0] * cpd.height
-        moved = [k in cpd.angles for k in range(cpd.height)]
-        return found, [
-            a - b if turns else 0.0 for a, b, turns in zip(given, left, moved, strict=True)
-        ]
+        turning = cpd.angles if cpd.readings is None else ()
+        shift = [given[k] - left[k] if k in turning else 0.0 for k in range(cpd.height)]
+        return found, shift
 
     def _add(self, cells: Memory, squares: Block) -> None:
         """Add squares to the equations of a step, stretch by stretch of places in a row."""
         code, layout = self.code, self.layout
-        for (i, place, count), (j, other, many) in _pairs(list(_stretches(self.places, layout.size))):
+        stretches = list(_stretches(self.places, layout.size))
+        for (i, place, count), (j, other, many) in _pairs(stretches):
             first = layout.square(place, other)
             with code.loop(count) as a, code.loop(many) as b:
                 target = a * layout.wide + b + first
@@ -232,11 +227,7 @@ Stretch = tuple[int, int, int]
 
 def _stretches(places: Sequence[int], size: int) -> Iterator[Stretch]:
     """Where places of a slice follow each other: the first one's number, itself, and how many."""
-    key: Callable[[tuple[int, int]], tuple[int, int]] = lambda each: (
-        each[1] - each[0],
-        each[1] // size,
-    )
-    for _, group in groupby(enumerate(places), key):
+    for _, group in groupby(enumerate(places), lambda each: (each[1] - each[0], each[1] // size)):
         (number, place), *rest = group
         yield number, place, 1 + len(rest)
 
