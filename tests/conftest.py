@@ -37,7 +37,7 @@ def pytest_configure(config):
     if not getattr(config.option, "numprocesses", None):
         return
     config.option.loadscopereorder = False
-    if find_spec("numba") is not None:
+    if find_spec("llvmlite") is not None:
         each = [[sys.executable, "-c", COMPILED.format(names)] for names in KERNELS]
         config.stash[COMPILERS] = [subprocess.Popen(command) for command in each]
 

@@ -62,7 +62,7 @@ class Compiled(InCode):
 RULES = Unscented, Cubature, GaussHermite
 # Angles and components without noise are told to kernels by the bits of a number.
 MOST = 60
-# Why a schedule leaves machine code.
+# Why a schedule, or a filter's settings online, leave machine code.
 GATE = "a gate (gate=) decides at one predicted belief after another"
 CONTROL = "Levenberg–Marquardt (damping=) judges each step by its cost"
 WINDOWS = "the windows of a lag with iterations slide one after another"
@@ -73,13 +73,13 @@ Choice = bool | Compiled | None
 
 
 def as_choice(compiled: Any, what: str) -> Choice:
-    """A choice of machine code, for which there has to be Numba."""
+    """A choice of machine code, for which there has to be llvmlite."""
     if not isinstance(compiled, bool | Compiled | None):
         raise ModelError(
             f"{what}: compiled={compiled!r}; True, False or a pgm.Compiled(...) was due"
         )
     if compiled:
-        optional("numba", f"{what.removesuffix(')')}, compiled=True)", "sepset[fast]")
+        optional("llvmlite", f"{what.removesuffix(')')}, compiled=True)", "llvmlite")
     return compiled
 
 
@@ -126,7 +126,9 @@ class Compilation(Told[CPD]):
     >>> print(list(compilation.values()))
     ['compiled', 'compiled', 'compiled']
     >>> compilation.under(pgm.Filtering(gate=0.99))
-    'left to NumPy: a gate (gate=) decides at one predicted belief after another'
+    'compiled'
+    >>> compilation.under(pgm.Filtering(damping=pgm.LevenbergMarquardt()))
+    'left to NumPy: Levenberg–Marquardt (damping=) judges each step by its cost'
     """
 
     __slots__ = ()
@@ -146,8 +148,7 @@ class Compilation(Told[CPD]):
         """
         several = getattr(schedule, "iterations", 1) > 1
         control = not is_number(getattr(schedule, "damping", 0.0))
-        why = [GATE] if getattr(schedule, "gate", None) is not None else []
-        why += [CONTROL] if control else []
+        why = [CONTROL] if control else []
         why += [WINDOWS] if several and getattr(schedule, "lag", 0) else []
         why += [f"{cpd!r}: {words}" for cpd, words in self.items() if words != COMPILED]
         return f"left to NumPy: {'; '.join(why)}" if why else COMPILED
@@ -159,18 +160,18 @@ class Compilation(Told[CPD]):
         super().__init__(
             f"Compilation of {of}",
             found,
-            "A gate, Levenberg–Marquardt and the windows of a lag leave machine code as well: "
+            "Levenberg–Marquardt and the windows of a lag leave machine code as well: "
             "posterior.status.compilation tells of a call",
         )
 
 
 def _told(cpd: CPD, template: FunctionTemplate | None, sensor: bool) -> str:
-    if find_spec("numba") is None:
-        return "Numba is not installed: pip install sepset[fast]"
+    if find_spec("llvmlite") is None:
+        return "llvmlite is not installed: pip install llvmlite"
     if not isinstance(cpd, ConditionalGaussian):
         return "it is not Gaussian"
-    if cpd.noise is not None:
-        return "its noise is robust"
+    if cpd.noise is not None and cpd.noise.graduated:
+        return "its noise is graduated"
     if sensor and isinstance(cpd.cov, np.ndarray) and roots.determined(roots.root(cpd.cov)).any():
         return "its noise is singular"
     size = cpd.child.dimension if template is None else max(cpd.child.dimension, template.size)

@@ -96,7 +96,7 @@ def filter(
         A probability, of all sensors or by sensor. A measurement is left out if its innovation ν,
         of covariance S, has a νᵀS⁻¹ν beyond the χ² quantile of this probability; see `Filtering`.
     compiled : bool or Compiled, optional
-        Whether the sweep along the chain runs in machine code, by Numba. If not given, it does
+        Whether the sweep along the chain runs in machine code, by LLVM. If not given, it does
         where the chain is long enough for that to be quicker; see `compile`.
     keep : collection of Variable, optional
         The variables whose marginals are kept, so that many runs fit in memory; see `infer`.

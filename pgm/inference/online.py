@@ -50,7 +50,7 @@ class OnlineFilter(InCode, Immutable):
         The family of beliefs, if they are not moments or tables. What it has no use for of the
         other arguments it refuses.
     compiled : bool or Compiled
-        Whether steps are made in machine code, by Numba. The model's functions are then recorded
+        Whether steps are made in machine code, by LLVM. The model's functions are then recorded
         as they are when the filter is made; see `renewed` for later changes. Some steps are made
         without machine code, with equal results: those of many runs, with a lag, a gate, a watch or
         iterations, in twice the digits, with noise that depends on inputs, or with functions that
@@ -62,7 +62,7 @@ class OnlineFilter(InCode, Immutable):
     ModelError
         If an argument is of a wrong kind, two of them exclude each other, or a prior is improper.
     ImportError
-        If steps are to be compiled where Numba is missing.
+        If steps are to be compiled where llvmlite is missing.
 
     Examples
     --------

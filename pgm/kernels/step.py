@@ -211,16 +211,26 @@ def open_share(cov: Matrix) -> Number:
 
 
 def weighed_square(
-    residual: AnyMatrix, noise: AnyMatrix, matrix: AnyMatrix = None, cov: AnyMatrix = None
+    residual: AnyMatrix,
+    noise: AnyMatrix,
+    matrix: AnyMatrix = None,
+    cov: AnyMatrix = None,
+    error: AnyMatrix = None,
 ) -> Number:
     """The square rᵀ R⁻¹ r of a residual by its noise, of which robust weights are functions.
 
-    Given H and P it is the square that is expected under a belief, with tr R⁻¹ H P Hᵀ besides.
+    Given P it is the square that is expected under a belief, with tr R⁻¹ (H P Hᵀ + Ω) besides, Ω
+    being the covariance of the line's error.
     """
     root = noise.root()
     white = root.solve(residual)
     total = (white.T @ white)[0, 0]
-    if matrix is None:
+    if cov is None:
         return total
     rows = root.solve(matrix)
-    return total + sum((rows @ cov).times(rows).diagonal)
+    spread_of = (rows @ cov).times(rows).diagonal
+    if error is not None:
+        spread_of += root.solve(root.solve(error).T).diagonal
+    for variance in spread_of:
+        total = total + variance
+    return total

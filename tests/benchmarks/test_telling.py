@@ -294,7 +294,7 @@ def test_a_first_call_is_measured_in_processes_of_their_own(monkeypatch):
 
 
 def test_threads_are_timed_in_turns_and_judged(monkeypatch, capsys):
-    pytest.importorskip("numba", reason="sweeps are compiled by Numba, the extra fast")
+    pytest.importorskip("llvmlite", reason="sweeps are compiled by llvmlite")
     monkeypatch.setattr(threads, "RUNS", 20)
     monkeypatch.setattr(threads, "STEPS", 3)
     threads.main()

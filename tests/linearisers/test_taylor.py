@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import pgm
 from tests.dense import bound_function
 
-NUMBA = pytest.mark.skipif(find_spec("numba") is None, reason="Numba is not installed")
+MACHINE = pytest.mark.skipif(find_spec("llvmlite") is None, reason="llvmlite is not installed")
 X = pgm.Variable("x", components=("east", "north", "heading"), angles=("heading",))
 U = pgm.Variable("u", components=("v", "omega"))
 V = np.array([1.5, 0.3])
@@ -132,7 +132,7 @@ def test_a_range_between_two_places_of_which_neither_is_known(apart, traced, run
     assert_allclose(variance, np.full(runs, due), rtol=1e-5, atol=2e-9)
 
 
-@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=NUMBA)])
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=MACHINE)])
 def test_a_bearing_at_the_landmark_is_one_run_or_many(compiled):
     """Where a trace has no finite derivative its differences are over the same steps."""
     z = pgm.Variable("z", components=("range", "bearing"), angles=("bearing",))

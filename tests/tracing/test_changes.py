@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 
 import pgm
 
-NUMBA = pytest.mark.skipif(find_spec("numba") is None, reason="Numba is not installed")
+MACHINE = pytest.mark.skipif(find_spec("llvmlite") is None, reason="llvmlite is not installed")
 X = pgm.Variable("x")
 SCALE, TABLE = 2.0, {"gain": 1.5}
 
@@ -238,7 +238,7 @@ def test_a_change_between_calls_counts(name, monkeypatch):
     assert_allclose(found.mean, due, rtol=1e-12)
 
 
-@NUMBA
+@MACHINE
 @pytest.mark.parametrize("name", ["list", "np.vectorize", "limit in a table", "eval"])
 @pytest.mark.parametrize("rule", [pgm.Taylor(), pgm.Unscented()])
 @pytest.mark.parametrize("runs", [(), (9,)])

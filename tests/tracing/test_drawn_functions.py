@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 import pgm
 from tests.tracing import drawn, twin
 
-NUMBA = pytest.mark.skipif(find_spec("numba") is None, reason="Numba is not installed")
+MACHINE = pytest.mark.skipif(find_spec("llvmlite") is None, reason="llvmlite is not installed")
 # At a kink within a step of differences these differ from each other; a trace is exact.
 TANGENTS = [functools.partial(twin.tangent, finer=each) for each in (1.0, 1e-2, 1e-5)]
 RULES = [(pgm.Taylor(), TANGENTS, 1e-5), (pgm.Unscented(), [twin.unscented], 1e-6)]
@@ -106,14 +106,14 @@ def test_drawn_functions(seed):
     check(seed, False)
 
 
-@NUMBA
+@MACHINE
 @pytest.mark.parametrize("seed", [4, 6])
 def test_drawn_functions_in_machine_code(seed):
     check(seed, True)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=NUMBA)])
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=MACHINE)])
 @pytest.mark.parametrize("seed", range(1000, 1300))
 def test_many_drawn_functions(seed, compiled):
     check(seed, compiled)
@@ -145,7 +145,7 @@ def test_drawn_functions_online(seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=NUMBA)])
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=MACHINE)])
 @pytest.mark.parametrize("seed", range(2000, 2150))
 def test_many_drawn_functions_online(seed, compiled):
     online(seed, compiled)

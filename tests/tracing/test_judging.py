@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 import pgm
 from pgm.tracing import Answers, Tracer
 
-NUMBA = pytest.mark.skipif(find_spec("numba") is None, reason="Numba is not installed")
+MACHINE = pytest.mark.skipif(find_spec("llvmlite") is None, reason="llvmlite is not installed")
 S, U, Y = pgm.variables("s u y")
 
 
@@ -49,7 +49,7 @@ GEARS = np.array([[0.0], [0], [2], [2], [2]])
 
 @pytest.mark.parametrize("function", FROZEN)
 @pytest.mark.parametrize("rule", [pgm.Taylor(), pgm.Unscented()])
-@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=NUMBA)])
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=MACHINE)])
 @pytest.mark.parametrize("runs", [(), (3,), (12,)])
 def test_a_comparison_on_a_float_copy_is_not_frozen(function, rule, compiled, runs):
     model = pgm.DynamicBayesianNetwork(
@@ -72,7 +72,7 @@ def test_online_a_comparison_on_a_float_copy_is_not_frozen():
         [pgm.NonlinearGaussianCPD(S, (S.previous, U), by_asarray, cov=1e-3)],
         [],
     )
-    for compiled in (False, True) if find_spec("numba") else (False,):
+    for compiled in (False, True) if find_spec("llvmlite") else (False,):
         robot = pgm.OnlineFilter(model, compiled=compiled)
         belief, due = robot.initial(), 1.0
         for gear in [0.0] * 12 + [2.0] * 9:
@@ -127,7 +127,7 @@ def assert_turned(cov, rate):
         (-1.1e-4, 1e-4),
     ],
 )
-@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=NUMBA)])
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=MACHINE)])
 @pytest.mark.parametrize("runs", [(), (12,)])
 def test_slopes_through_a_removable_singularity(rate, straight, compiled, runs):
     """Whether the formula cancels, or is of a straight branch narrower than the belief."""
@@ -137,7 +137,7 @@ def test_slopes_through_a_removable_singularity(rate, straight, compiled, runs):
         assert "formula cancels there, or is of a branch" in move.derivatives.reason
 
 
-@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=NUMBA)])
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=MACHINE)])
 @pytest.mark.parametrize("options", [{}, {"lag": 2}, {"gate": 0.99}])
 @pytest.mark.parametrize(("rate", "straight"), [(0.0, 1e-9), (2e-9, 1e-9), (0.0, 1e-4)])
 def test_online_slopes_through_a_removable_singularity(rate, straight, options, compiled):
@@ -147,7 +147,7 @@ def test_online_slopes_through_a_removable_singularity(rate, straight, options, 
     assert_turned(many.predict(many.initial())[W].cov, rate)
 
 
-@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=NUMBA)])
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=MACHINE)])
 def test_one_run_of_very_many_goes_through_a_singularity(compiled):
     rates = np.full(6000, 0.2)
     rates[1234] = 0.0
@@ -176,7 +176,7 @@ def pair(a, b):
     return np.stack([a, b], axis=-1)
 
 
-@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=NUMBA)])
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=MACHINE)])
 @pytest.mark.parametrize(
     ("function", "mean", "cov", "slope"),
     [
@@ -342,7 +342,7 @@ def by_gain(gains):
 
 
 @pytest.mark.parametrize("kind", ["frozen", "changed"])
-@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=NUMBA)])
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=MACHINE)])
 @pytest.mark.parametrize("runs", [(), (3,)])
 @pytest.mark.parametrize("steps", [6, 200])
 def test_a_wrong_slope_counts_where_all_values_are_alike(kind, compiled, runs, steps):
@@ -362,7 +362,7 @@ def test_a_wrong_slope_counts_where_all_values_are_alike(kind, compiled, runs, s
     assert_allclose(found, np.broadcast_to(due, found.shape), rtol=1e-9)
 
 
-@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=NUMBA)])
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=MACHINE)])
 @pytest.mark.parametrize("runs", [(), (3,)])
 def test_a_wrong_slope_of_sightings_counts_where_all_values_are_alike(compiled, runs):
     """Two sightings of a step, of which the later has the other gear."""
@@ -376,7 +376,7 @@ def test_a_wrong_slope_of_sightings_counts_where_all_values_are_alike(compiled, 
     assert_allclose(found, np.full(runs, 1.0 / (1.0 + 2 * 0.25 + 2 * 4.0)), rtol=1e-9)
 
 
-@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=NUMBA)])
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=MACHINE)])
 def test_online_a_frozen_slope_counts_where_all_values_are_alike(compiled):
     move = pgm.NonlinearGaussianCPD(S, (S.previous, U), by_asarray, cov=1e-3)
     model = pgm.DynamicBayesianNetwork([pgm.GaussianCPD(S, 0.0, 1.0)], [move], [])
@@ -401,7 +401,7 @@ def test_a_function_that_fails_beside_its_points_keeps_its_trace():
     assert found.fault is None
 
 
-@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=NUMBA)])
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=MACHINE)])
 def test_online_a_function_may_return_an_array_that_it_uses_again(compiled):
     kept = {}
 

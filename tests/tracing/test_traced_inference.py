@@ -16,8 +16,8 @@ U = pgm.Variable("u", components=("v", "omega", "dt"))
 M = pgm.Variable("m", components=("east", "north"))
 Z = pgm.Variable("z", components=("range", "bearing"), angles=("bearing",))
 Y = pgm.Variable("y", ("a", "b"))
-NUMBA = pytest.mark.skipif(
-    find_spec("numba") is None, reason="sweeps are compiled by Numba, the extra fast"
+MACHINE = pytest.mark.skipif(
+    find_spec("llvmlite") is None, reason="sweeps are compiled by llvmlite"
 )
 MARKS = np.array([[7.0, 1.0], [-6.0, 8.0], [4.0, 12.0]])
 
@@ -140,7 +140,7 @@ def test_kinks_and_steps(function, at, due):
     assert_allclose(numerical, [[due]], atol=1e-7)
 
 
-@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=NUMBA)])
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=MACHINE)])
 def test_online_a_filter_that_is_renewed_reads_its_functions_anew(compiled):
     dt = 0.5
 
@@ -168,7 +168,7 @@ def test_online_without_machine_code_values_are_always_the_functions_own():
         assert_allclose(belief[X].mean, due, rtol=1e-12)
 
 
-@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=NUMBA)])
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=MACHINE)])
 def test_online_a_renewed_filter_sees_a_slope_that_changed_where_the_value_did_not(compiled):
     (s,) = pgm.variables("s")
     gain = 1.0
@@ -181,7 +181,7 @@ def test_online_a_renewed_filter_sees_a_slope_that_changed_where_the_value_did_n
         assert_allclose(belief[s].cov, [[gain**2 + 0.1]], rtol=1e-7)
 
 
-@NUMBA
+@MACHINE
 def test_compiled_steps_are_looked_at_until_they_are_trusted():
     """A change within the first steps ends machine code, which is beside the general steps then."""
     shift = np.zeros(2)
@@ -325,7 +325,7 @@ def up_to_a_value(x):
 
 
 @pytest.mark.parametrize("move", [up_to_a_global, up_to_a_value])
-@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=NUMBA)])
+@pytest.mark.parametrize("compiled", [False, pytest.param(True, marks=MACHINE)])
 def test_a_change_that_no_drawn_point_shows_counts(move, compiled, monkeypatch):
     x, z = pgm.variables("x z")
 

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from pgm.kernels.machine.code import Code
 
 # The first fault's number, counted from 1, with the index and the length at fault.
-FAULT = "pgm.fault"
+FAULT = "first_fault"
 _DECLARED = f"""@{FAULT} = global [3 x i64] zeroinitializer
 define internal void @pgm.blame(i64 %fault, i64 %index, i64 %length) noinline nounwind {{
 %old = load i64, ptr @{FAULT}

@@ -4,46 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, overload
+from operator import index
+from typing import TYPE_CHECKING, Any, overload
 
+from pgm.kernels.machine.body import Body
 from pgm.kernels.machine.kinds import ADDRESS, WHOLE, Kind, packed, symbol
 from pgm.kernels.machine.memory import Cells, Memory, Runs
-from pgm.kernels.machine.numbers import Number, Operand, alike, constant
+from pgm.kernels.machine.numbers import Number, Operand, constant
 from pgm.kernels.machine.operations import OPERATIONS
+from pgm.kernels.machine.variables import Held, Value, Variable
 from pgm.kernels.machine.wholes import Address, Whole
 
 if TYPE_CHECKING:
     from pgm.kernels.machine.module import Module
 
-Value: TypeAlias = Number | Whole | Address
-Held = TypeVar("Held", Number, Whole, Address)
 # The widest vectors that processors load at once, in bytes.
 _WIDEST = 64
 
 
-class Variable(Generic[Held]):
-    """A value that changes as code runs: the way out of loops and branches for what they find."""
-
-    def __init__(self, code: Code, initial: Held) -> None:
-        self._code, self._like = code, initial
-        self._place = code.reserve(initial.kind)
-        self.set(initial)
-
-    def get(self) -> Held:
-        """The value at this point of the code."""
-        kind, like = self._like.kind, self._like
-        text = self._code.value(f"load {kind}, ptr {self._place}")
-        if isinstance(like, Number):
-            return Number(self._code, text, like.lanes, like.truth)
-        return type(like)(self._code, text)
-
-    def set(self, value: Held | float | bool) -> None:
-        """Give the variable another value from here on."""
-        text = self._code.operand(self._like, value).text
-        self._code.line(f"store {self._like.kind} {text}, ptr {self._place}")
-
-
-class Code:
+class Code(Body):
     """A function that is being written, for one run or for a pack of `lanes` runs at once."""
 
     def __init__(
@@ -57,20 +36,22 @@ class Code:
         ending: str,
         disjoint: bool,
     ) -> None:
+        super().__init__()
         self.module, self.name, self.lanes = module, name, lanes
         self.kinds, self.result = tuple(kinds), result
         self.flags = "contract " if module.contract else ""
         self.symbol = f'@"{symbol(name)}"'
-        self._entry: list[str] = []
-        self._lines: list[str] = []
-        self._count = 0
         self._ends: list[str] = []  # of the loops around this point, the innermost last
         self._choice: tuple[int, str, str] | None = None  # the `when` that has just ended
         self._gives = False
-        types = [kind.written(lanes) for kind in kinds]
-        apart = [" noalias" if disjoint and kind is ADDRESS else "" for kind in kinds]
-        named = (f"{t}{n} %a{k}" for k, (t, n) in enumerate(zip(types, apart, strict=True)))
-        self._heading = f"{heading} {self._returned} {self.symbol}({', '.join(named)}) {ending} {{"
+        apart = {ADDRESS: "noalias"} if disjoint else {}
+        marks = [apart.get(kind, kind.extended) for kind in kinds]
+        named = [
+            f"{kind.written(lanes)} {mark} %a{k}"
+            for k, (kind, mark) in enumerate(zip(kinds, marks, strict=True))
+        ]
+        given = f"{self._returned(result)} {self.symbol}({', '.join(named)})"
+        self._heading = f"{heading} {given} {ending} {{"
         self.arguments: tuple[Any, ...] = tuple(
             self._opened(kind, f"%a{k}") for k, kind in enumerate(kinds)
         )
@@ -83,7 +64,7 @@ class Code:
 
     def whole(self, value: Whole | int) -> Whole:
         """The whole number of a value that is known."""
-        return value if isinstance(value, Whole) else Whole(self, str(int(value)))
+        return value if isinstance(value, Whole) else Whole(self, str(index(value)))
 
     def address(self, value: int) -> Address:
         """The address that is known as the code is written; its memory must outlive the code."""
@@ -92,17 +73,14 @@ class Code:
     @overload
     def variable(self, initial: Held) -> Variable[Held]: ...
     @overload
-    def variable(self, initial: bool) -> Variable[Number]: ...
-    @overload
-    def variable(self, initial: int) -> Variable[Whole]: ...
-    @overload
     def variable(self, initial: float) -> Variable[Number]: ...
 
     def variable(self, initial: Any) -> Variable[Any]:
-        """A variable: of an int a whole number, of a float or bool a number in every lane."""
-        if isinstance(initial, int) and not isinstance(initial, bool):
-            return Variable(self, self.whole(initial))
-        if isinstance(initial, float | bool):
+        """A variable: of a float or bool, a number in every lane.
+
+        A whole number is written ``variable(code.whole(0))``, since 0 may be meant as a float.
+        """
+        if isinstance(initial, float | int):
             return Variable(self, self.constant(initial))
         return Variable(self, initial)
 
@@ -111,9 +89,7 @@ class Code:
         aligned = min(8 * self.lanes, _WIDEST)
         place = self.reserve(f"[{count} x {packed('double', self.lanes)}]", aligned)
         where = Address(self, place)
-        return Memory(
-            self, where, length=count, step=self.lanes, alignment=aligned, name=name
-        )
+        return Memory(self, where, length=count, step=self.lanes, alignment=aligned, name=name)
 
     def memory(
         self,
@@ -200,11 +176,10 @@ class Code:
 
     def intrinsic(self, name: str, number: Number, *others: Operand) -> Number:
         """The function of LLVM's own on numbers."""
-        given = [number.number()]
-        for other in others:
-            given[0], more = alike(given[0], constant(self, other))
-            given.append(more)
-        kind, size = given[0].kind, f"v{given[0].lanes}" if given[0].lanes > 1 else ""
+        given = [number.number(), *(constant(self, other).number() for other in others)]
+        lanes = max(each.lanes for each in given)
+        given = [each.spread(lanes) for each in given]
+        kind, size = given[0].kind, f"v{lanes}" if lanes > 1 else ""
         return self.from_outside(f"llvm.{name}.{size}f64", given, kind, "")
 
     def from_outside(self, symbol: str, given: list[Number], kind: str, ending: str) -> Number:
@@ -221,29 +196,29 @@ class Code:
         self, count: Whole | int, first: Whole | int = 0, *, down: bool = False
     ) -> Iterator[Whole]:
         """The code inside runs for each whole number from `first` to below `count`."""
-        head, body, after, end = self._labels("head", "body", "next", "end")
+        head, body, after, end = self.labels("head", "body", "next", "end")
         start = self.whole(count) - 1 if down else self.whole(first)
         place = self.variable(start)
-        self._to(head)
-        self._begin(head)
-        index = place.get()
-        goes = index >= self.whole(first) if down else index < self.whole(count)
-        self.line(f"br i1 {goes.text}, label %{body}, label %{end}")
-        self._begin(body)
+        self.to(head)
+        self.begin(head)
+        now = place.get()
+        goes = now >= self.whole(first) if down else now < self.whole(count)
+        self.fork(goes.text, body, end)
+        self.begin(body)
         self._ends.append(end)
-        yield index
+        yield now
         self._ends.pop()
-        self._to(after)
-        self._begin(after)
-        place.set(index + (-1 if down else 1))
-        self._to(head)
-        self._begin(end)
+        self.to(after)
+        self.begin(after)
+        place.set(now + (-1 if down else 1))
+        self.to(head)
+        self.begin(end)
 
     def leave_when(self, truth: Number) -> None:
         """End the innermost loop here, where a truth of one lane holds."""
-        (on,) = self._labels("on")
-        self.line(f"br i1 {self._decision(truth)}, label %{self._end()}, label %{on}")
-        self._begin(on)
+        (on,) = self.labels("on")
+        self.fork(self._decision(truth), self._end(), on)
+        self.begin(on)
 
     def leave_unless(self, truth: Number) -> None:
         """End the innermost loop here, unless a truth of one lane holds."""
@@ -251,33 +226,33 @@ class Code:
 
     def leave(self) -> None:
         """End the innermost loop here."""
-        self._to(self._end())
-        self._begin(*self._labels("beyond"))
+        self.to(self._end())
+        self.begin(*self.labels("beyond"))
 
     @contextmanager
     def when(self, truth: Number) -> Iterator[None]:
         """The code inside runs where a truth of one lane holds; `otherwise` may follow it."""
-        yes, no, after = self._labels("yes", "no", "after")
-        self.line(f"br i1 {self._decision(truth)}, label %{yes}, label %{no}")
-        self._begin(yes)
+        yes, no, after = self.labels("yes", "no", "after")
+        self.fork(self._decision(truth), yes, no)
+        self.begin(yes)
         yield
-        self._to(after)
-        self._begin(no)
-        self._to(after)
-        self._begin(after)
-        self._choice = (len(self._lines), no, after)
+        self.to(after)
+        self.begin(no)
+        self.to(after)
+        self.begin(after)
+        self._choice = (self.place(), no, after)
 
     @contextmanager
     def otherwise(self) -> Iterator[None]:
         """The code inside runs where that of the `when` right before it does not."""
-        if self._choice is None or self._choice[0] != len(self._lines):
+        if self._choice is None or self._choice[0] != self.place():
             raise ValueError("`otherwise` follows right after `when`, with no code between")
         _, no, after = self._choice
-        del self._lines[-3:]  # of the empty branch that stood for this one
-        self._begin(no)
+        self.forget(3)  # of the empty branch that stood for this one
+        self.begin(no)
         yield
-        self._to(after)
-        self._begin(after)
+        self.to(after)
+        self.begin(after)
         self._choice = None
 
     # Functions
@@ -304,7 +279,7 @@ class Code:
             like = self._opened(self.result, "")
             given = self.operand(like, value)
             self.line(f"ret {like.kind} {given.text}")
-        self._begin(*self._labels("beyond"))
+        self.begin(*self.labels("beyond"))
 
     def operand(self, like: Value, value: Any) -> Any:
         """A value as one of the kind of another."""
@@ -320,45 +295,35 @@ class Code:
 
     # Text
 
-    def value(self, instruction: str) -> str:
-        """Write an instruction; returns the name of its value."""
-        self._count = count = self._count + 1
-        self._lines.append(f"%v{count} = {instruction}")
-        return f"%v{count}"
-
-    def line(self, text: str) -> None:
-        """Write an instruction that has no value."""
-        self._lines.append(text)
-
-    def reserve(self, kind: str, aligned: int = 0) -> str:
-        """Take memory for the whole function, wherever it is asked for; returns its name."""
-        place = f"%m{len(self._entry)}"
-        self._entry.append(f"{place} = alloca {kind}{f', align {aligned}' if aligned else ''}")
-        return place
+    def named(self, like: Value, text: str) -> Value:
+        """The value of this name, of the kind of another value."""
+        if isinstance(like, Number):
+            return Number(self, text, like.lanes, like.truth)
+        return type(like)(self, text)
 
     def stop(self, truth: Number, tell: Callable[[], None]) -> None:
         """Give back at once, with zero for a value, where a truth of one lane holds."""
-        bad, on = self._labels("bad", "on")
-        self.line(f"br i1 {self._decision(truth)}, label %{bad}, label %{on}")
-        self._begin(bad)
+        bad, on = self.labels("bad", "on")
+        self.fork(self._decision(truth), bad, on)
+        self.begin(bad)
         tell()
         self.line(self._nothing)
-        self._begin(on)
+        self.begin(on)
 
     def text(self) -> str:
         """The function in LLVM's assembly language."""
         if self.result is not None and not self._gives:
             raise ValueError(f"{self.name} is to give a {self.result.name.lower()} and gives none")
-        lines = (*self._entry, *self._lines, self._nothing)
-        return "\n".join((self._heading, *lines, "}"))
-
-    @property
-    def _returned(self) -> str:
-        return self.result.written(self.lanes) if self.result else "void"
+        return "\n".join((self._heading, *self.written(), self._nothing, "}"))
 
     @property
     def _nothing(self) -> str:
-        return f"ret {self._returned}{' zeroinitializer' if self.result else ''}"
+        if self.result is None:
+            return "ret void"
+        return f"ret {self.result.written(self.lanes)} zeroinitializer"
+
+    def _returned(self, result: Kind | None) -> str:
+        return f"{result.extended} {result.written(self.lanes)}" if result else "void"
 
     def _opened(self, kind: Kind, text: str) -> Any:
         if kind is ADDRESS:
@@ -369,12 +334,14 @@ class Code:
         return Number(self, text, lanes, kind is Kind.TRUTH)
 
     def _called(self, callee: str, given: list[Any], result: Kind | None) -> Any:
-        values = ", ".join(f"{each.kind} {each.text}" for each in given)
+        values = ", ".join(
+            f"{each.kind} {'zeroext ' if each.kind == 'i1' else ''}{each.text}" for each in given
+        )
+        call = f"call {self._returned(result)} {callee}({values})"
         if result is None:
-            self.line(f"call void {callee}({values})")
+            self.line(call)
             return None
-        found = self.value(f"call {result.written(self.lanes)} {callee}({values})")
-        return self._opened(result, found)
+        return self._opened(result, self.value(call))
 
     def _together(self, truth: Number, relation: str, value: int) -> Number:
         truth = truth.as_truth()
@@ -388,16 +355,6 @@ class Code:
         if truth.lanes > 1:
             raise TypeError("code runs by a truth of one lane; ask for some() or every() of a pack")
         return truth.as_truth().text
-
-    def _labels(self, *names: str) -> list[str]:
-        self._count += 1
-        return [f"{name}{self._count}" for name in names]
-
-    def _to(self, label: str) -> None:
-        self._lines.append(f"br label %{label}")
-
-    def _begin(self, label: str) -> None:
-        self._lines.append(f"{label}:")
 
     def _end(self) -> str:
         if not self._ends:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import os
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -14,14 +13,14 @@ from pgm.kernels.machine.checks import FAULT
 from pgm.kernels.machine.kinds import Kind, symbol
 from pgm.kernels.machine.processor import layout, target_machine
 
-# Held while LLVM works, and while a process forks: a child would wait for a thread it has not.
-_COMPILING = threading.Lock()
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(
-        before=_COMPILING.acquire,
-        after_in_parent=_COMPILING.release,
-        after_in_child=_COMPILING.release,
-    )
+# A process that forks while a thread is inside LLVM leaves its child LLVM's lock, taken for good.
+_LOCK: Any = getattr(binding.ffi.lib, "_lock", None)
+if _LOCK is not None and hasattr(os, "register_at_fork"):
+
+    def _release() -> None:
+        _LOCK.__exit__(None, None, None)
+
+    os.register_at_fork(before=_LOCK.__enter__, after_in_parent=_release, after_in_child=_release)
 
 
 class Compiled:
@@ -35,12 +34,11 @@ class Compiled:
         level: int,
     ) -> None:
         self._signatures, self._faults = dict(signatures), tuple(faults)
-        with _COMPILING:
-            self._engine = _engine(f"{layout()}\n{text}", level)
-            self._addresses = {
-                name: self._engine.get_function_address(symbol(name)) for name in signatures
-            }
-            self._fault = self._engine.get_global_value_address(FAULT) if faults else 0
+        self._engine = _engine(f"{layout()}\n{text}", level)
+        self._addresses: dict[str, int] = {
+            name: self._engine.get_function_address(symbol(name)) for name in signatures
+        }
+        self._fault = self._engine.get_global_value_address(FAULT) if faults else 0
 
     def address(self, name: str) -> int:
         """The address of a function, good as long as this object is kept."""
@@ -77,6 +75,10 @@ class Compiled:
         return checked
 
 
+# The passes of levels 0 and 1: numbers into registers, inlining, and no search beyond a block.
+_LIGHT = ("always_inliner", "sroa", "simplify_cfg", "instruction_combine", "loop_rotate")
+
+
 def _engine(text: str, level: int) -> Any:
     """Parse, optimise and compile a module."""
     machine = target_machine(level)
@@ -86,7 +88,13 @@ def _engine(text: str, level: int) -> Any:
     # Packs are made as code is written; LLVM's search for more takes longer than it brings.
     tuning.slp_vectorization = tuning.loop_vectorization = False
     builder = binding.create_pass_builder(machine, tuning)
-    builder.getModulePassManager().run(module, builder)
+    if level < 2:
+        passes = binding.create_new_module_pass_manager()
+        for name in _LIGHT:
+            getattr(passes, f"add_{name}_pass")()
+    else:
+        passes = builder.getModulePassManager()
+    passes.run(module, builder)
     engine = binding.create_mcjit_compiler(module, machine)
     engine.finalize_object()
     return engine

@@ -21,15 +21,22 @@ REGULAR, _PLAIN, _SURELY = 1e-11, 1e-16, 1.0 / 64.0
 
 
 class Line(NamedTuple):
-    """A linearisation y = F (x − m) + value + e at a mean m; F (d, n), and the covariance of e.
+    """A linearisation y = F (x − m) + value + e at a mean m, F being (d, n).
 
-    `sure` is a truth: whether it is right, so far as can be told.
+    The covariance of e is that of the CPD's `own` noise, and that of the line's `error`, None for
+    zero. `sure` is a truth: whether all of it is right, so far as can be told.
     """
 
     matrix: Matrix
     value: Matrix
-    noise: Matrix
+    own: Matrix
+    error: Matrix | None
     sure: Number
+
+    @property
+    def noise(self) -> Matrix:
+        """The covariance of e."""
+        return self.own if self.error is None else self.own + self.error
 
 
 def evaluated(
@@ -70,23 +77,23 @@ def linearised(w: Writer, row: Row, at: Whole, mean: Matrix, cov: Matrix) -> Lin
         assert row.matrix is not None
         assert row.offset is not None
         matrix = w.matrix(row.matrix, at)
-        return Line(matrix, matrix @ mean + w.column(row.offset, at), noise, w.true)
+        value = matrix @ mean + w.column(row.offset, at)
+        return Line(matrix, value, noise, None, w.true)
     x = [number for (number,) in mean.rows]
     if row.points is not None and x:
         return _regressed(w, row, at, mean, cov, noise)
     value, slope = evaluated(w, row, at, x, slope=True)
     size = len(x)
     matrix = Matrix([slope[i * size : (i + 1) * size] for i in range(row.height)])
-    return Line(matrix, Matrix.column(value), noise, w.true)
+    return Line(matrix, Matrix.column(value), noise, None, w.true)
 
 
 def keep(w: Writer, row: Row, at: Whole, mean: Matrix, line: Line) -> None:
-    """Keep a linearisation, where that is asked for."""
+    """Keep a linearisation, where that is asked for; its noise is kept by whoever weighs it."""
     if row.function is not None and row.matrix is not None:
         assert row.offset is not None
         w.keep(row.matrix, line.matrix, at)
         w.keep(row.offset, line.value - line.matrix @ mean, at)
-        w.keep(row.kept, line.noise, at)
 
 
 def _regressed(w: Writer, row: Row, at: Whole, mean: Matrix, cov: Matrix, noise: Matrix) -> Line:
@@ -106,7 +113,7 @@ def _regressed(w: Writer, row: Row, at: Whole, mean: Matrix, cov: Matrix, noise:
     found = step.regress(root, _constant(rule), Matrix(off))
     error = _told_from_rounding(row, x, reference, off, found)
     value = Matrix.column(reference) + found.value
-    return Line(found.matrix, value, noise + error, root.share > REGULAR)
+    return Line(found.matrix, value, noise, error, root.share > REGULAR)
 
 
 def _constant(rule: Points) -> step.Rule:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pgm.kernels.machine.kinds import PACK, packed
 from pgm.kernels.machine.numbers import Number, alike
-from pgm.kernels.machine.processor import vector_function
+from pgm.kernels.machine.processor import known_in_c, vector_function
 
 # Functions of C neither write memory nor fail, so that equal calls are made once.
 PURE = "nounwind willreturn memory(none)"
@@ -15,7 +15,7 @@ def elementary(name: str, *given: Number) -> Number:
     given = alike(*given) if len(given) == 2 else (given[0].number(),)
     code, lanes = given[0].code, given[0].lanes
     if lanes == 1:
-        return code.from_outside(name, list(given), "double", PURE)
+        return code.from_outside(known_in_c(name), list(given), "double", PURE)
     helper = code.module.helper(f"{name} of {lanes}", [PACK] * len(given), lanes)
     if helper.fresh:
         helper.code.give(_of_pack(name, helper.code.arguments))

@@ -22,6 +22,11 @@ class Kind(Enum):
         return packed("double", lanes) if self is Kind.PACK else str(self.value[0])
 
     @property
+    def extended(self) -> str:
+        """The mark of an argument or result that fills a register with zeros, as C's bool does."""
+        return "zeroext" if self is Kind.TRUTH else ""
+
+    @property
     def in_c(self) -> Any:
         """The type in ctypes."""
         return self.value[1]

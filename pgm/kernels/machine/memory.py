@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import Enum
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
 
 from pgm.kernels.machine.checks import check_alignment, check_index
 from pgm.kernels.machine.kinds import packed
@@ -67,9 +67,7 @@ class Memory:
         place = self._place(index, "store")
         value = constant(code, value).number().spread(code.lanes)
         if self.runs is Runs.BESIDE:
-            code.line(
-                f"store {value.kind} {value.text}, ptr {place.text}, align {self.alignment}"
-            )
+            code.line(f"store {value.kind} {value.text}, ptr {place.text}, align {self.alignment}")
             return
         for lane in range(code.lanes):
             at = place + self._distance(lane)
@@ -104,7 +102,7 @@ class Memory:
         return self.apart * lane if lane else 0
 
 
-Value = TypeVar("Value", Whole, Address, Number)
+Value = TypeVar("Value", bound=Whole | Address | Number)
 
 
 class Cells(Generic[Value]):
@@ -121,17 +119,19 @@ class Cells(Generic[Value]):
         length: Whole | int | None = None,
         name: str = "cells",
     ) -> None:
-        self.code, self.address, self.kind, self.length = code, address, kind, length
-        self.name, self._scalar = name, {Whole: "i64", Address: "ptr", Number: "i8"}[kind]
+        self.code, self.address, self.length, self.name = code, address, length, name
+        self._kind: Any = kind
+        self._scalar = {Whole: "i64", Address: "ptr"}.get(self._kind, "i8")
+        self._width = 1 if self._scalar == "i8" else 8
 
     def load(self, index: Whole | int) -> Value:
         """The value at a place."""
         place = self._place(index, "load")
         found = self.code.value(f"load {self._scalar}, ptr {place.text}, align {self._width}")
-        if self.kind is Number:
+        if self._scalar == "i8":
             truth = self.code.value(f"icmp ne i8 {found}, 0")
-            return self.kind(self.code, truth, truth=True)  # type: ignore[call-arg]
-        return self.kind(self.code, found)
+            return cast(Value, Number(self.code, truth, truth=True))
+        return cast(Value, self._kind(self.code, found))
 
     def store(self, index: Whole | int, value: Value) -> None:
         """Write a value to a place."""
@@ -139,10 +139,6 @@ class Cells(Generic[Value]):
         if isinstance(value, Number):
             text = self.code.value(f"zext i1 {value.as_truth().text} to i8")
         self.code.line(f"store {self._scalar} {text}, ptr {place.text}, align {self._width}")
-
-    @property
-    def _width(self) -> int:
-        return 1 if self._scalar == "i8" else 8
 
     def _place(self, index: Whole | int, what: str) -> Address:
         if self.code.module.checked:

@@ -97,7 +97,12 @@ class Module:
         return "\n".join((*self._declarations, *(code.text() for code in self._functions.values())))
 
     def compile(self, level: int = 2) -> Compiled:
-        """Compile the functions, at a level of optimisation from 0 to 3."""
+        """Compile the functions, at a level of optimisation.
+
+        Level 0 compiles a trace some ten times faster than level 2 and runs some 15 % slower;
+        level 1 takes half the time, and runs straight lines as fast. From level 2 on, LLVM
+        inlines by its own judgement and takes out of loops what stays the same in them.
+        """
         from pgm.kernels.machine.compiled import Compiled
 
         signatures = {code.name: (code.kinds, code.result) for code in self._exported}

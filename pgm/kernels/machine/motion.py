@@ -54,6 +54,7 @@ def _line(
     if motion.turning:
         line = line._replace(value=_on_chart(w, motion, at, before, mean, line.value))
     keep(w, motion, at, mean, line)
+    w.keep(motion.kept, line.noise, at)
     return line
 
 

@@ -119,7 +119,9 @@ class Number:
         if not self.truth:
             return self
         to = packed("double", self.lanes)
-        return Number(self.code, self.code.value(f"uitofp {self.kind} {self.text} to {to}"), self.lanes)
+        return Number(
+            self.code, self.code.value(f"uitofp {self.kind} {self.text} to {to}"), self.lanes
+        )
 
     def as_truth(self) -> Number:
         """Whether this differs from zero."""

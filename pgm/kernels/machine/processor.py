@@ -18,9 +18,7 @@ def prepare() -> None:
     """Make LLVM ready for this processor, and C's functions known to it."""
     binding.initialize_native_target()
     binding.initialize_native_asmprinter()
-    for name in (_LIBRARIES.get(sys.platform), ctypes.util.find_library("m")):
-        if name and _loaded(name):
-            return
+    _loaded(_LIBRARIES.get(sys.platform) or ctypes.util.find_library("m") or "")
 
 
 def target_machine(level: int) -> Any:
@@ -39,6 +37,15 @@ def layout() -> str:
     """How values lie in memory, as modules say it."""
     machine = target_machine(0)
     return f'target datalayout = "{machine.target_data}"\ntarget triple = "{machine.triple}"'
+
+
+@cache
+def known_in_c(name: str) -> str:
+    """The name of a function of C's that is there; LLVM would end the process for want of it."""
+    prepare()
+    if binding.address_of_symbol(name) is None:
+        raise OSError(f"C's function {name} is not found; machine code cannot be made with it")
+    return name
 
 
 def vector_function(name: str, arguments: int, lanes: int) -> tuple[str, int] | None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 from pgm.kernels import step
 from pgm.kernels.arrays import LAST_PLACES, LOG_2PI
 from pgm.kernels.gaussian import NEARLY_SINGULAR
 from pgm.kernels.machine.cpd import Line, keep, linearised
 from pgm.kernels.machine.numbers import Number
+from pgm.kernels.machine.outliers import REWEIGHINGS, Weighing, gated, kept_surplus, surplus
 from pgm.kernels.machine.told import Forward, Sensor
 from pgm.kernels.machine.wholes import Whole
 from pgm.kernels.machine.writer import Carried, Writer
@@ -23,14 +24,12 @@ _FARTHEST = 1e12
 
 
 class Taken:
-    """A belief that takes in measurements: its moments, their log-density, and whether it is sure.
-
-    `curved` is whether a measurement of the step has to be linearised.
-    """
+    """A belief that takes in measurements: its moments, their log-density, and whether it is sure."""
 
     def __init__(self, w: Writer, mean: Matrix, cov: Matrix) -> None:
         self.moments = Carried(w.code, mean, cov)
         self._density, self._sure = w.code.variable(0.0), w.code.variable(True)
+        self._settled = w.code.variable(True)
 
     @property
     def density(self) -> Number:
@@ -42,56 +41,109 @@ class Taken:
         """Whether all of it is right, so far as can be told."""
         return self._sure.get()
 
+    @property
+    def settled(self) -> Number:
+        """Whether the weights of robust noise have settled."""
+        return self._settled.get()
+
     def begin(self, mean: Matrix, cov: Matrix) -> None:
         """Begin again, at a predicted belief."""
         self.moments.set(mean, cov)
         self._density.set(0.0)
         self._sure.set(True)
 
-    def take(self, mean: Matrix, cov: Matrix, density: Number, sure: Number) -> None:
+    def take(self, mean: Matrix, cov: Matrix, density: Any, sure: Number) -> None:
         """Go on to a belief that knows one measurement more."""
         self.moments.set(mean, cov)
         self._density.set(self.density + density)
         self._sure.set(self.sure & sure)
 
+    def settle(self, settled: Any) -> None:
+        """Note whether weights have settled."""
+        self._settled.set(settled)
+
+
+class Point(NamedTuple):
+    """Where the measurements of a step are linearised, and what they are taken into.
+
+    `mean` and `cov` are the predicted moments, `at` and `about` those of the linearisation. `first`
+    is whether this is the first linearisation, None if there is one alone.
+    """
+
+    mean: Matrix
+    cov: Matrix
+    at: Matrix
+    about: Matrix
+    first: Number | None
+
 
 def taken(w: Writer, chain: Forward, at: Whole, mean: Matrix, cov: Matrix) -> Taken:
     """The belief given the measurements of a step, whose predicted moments are N(mean, cov)."""
     found = Taken(w, mean, cov)
-    if not chain.iterated:
-        _once(w, chain, at, mean, cov, mean, cov, found)
-        return found
-    code = w.code
+    weighing = None
+    if any(sensor.weighs for sensor in chain.sensors):
+        weighing = Weighing(w, mean, cov)
+    if chain.iterated:
+        _iterated(w, chain, at, found, mean, cov, weighing)
+    else:
+        _solved(w, chain, at, found, Point(mean, cov, mean, cov, None), weighing)
+    return found
+
+
+def _iterated(
+    w: Writer,
+    chain: Forward,
+    at: Whole,
+    found: Taken,
+    mean: Matrix,
+    cov: Matrix,
+    weighing: Weighing | None,
+) -> None:
+    """Linearise again at what was found, until a belief settles."""
+    code, record = w.code, w.residuals
     point = Carried(code, mean, cov)
-    settings = w.settings
-    tolerance, damping = settings.load(0), settings.load(1)
-    linearisations = code.variable(1)
+    tolerance, damping = w.settings.load(0), w.settings.load(1)
+    most_often, last = code.variable(code.whole(1)), code.variable(code.whole(0))
     with code.when(_are_curved(w, chain, at)):
-        linearisations.set(w.iterations)
+        most_often.set(w.iterations)
     settled, made, residual = code.variable(False), code.variable(0.0), code.variable(0.0)
-    record = w.residuals
-    last = code.variable(0)
-    with code.loop(linearisations.get()) as k:
+    with code.loop(most_often.get()) as k:
         with code.when(k > 0):
             _move(point, found.moments, damping, settled.get())
-        found.begin(mean, cov)
-        _once(w, chain, at, mean, cov, point.mean, point.cov, found)
+        here = Point(mean, cov, point.mean, point.cov, k == 0)
+        _solved(w, chain, at, found, here, weighing)
         with code.when(k > 0):
             moved = _moved(found.moments, point.mean)
             residual.set(moved)
             made.set(where(settled.get(), made.get(), k.number()))
-            settled.set(settled.get() | (moved <= tolerance))
+            settled.set(settled.get() | ((moved <= tolerance) & found.settled))
             _at_most(record, k - 1, moved)
             last.set(k)
         code.leave_when(code.every(settled.get()))
         code.leave_unless(code.some(found.sure))
-    with code.when(linearisations.get() > 1):
-        most_often = linearisations.get()
-        with code.loop(most_often - 1, last.get()) as later:
+    with code.when(most_often.get() > 1):
+        with code.loop(most_often.get() - 1, last.get()) as later:
             _at_most(record, later, residual.get())
-        _at_most(record, most_often - 1, made.get())
-        _at_most(record, most_often, where(settled.get(), 0.0, 1.0))
-    return found
+        _at_most(record, most_often.get() - 1, made.get())
+        _at_most(record, most_often.get(), where(settled.get(), 0.0, 1.0))
+
+
+def _solved(
+    w: Writer, chain: Forward, at: Whole, found: Taken, point: Point, weighing: Weighing | None
+) -> None:
+    """Take in the measurements of a step, the robust ones by weights that have settled."""
+    if weighing is None:
+        found.begin(point.mean, point.cov)
+        _once(w, chain, at, found, point, None)
+        return
+    weighing.begin()
+    with w.code.loop(w.code.whole(REWEIGHINGS + 1)) as turn:
+        weighing.turn(turn)
+        found.begin(point.mean, point.cov)
+        _once(w, chain, at, found, point, weighing)
+        w.code.leave_unless(weighing.turned(found.moments))
+        w.code.leave_unless(w.code.some(found.sure))
+    found.settle(weighing.settled)
 
 
 def _are_curved(w: Writer, chain: Forward, at: Whole) -> Number:
@@ -142,24 +194,17 @@ def _at_most(record: Any, place: Whole, value: Any) -> None:
 
 
 def _once(
-    w: Writer,
-    chain: Forward,
-    at: Whole,
-    mean: Matrix,
-    cov: Matrix,
-    point: Matrix,
-    about: Matrix,
-    found: Taken,
+    w: Writer, chain: Forward, at: Whole, found: Taken, point: Point, weighing: Weighing | None
 ) -> None:
-    """Take the measurements of a step, linearised at a belief, into N(mean, cov)."""
-    fresh = point is mean  # no measurement has moved the belief from the point yet
+    """Take in the measurements of a step, linearised at a point."""
+    fresh = point.first is None  # no measurement has moved the belief from the point yet
     for sensor in chain.sensors:
         if sensor.bounds is None:
-            _read(w, sensor, at, cov, point, about, found, fresh=fresh)
+            _read(w, sensor, at, found, point, weighing, fresh=fresh)
         else:
             first, last = w.sightings(sensor, at)
             with w.code.loop(last, first) as row:
-                _read(w, sensor, row, cov, point, about, found)
+                _read(w, sensor, row, found, point, weighing)
         fresh = False
 
 
@@ -167,43 +212,118 @@ def _read(
     w: Writer,
     sensor: Sensor,
     at: Whole,
-    before: Matrix,
-    point: Matrix,
-    about: Matrix,
     found: Taken,
+    point: Point,
+    weighing: Weighing | None,
     *,
     fresh: bool = False,
 ) -> None:
-    """Take in a sighting, linearised at a belief; `before` is the covariance before its step."""
-    parents, size = sensor.parents, point.shape[0]
-    x = point.part(parents, (0,))
-    line = linearised(w, sensor, at, x, about.part(parents, parents))
+    """Take in a sighting; `fresh` says that no other of its step is taken in yet."""
+    parents = sensor.parents
+    x = point.at.part(parents, (0,))
+    line = linearised(w, sensor, at, x, point.about.part(parents, parents))
     keep(w, sensor, at, x, line)
     values = [number for (number,) in w.column(sensor.readings, at).rows]
     for k in sensor.angles:
         values[k] = step.nearest(values[k], line.value[k, 0])
     w.keep(sensor.moved, Matrix.column(values), at)
-    residual, matrix, noise = Matrix.column(values) - line.value, _widened(line, sensor, size), line.noise
+    left = Matrix.column(values) - line.value
+    sighting = _Sighting.of(w, sensor, line, left, point.at.shape[0], values)
+    noise = sighting.noise
+    begins = point.first
+    if weighing is not None:
+        begins = ~weighing.again if begins is None else begins & ~weighing.again
+    surplus_of: Any = 0.0
+    if sensor.loss is not None:
+        count = sighting.count
+        if sensor.weighs:
+            assert weighing is not None
+            assert begins is not None
+            belief = weighing.belief
+            residual = sighting.left - sighting.matrix @ (belief.mean - point.at)
+            cov = belief.cov if sensor.loss.expects else None
+            square = step.weighed_square(
+                residual, sighting.own, sighting.matrix, cov, sighting.error
+            )
+            weight, of = weighing.weigh(sensor.loss, at, square, count, begins)
+            noise = sighting.own.scaled(1.0 / weight)
+            noise = noise if sighting.error is None else noise + sighting.error
+            w.keep(sensor.kept, noise, at)
+            surplus_of = surplus(w, sensor.loss, of, count, weight)
+        else:
+            surplus_of = kept_surplus(w, sensor.loss, at, count)
+    else:
+        w.keep(sensor.kept, line.noise, at)
     mean, cov = found.moments.mean, found.moments.cov
+    residual = sighting.left
     if not fresh:
-        residual = residual - matrix @ (mean - point)
-    count: Any = float(sensor.height)
-    if sensor.missing:
-        known = [value == value for value in values]
-        residual, matrix, noise = step.seen(known, residual, matrix, noise)
-        count = w.sum([truth.number() for truth in known])
-    after = step.update(mean, cov, matrix, residual, noise)
+        residual = residual - sighting.matrix @ (mean - point.at)
+    after = step.update(mean, cov, sighting.matrix, residual, noise)
     limit = _STRAIGHT if sensor.function is None else _CURVED
     part = least(limit * (10.0 + after.square), w.code.constant(_MILD))
-    whole = step.predict(before, matrix, noise)
-    sure = (
-        line.sure
-        & (after.share > NEARLY_SINGULAR)
-        & (after.square < _FARTHEST)
-        & _is_positive(noise - whole.scaled(part))
+    whole = step.predict(point.cov, sighting.matrix, noise)
+    sharp = (after.square < _FARTHEST) & _is_positive(noise - whole.scaled(part))
+    density = -0.5 * (after.square + LOG_2PI * sighting.count) - after.volume + surplus_of
+    if sensor.gate is None:
+        sure = line.sure & (after.share > NEARLY_SINGULAR) & sharp
+        found.take(after.mean, after.cov, density, sure)
+        return
+    square, share = after.square, after.share
+    if not fresh:
+        root = whole.root()
+        white, share = root.solve(sighting.left), least(root.share, after.share)
+        square = (white.T @ white)[0, 0]
+    rejected = gated(w, sensor, at, square, sighting.count, begins)
+    sure = line.sure & (share > NEARLY_SINGULAR) & (rejected | sharp)
+    found.take(
+        _chosen(rejected, mean, after.mean),
+        _chosen(rejected, cov, after.cov),
+        where(rejected, 0.0, density),
+        sure,
     )
-    density = -0.5 * (after.square + LOG_2PI * count) - after.volume
-    found.take(after.mean, after.cov, density, sure)
+
+
+def _chosen(truth: Any, a: Matrix, b: Matrix) -> Matrix:
+    """One matrix or another, by a truth."""
+    rows = zip(a.rows, b.rows, strict=True)
+    return Matrix([where(truth, x, y) for x, y in zip(*both, strict=True)] for both in rows)
+
+
+class _Sighting(NamedTuple):
+    """A sighting as linearised: z = value + H (x − m) + e over the whole slice.
+
+    `left` is z − value, `own` and `error` are the covariances of the noise and of the line's error,
+    None for zero, and `count` is how many components were measured; others say nothing.
+    """
+
+    left: Matrix
+    matrix: Matrix
+    own: Matrix
+    error: Matrix | None
+    count: Any
+
+    @classmethod
+    def of(
+        cls, w: Writer, sensor: Sensor, line: Line, left: Matrix, size: int, values: list[Any]
+    ) -> _Sighting:
+        """A sighting of some values, as linearised over a slice of so many components."""
+        matrix = _widened(line, sensor, size)
+        if not sensor.missing:
+            return cls(left, matrix, line.own, line.error, float(sensor.height))
+        known = [value == value for value in values]
+        left, matrix, own = step.seen(known, left, matrix, line.own)
+        error = line.error
+        if error is not None:
+            every = range(len(known))
+            error = Matrix(
+                [where(known[i] & known[j], error[i, j], 0.0) for j in every] for i in every
+            )
+        return cls(left, matrix, own, error, w.sum([truth.number() for truth in known]))
+
+    @property
+    def noise(self) -> Matrix:
+        """The covariance of e."""
+        return self.own if self.error is None else self.own + self.error
 
 
 def _is_positive(matrix: Matrix) -> Number:

@@ -21,9 +21,9 @@ from pgm.kernels.numbers import Matrix, where
 # Runs that are swept together, as the lanes of packs.
 LANES = 8
 # What a sweep tells of each run: whether it is left to be swept with more care, the least share of
-# a variance, and whether a mean is far from zero.
-LEFT, CLOSEST, FAR = range(3)
-TOLD = 3
+# a variance, whether a mean is far from zero, and whether weights have not settled.
+LEFT, CLOSEST, FAR, MOVING = range(4)
+TOLD = 4
 # A number from which on little or nothing can be told.
 _LARGEST = 1e150
 # The least share of a root on the way back, as of `backward`.
@@ -67,7 +67,8 @@ def _forward(w: Writer, chain: Forward) -> None:
     code, last = w.code, w.last
     begin = w.column(chain.begin[0]), w.symmetric(chain.begin[1])
     belief = Carried(code, *begin)
-    sure, watch = code.variable(True), Watch(w, chain.size)
+    sure, settled = code.variable(True), code.variable(True)
+    watch = Watch(w, chain.size)
     with code.loop(last + 1) as at:
         with code.when(at > 0):
             moved = predicted(w, chain, at - 1, belief.mean, belief.cov)
@@ -81,6 +82,7 @@ def _forward(w: Writer, chain: Forward) -> None:
         total = found.density + w.sum([abs(x) for m in (mean, known) for (x,) in m.rows])
         total = total + w.sum([*cov.diagonal, *spread.diagonal])
         sure.set(sure.get() & found.sure & (abs(total) < _LARGEST))
+        settled.set(settled.get() & found.settled)
         w.keep(chain.known[0], known, at)
         w.keep(chain.known[1], spread, at)
         w.keep(chain.density, Matrix.column([found.density]), at)
@@ -90,6 +92,7 @@ def _forward(w: Writer, chain: Forward) -> None:
     _tell(w, LEFT, where(sure.get(), 0.0, 1.0))
     _tell(w, CLOSEST, watch.closest)
     _tell(w, FAR, where(watch.far, 1.0, 0.0))
+    _tell(w, MOVING, where(settled.get(), 0.0, 1.0))
 
 
 def _backward(w: Writer, chain: Backward) -> None:

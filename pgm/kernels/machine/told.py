@@ -177,6 +177,37 @@ class Motion(Row):
     turning: tuple[tuple[int, int, int], ...] = ()
 
 
+@dataclass(frozen=True)
+class Gate:
+    """What rejects sightings that are far from their prediction.
+
+    `limits` (height + 1,) are the largest squares by how many components were measured; `squares`
+    are kept by row, and `rejected` are 1 of a sighting that is rejected, else 0.
+    """
+
+    limits: Array
+    squares: Array
+    rejected: Array
+
+
+@dataclass(frozen=True)
+class Loss:
+    """A robust noise: sightings count with R / w, and the weight w is a function of a square.
+
+    `weight(s)` and `surplus(s, w)`, the log-density less that of N(0, R / w), are traces by how many
+    components were measured; of just the last where none may be missing. Weights and the squares
+    that they are of are kept by row. `expects` says that squares are expected under the belief;
+    `found` that weights are as kept, and only the surplus is due.
+    """
+
+    weight: tuple[Function, ...]
+    surplus: tuple[Function, ...]
+    weights: Array
+    squares: Array
+    expects: bool
+    found: bool
+
+
 @dataclass(frozen=True, kw_only=True)
 class Sensor(Row):
     """A sensor, a row a sighting.
@@ -190,12 +221,23 @@ class Sensor(Row):
     bounds : int or None
         The place in the table of the address of the first sighting of each step, and one more;
         None if each step has one.
+    gate : Gate or None
+        Of a sweep that rejects sightings.
+    loss : Loss or None
+        Of robust noise.
     """
 
     readings: Array
     moved: Array | None = None
     missing: bool = False
     bounds: int | None = None
+    gate: Gate | None = None
+    loss: Loss | None = None
+
+    @property
+    def weighs(self) -> bool:
+        """Whether weights of robust noise are to be found."""
+        return self.loss is not None and not self.loss.found
 
 
 @dataclass(frozen=True, kw_only=True)

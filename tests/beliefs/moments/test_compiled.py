@@ -15,7 +15,7 @@ from zoo import MODELS, RULES, SIGHT, model_of, of_run, recording
 import pgm
 from pgm.beliefs.moments.passes import forward
 
-pytest.importorskip("numba", reason="sweeps are compiled by Numba, the extra fast")
+pytest.importorskip("llvmlite", reason="sweeps are compiled by llvmlite")
 
 COMPILED = ["taylor", "unscented", "negative weights", "cubature", "hermite"]
 CHECKED = [(name, rule) for name in MODELS for rule in ("taylor", "unscented")]
@@ -206,20 +206,17 @@ def test_graphs_ask_for_joints_and_messages():
     assert_belief(found, due.mean, due.cov, 1e-9)
 
 
-@pytest.mark.parametrize("stays", [True, False])
-def test_work_is_compiled_by_default_where_it_is_long_and_machine_code_stays(stays, monkeypatch):
-    from numba.core.caching import NullCache
-
+@pytest.mark.parametrize("installed", [True, False])
+def test_work_is_compiled_by_default_where_it_is_long(installed, monkeypatch):
     from pgm.beliefs.moments.compiled import sweep
     from pgm.examples import walk, z
-    from pgm.kernels.compiled import sweeps
 
-    used, run = [], sweep.Chain.run
-    monkeypatch.setattr(sweep.Chain, "run", lambda *given: used.append(1) or run(*given))
-    if not stays:
-        monkeypatch.setattr(sweeps.forward, "_cache", NullCache())
-    monkeypatch.setattr(sweep, "_LONG", 12 * 201)
-    for steps, due in ((11, False), (12, stays)):
+    used, run = [], sweep._run
+    monkeypatch.setattr(sweep, "_run", lambda *given: used.append(1) or run(*given))
+    if not installed:
+        monkeypatch.setattr(sweep, "find_spec", lambda name: None)
+    monkeypatch.setattr(sweep, "_LONG", 12 * 101)
+    for steps, due in ((11, False), (12, installed)):
         pgm.filter(walk, {z: np.ones((steps, 1))})
         assert bool(used) is due
 

@@ -8,7 +8,7 @@ import pytest
 
 import pgm
 
-pytestmark = pytest.mark.skipif(find_spec("numba") is None, reason="Numba is not installed")
+pytestmark = pytest.mark.skipif(find_spec("llvmlite") is None, reason="llvmlite is not installed")
 
 CURVES = [
     np.sin,

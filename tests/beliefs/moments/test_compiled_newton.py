@@ -14,7 +14,7 @@ import pgm
 from pgm.beliefs.moments.passes import forward
 from pgm.beliefs.moments.smoothers import smoother
 
-pytest.importorskip("numba", reason="sweeps are compiled by Numba, the extra fast")
+pytest.importorskip("llvmlite", reason="sweeps are compiled by llvmlite")
 
 ORDINARY = ["plain", "numerical jacobians", "wrapping drive", "noise by control"]
 ORDINARY += ["noise by landmark", "a start for each run", "an unknown heading", "everything"]

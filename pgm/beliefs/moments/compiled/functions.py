@@ -8,13 +8,16 @@ from functools import lru_cache
 import numpy as np
 
 from pgm.compile.machine import rule_told
+from pgm.cpds import RobustNoise
+from pgm.cpds.radius import kept
 from pgm.kernels.arrays import Array
 from pgm.kernels.machine import told
 from pgm.linearisation.family import Family
 from pgm.linearisers import FunctionTemplate, Taylor
 from pgm.linearisers.points import Points
 from pgm.linearisers.regression import StatisticalRegression
-from pgm.tracing import Program
+from pgm.tracing import Program, Tracer
+from pgm.tracing.program import Column
 
 # Entries of a regression that are rounding of zero, as a part of the largest of their row.
 _NOTHING = 1e-15
@@ -45,23 +48,59 @@ def _function(template: FunctionTemplate, trace: Program) -> told.Function:
                 slope[i][place] = trace.value[first + i * width : first + (i + 1) * width]
             first += height * width
     flat = [number for row in slope for number in row]
-    due = [*alone.value[:height], *(k for k in flat if k is not None)]
-    order = alone.graph.reachable(due)
+    every = [(a, i) for a, width in enumerate(trace.widths) for i in range(width)]
+    observed = tuple(column for column in every if column not in template.columns)
+    return _told_function(alone, alone.value[:height], flat, template.columns, observed)
+
+
+def _told_function(
+    program: Program,
+    value: Sequence[int],
+    slope: Sequence[int | None],
+    hidden: Sequence[Column],
+    observed: Sequence[Column],
+) -> told.Function:
+    """Some operations of a program, without those on which they do not depend."""
+    order = program.graph.reachable([*value, *(k for k in slope if k is not None)])
     new = {number: k for k, number in enumerate(order)}
     operations = []
     for number in order:
-        name, *operands = alone.graph.operations[number]
+        name, *operands = program.graph.operations[number]
         plain = name in ("constant", "input")
         operations.append((name, *(operands if plain else (new[k] for k in operands))))
-    hidden = template.columns
-    every = [(a, i) for a, width in enumerate(trace.widths) for i in range(width)]
     return told.Function(
         tuple(operations),
-        tuple(new[k] for k in alone.value[:height]),
-        tuple(None if k is None else new[k] for k in flat),
+        tuple(new[k] for k in value),
+        tuple(None if k is None else new[k] for k in slope),
         tuple(hidden),
-        tuple(column for column in every if column not in hidden),
+        tuple(observed),
     )
+
+
+@kept
+def loss_of(noise: RobustNoise, count: int) -> tuple[told.Function, told.Function] | str:
+    """The weight w(s), and the surplus of s and w, of sightings of so many components; or why not."""
+
+    def weight(square: Array) -> Array:
+        return noise.weight(square, count)
+
+    def surplus(square: Array, weight: Array) -> Array:
+        return noise.surplus(square, count, weight)
+
+    found = []
+    for function, widths in ((weight, (1,)), (surplus, (1, 1))):
+        if not count:  # nothing was measured
+            function = _NOTHING_MEASURED[len(widths) - 1]
+        program = Tracer(function, widths, np.zeros(1, dtype=bool)).traced()
+        if isinstance(program, str):
+            return program
+        inputs = tuple((k, 0) for k in range(len(widths)))
+        found.append(_told_function(program, program.value, (), inputs, ()))
+    return found[0], found[1]
+
+
+# The weight and the surplus of a sighting without measured components.
+_NOTHING_MEASURED = (lambda s: 0.0 * s + 1.0), (lambda s, w: 0.0 * s)
 
 
 def points_of(family: Family) -> told.Points | str | None:

@@ -9,14 +9,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pgm.beliefs.moments.compiled.functions import function_of, points_of
+from pgm.beliefs.moments.compiled.functions import function_of, loss_of, points_of
+from pgm.beliefs.moments.steps import gate as gates
 from pgm.beliefs.moments.steps.plan import ChainPlan, Link
 from pgm.beliefs.moments.steps.sensor import Sensor
-from pgm.compile.machine import GATE, MOST
+from pgm.compile.machine import MOST
 from pgm.kernels.arrays import Array, Index
 from pgm.kernels.machine import told
 from pgm.kernels.machine.memory import Runs
 from pgm.linearisation.family import Family
+from pgm.schedules.gates import gate_of
 
 Integers64 = npt.NDArray[np.int64]
 
@@ -41,6 +43,7 @@ class Table:
         self.lanes = lanes
         self.numbers = [0] * told.FIRST
         self.numbers[told.LAST], self.numbers[told.RUNS] = plan.steps, plan.runs
+        self.decisions: list[tuple[Sensor, Array]] = []
         self._kept: list[object] = []
 
     def put(self, place: int, array: npt.NDArray[Any]) -> None:
@@ -85,10 +88,8 @@ def places(index: Index, size: int) -> tuple[int, ...]:
 def unknown(plan: ChainPlan) -> str | None:
     """Why machine code does not know a plan, but for functions that are not linearised yet."""
     for sensor in plan.read:
-        if sensor.robust:
-            return f"{sensor.family.cpd!r} has robust noise"
-        if sensor.gated is not None:
-            return GATE
+        if sensor.robust and sensor.weights.noise.graduated:
+            return f"{sensor.family.cpd!r} has graduated noise"
         if sensor.exact:
             return f"{sensor.family.cpd!r} has a singular noise"
         if sensor.grouped and max(np.diff(sensor.bounds)) > 1:
@@ -119,22 +120,70 @@ def motion_of(
 
 
 def sensor_of(
-    plan: ChainPlan, sensor: Sensor, table: Table, *, stored: bool, keep: bool
+    plan: ChainPlan,
+    sensor: Sensor,
+    table: Table,
+    *,
+    stored: bool,
+    keep: bool,
+    gate: gates.Asked | None = None,
 ) -> told.Sensor:
-    """A sensor with its measurements."""
+    """A sensor with its measurements, and with its gate if gates decide anew."""
     family, size = sensor.family, plan.layout.slice_size
-    values = sensor.moved if stored else sensor.values
-    if sensor.taken is not None:
-        values = np.where(sensor.taken, values, np.nan)
+    values, taken, gated = sensor.moved if stored else sensor.values, sensor.taken, None
+    probability = None if gate is None else gate_of(gate, sensor.variable)
+    if probability is not None:
+        assert sensor.gated is not None
+        taken, gated = sensor.gated.given, _gate_of(probability, sensor, table)
+    if taken is not None and taken.all():
+        taken = None
+    if taken is not None:
+        values = np.where(taken, values, np.nan)
     single = sensor.bounds == list(range(plan.steps + 2))
     kept = keep and not stored and bool(sensor.variable.angles)
+    loss = _loss_of(sensor, table, taken is not None, found=stored) if sensor.robust else None
     return told.Sensor(
         **_row(family, places(sensor.parents, size), table, stored=stored, keep=keep),
         readings=table.array(values),
         moved=table.array(sensor.moved) if kept else None,
-        missing=sensor.taken is not None,
+        missing=taken is not None,
         bounds=None if single else table.at(np.array(sensor.bounds, dtype=np.int64)),
+        gate=gated,
+        loss=loss,
     )
+
+
+def _gate_of(probability: float, sensor: Sensor, table: Table) -> told.Gate:
+    """A sensor's gate, whose decisions are gathered for its record; see `decided`."""
+    count, runs, height, _ = sensor.family.shape
+    limits = gates.limits(probability, height)
+    rejected = np.zeros((count, runs))
+    table.decisions.append((sensor, rejected))
+    assert sensor.gated is not None
+    squares = table.array(sensor.gated.square)
+    return told.Gate(table.array(limits[None, None]), squares, table.array(rejected))
+
+
+def _loss_of(sensor: Sensor, table: Table, missing: bool, *, found: bool) -> told.Loss:
+    """A sensor's robust noise, with the weights of its sightings; `found` as of `told.Loss`."""
+    family, weights = sensor.family, sensor.weights
+    counts = range(0 if missing else sensor.height, sensor.height + 1)
+    functions = [loss_of(weights.noise, count) for count in counts]
+    for each in functions:
+        if isinstance(each, str):
+            raise Uncompiled(f"{family.cpd!r}: its noise: {each}")
+    weight, surplus = zip(*functions, strict=True)
+    places = table.array(weights.weight), table.array(weights.square)
+    return told.Loss(weight, surplus, *places, expects=family.expects, found=found)
+
+
+def decided(table: Table) -> None:
+    """Record what gates have decided in a sweep."""
+    for sensor, rejected in table.decisions:
+        assert sensor.gated is not None
+        assert sensor.taken is not None
+        sensor.gated.rejected[...] = rejected != 0.0
+        sensor.taken[...] = sensor.gated.given & ~sensor.gated.rejected[..., None]
 
 
 def _row(
@@ -144,8 +193,13 @@ def _row(
     if not stored:
         found["angles"] = tuple(np.flatnonzero(family.cpd.child.angle_mask).tolist())
     if stored or family.template is None:
-        for name in ("matrix", "offset", "noise"):
+        for name in ("matrix", "offset"):
             found[name] = table.array(getattr(family, name))
+        weighed = family.cpd.noise is not None and not stored
+        found["noise"] = table.array(family.own_noise if weighed else family.noise)
+        if weighed and keep:
+            family.keep_errors()
+            found["kept"] = table.array(family.noise)
         return found
     answers, template = family.trace_whole(), family.template
     if isinstance(answers, str):
@@ -162,7 +216,7 @@ def _row(
     found["noise"], found["inputs"] = table.array(family.own_noise), _joined(inputs, table)
     if keep:
         found["matrix"], found["offset"] = table.array(family.matrix), table.array(family.offset)
-        if rule is not None:
+        if rule is not None or family.cpd.noise is not None:
             family.keep_errors()
             found["kept"] = table.array(family.noise)
     return found

@@ -14,6 +14,7 @@ from pgm.beliefs.moments.compiled.plans import (
     Table,
     Uncompiled,
     address,
+    decided,
     motion_of,
     places,
     sensor_of,
@@ -21,7 +22,7 @@ from pgm.beliefs.moments.compiled.plans import (
 )
 from pgm.beliefs.moments.steps.chain import MomentChain
 from pgm.beliefs.moments.steps.plan import ChainPlan
-from pgm.compile.machine import CONTROL, GATE, Compiled
+from pgm.compile.machine import CONTROL, Compiled
 from pgm.kernels.arrays import Array, Mask, vacant
 from pgm.kernels.machine import sweeps, told
 from pgm.kernels.moments import Conditional
@@ -29,9 +30,9 @@ from pgm.resources import in_threads
 from pgm.schedules.damping import LevenbergMarquardt
 from pgm.schedules.schedule import ONCE, Filtering
 
-# Machine code repays its loading from a second of the general kernels on: a step of theirs takes as
-# long as the arithmetic of so many runs, and four million of such a quarter of a microsecond each.
-_STEP, _LONG = 200, 4_000_000
+# Machine code repays its making from a tenth of a second of the general kernels on: a step of theirs
+# takes as long as the arithmetic of so many runs, and these so many of half a microsecond each.
+_STEP, _LONG = 100, 250_000
 # Why runs are left to the general kernels, going forward and back.
 _FAR = "readings are too sharp, a covariance is singular, or numbers are too far apart"
 _SINGULAR = "a covariance is singular on the way back"
@@ -57,7 +58,9 @@ def is_used(plan: ChainPlan) -> bool:
     if choice is False:
         account.rest = "compiled=False"
     elif choice is None and plan.steps * (_STEP + plan.runs) < _LONG:
-        account.rest = "machine code is loaded for longer work, or by compiled=True"
+        account.rest = "machine code is made for longer work, or by compiled=True"
+    elif choice is None and find_spec("llvmlite") is None:
+        account.rest = "llvmlite is not installed"
     else:
         account.due = True
         return True
@@ -92,15 +95,15 @@ def forward(
     table = Table(plan, _lanes(plan))
     try:
         why = unknown(plan)
-        if asked.gate is not None:
-            raise Uncompiled(GATE)
         if isinstance(asked.damping, LevenbergMarquardt):
             raise Uncompiled(CONTROL)
         if why is not None:
             raise Uncompiled(why)
         cpds = {"stored": stored, "keep": keep}
         motions = tuple(motion_of(plan, link, table, **cpds) for link in plan.transition)
-        sensors = tuple(sensor_of(plan, sensor, table, **cpds) for sensor in plan.read)
+        sensors = tuple(
+            sensor_of(plan, sensor, table, **cpds, gate=asked.gate) for sensor in plan.read
+        )
     except Uncompiled as error:
         plan.account.leave(str(error))
         return None
@@ -130,6 +133,7 @@ def forward(
         iterated=iterated,
     )
     ended = _run(plan, chain, table, (*known, *predicted))
+    decided(table)
     left = stretches(ended[sweeps.LEFT] != 0.0)
     _count(plan, left, _FAR)
     if schedule is not None:
@@ -139,6 +143,7 @@ def forward(
     converged = np.full(plan.runs, plan.linear)
     if iterated:
         converged = record[-1] == 0.0
+    converged &= ended[sweeps.MOVING] == 0.0
     closest, far = float(ended[sweeps.CLOSEST].min(initial=1.0)), bool(ended[sweeps.FAR].any())
     return Swept(left, list(record[:longest]), converged, closest, far)
 

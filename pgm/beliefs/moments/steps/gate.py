@@ -128,7 +128,7 @@ def _decided(
         square, number = squares(given, mean, cov, count)
     else:
         square, number = _diffuse_squares(given, mean, diffuse)
-    rejected = square > _limits(gate, height)[number]
+    rejected = square > limits(gate, height)[number]
     square = np.where(number > 0, square, np.nan)
     part.gate, part.gated = gate, (rejected, square)
     if record is not None:
@@ -173,7 +173,7 @@ def _one(gate: float, part: Reading, seen: Measured, mean: Array, cov: Array) ->
         )
     else:
         return None
-    if not square <= _limits(gate, height).item(height):
+    if not square <= limits(gate, height).item(height):
         return None
     found = np.array([square])
     part.gate, part.gated, part.seen = gate, (_TAKEN, found), seen
@@ -252,7 +252,7 @@ _PATH = ["einsum_path", (0, 1), (0, 1)]
 
 
 @lru_cache(maxsize=64)
-def _limits(gate: float, height: int) -> Array:
+def limits(gate: float, height: int) -> Array:
     """The χ² quantiles of the probability `gate` for 0..height degrees of freedom, (height + 1,).
 
     The entry for 0 is infinite, so that a sighting without measured components passes.

@@ -182,8 +182,7 @@ class ChainPlan:
     def put_runs(self, runs: slice, part: ChainPlan) -> None:
         """Copy into this plan how the CPDs were linearised in `part`, the plan of some of its runs.
 
-        `runs` is the slice of runs from which `of` made `part`. No sensor may be robust, or have a
-        gate.
+        `runs` is the slice of runs from which `of` made `part`; decisions of gates are shared.
         """
         where = slice(None), runs
         for family, own in zip(self.families, part.families, strict=True):
@@ -191,6 +190,8 @@ class ChainPlan:
         for sensor, of in zip(self.sensors, part.sensors, strict=True):
             if sensor.variable.angles:
                 sensor.moved[where] = of.moved
+            if sensor.robust:
+                sensor.weights.put(where, of.weights)
 
     @classmethod
     def make(

@@ -189,8 +189,8 @@ class Weights:
         weight, square = self.weight[rows].copy(), self.square[rows].copy()
         return replace(self, white=white, taken=taken, weight=weight, square=square, stage=stage)
 
-    def put(self, rows: slice, other: Weights) -> None:
-        """Copy the weights and squares of all sightings of `other` into these weights at `rows`."""
+    def put(self, rows: slice | tuple[slice, slice], other: Weights) -> None:
+        """Copy the weights and squares of `other` to some rows, or rows and runs, of these."""
         self.weight[rows], self.square[rows] = other.weight, other.square
 
 
