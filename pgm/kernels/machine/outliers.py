@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from pgm.kernels.machine.cpd import traced
+from pgm.kernels.machine.lines import held
 from pgm.kernels.machine.numbers import Number
 from pgm.kernels.machine.told import Function, Loss, Sensor
+from pgm.kernels.machine.traces import written
 from pgm.kernels.machine.wholes import Whole
-from pgm.kernels.machine.writer import Carried, Writer, held
-from pgm.kernels.numbers import Matrix, most, where
+from pgm.kernels.machine.writer import Belief, Writer
+from pgm.kernels.numbers import most, where
+from pgm.kernels.step import AnyMatrix
 
 # As of `weights` and `iterated_update`: weights that move by no more have settled; how often
 # sightings are weighed at most; and by how much weights may still move at a fixed point.
@@ -49,10 +51,10 @@ def gated(
 class Weighing:
     """Robust sightings of a step, weighed and taken in again until their weights settle."""
 
-    def __init__(self, w: Writer, mean: Matrix, cov: Matrix) -> None:
+    def __init__(self, w: Writer, mean: AnyMatrix, cov: AnyMatrix) -> None:
         self._w = w
         # The belief that was found last, by whose residuals sightings are weighed.
-        self.belief = Carried(w.code, mean, cov)
+        self.belief = w.matrices.carried(mean, cov)
         self._active, self._moved = w.code.variable(True), w.code.variable(0.0)
         self._left = w.code.variable(float("inf"))
         self.again = w.code.constant(False).lane(0)
@@ -67,7 +69,7 @@ class Weighing:
         self.again = count > 0
         self._moved.set(0.0)
 
-    def turned(self, found: Carried) -> Number:
+    def turned(self, found: Belief) -> Number:
         """End a turn that has found a belief; whether another is due."""
         code = self._w.code
         with code.when(self.again):
@@ -118,7 +120,8 @@ def kept_surplus(w: Writer, loss: Loss, at: Whole, count: Any) -> Any:
 def _by_count(w: Writer, functions: Sequence[Function], count: Any, given: list[Any]) -> Any:
     """The value of a trace that depends on how many components were measured."""
     values = [
-        traced(w, function, lambda k, _: given[k], slope=False)[0][0] for function in functions
+        written(w.code, function, function.value, lambda k, _: given[k])[0]
+        for function in functions
     ]
     found = values[-1]
     for k, value in enumerate(values[:-1]):

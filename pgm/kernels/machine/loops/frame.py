@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+
+import numpy as np
 
 from pgm.kernels.machine.code import Code
 from pgm.kernels.machine.wholes import Address
@@ -32,3 +34,14 @@ class Frame:
         used = self._used
         yield
         self._used = used
+
+    def with_room(self, function: Callable[..., None]) -> Callable[..., None]:
+        """The function, given room of its own with each call as its last argument."""
+        size = self.size
+
+        def called(*given: int) -> None:
+            room = np.empty(size + LINE)
+            address: int = room.__array_interface__["data"][0]
+            function(*given, address + -address % (8 * LINE))
+
+        return called

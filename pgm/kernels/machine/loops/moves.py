@@ -8,6 +8,7 @@ from itertools import groupby
 from pgm.kernels.machine.code import Code
 from pgm.kernels.machine.loops.views import Index, View, lanes_where
 from pgm.kernels.machine.numbers import Number
+from pgm.kernels.numbers import most
 
 
 def copied(code: Code, a: View, out: View) -> None:
@@ -55,6 +56,15 @@ def diagonal(code: Code, a: View, out: View) -> None:
     _clear(out)
     with code.loop(a.height) as i:
         out.put_entry(0, i, a.entry(i, i))
+
+
+def largest(code: Code, a: View, out: View) -> None:
+    """The largest magnitude in each column, as a row."""
+    with code.loop(a.packs) as q:
+        found = code.variable(abs(a.pack(0, q)))
+        with code.loop(a.height, 1) as i:
+            found.set(most(found.get(), abs(a.pack(i, q))))
+        out.put(0, q, found.get())
 
 
 def kept(code: Code, a: View, truths: View, out: View) -> None:

@@ -25,6 +25,12 @@ class Space:
         self.code, self.frame, self.layout = code, frame, layout
         self._constants: Constants = {}
 
+    def inside(self, code: Code) -> Space:
+        """The memory as another function of the module sees it."""
+        found = Space(code, self.frame, self.layout)
+        found._constants = self._constants
+        return found
+
     def new(self, height: int, width: int) -> Stored:
         """Room for a matrix."""
         floats = self.layout.floats(height, width)
@@ -227,10 +233,9 @@ class Stored:
 
     @property
     def diagonal(self) -> list[Number]:
-        """The entries on the diagonal, in packs, as of a row."""
-        found = self.space.new(1, self.height)
-        self.space.call("diagonal", moves.diagonal, self, found)
-        return found.row(0)
+        """The entries on the diagonal."""
+        view = self.view
+        return [view.entry(i, i) for i in range(self.height)]
 
     def row(self, i: int) -> list[Number]:
         """The packs of a row."""
