@@ -54,7 +54,7 @@ def made(chain: Forward | Backward, lanes: int, loops: bool | None = None) -> Sw
             _forward(w, chain)
         else:
             _backward(w, chain)
-    function = module.compile().callable("sweep")
+    function = module.compile(1).callable("sweep")
     return frame.with_room(function) if looped else partial(_without_room, function)
 
 

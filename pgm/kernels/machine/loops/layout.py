@@ -50,5 +50,5 @@ class Layout(NamedTuple):
 
     def tile(self, height: int, packs: int) -> tuple[int, int]:
         """The rows and packs of a product that are summed at once."""
-        wide = min(packs, 3 if self.held >= 12 else 2)
-        return min(height, max(self.held // max(wide, 1), 1)), wide
+        wide = max(min(packs, 3 if self.held >= 12 else 2), 1)
+        return max(min(height, self.held // wide), 1), wide

@@ -13,7 +13,7 @@ from pgm.kernels.machine.loops import moves
 from pgm.kernels.machine.loops.frame import Frame
 from pgm.kernels.machine.loops.layout import Layout
 from pgm.kernels.machine.loops.stored import Space, Stored
-from pgm.kernels.machine.loops.transfers import read, write
+from pgm.kernels.machine.loops.transfers import inside, lie, place, read, write
 from pgm.kernels.machine.loops.views import View
 from pgm.kernels.machine.memory import Memory
 from pgm.kernels.machine.numbers import Number, constant
@@ -176,10 +176,8 @@ class Loops:
         """Write the value, and the slope, if there is room for one, of a function."""
         number = self._functions.setdefault(function, len(self._functions))
         memories = list({id(cells): cells for cells, _ in inputs.values()}.values())
-        told = " ".join(f"{each.runs.name} {each.step}" for each in memories if each.step == 1)
-        given: list[Any] = []
-        for each in memories:
-            given += [each.address, *map(self.code.whole, (each.step, each.apart))]
+        told = " ".join(map(lie, memories))
+        given = [value for cells in memories for value in place(cells)]
         kinds = [ADDRESS] * (1 + len(out)) + [ADDRESS, WHOLE, WHOLE] * len(memories)
         name = f"function {number} {len(out)} {told}"
         helper = self.code.module.helper(name, kinds, self.code.lanes, None)
@@ -196,20 +194,14 @@ class Loops:
         memories: Sequence[Memory],
         out: Sequence[Stored],
     ) -> None:
-        place, *more = code.arguments
-        point, results, more = at.seen(code, place), more[: len(out)], more[len(out) :]
+        point, *more = code.arguments
+        results, more = more[: len(out)], more[len(out) :]
         cells = {
-            id(like): Memory(
-                code,
-                more[3 * k],
-                step=like.step if like.step == 1 else more[3 * k + 1],
-                runs=like.runs,
-                apart=more[3 * k + 2],
-            )
+            id(like): inside(code, like, *more[3 * k : 3 * k + 3])
             for k, like in enumerate(memories)
         }
         here = {column: (cells[id(like)], index) for column, (like, index) in inputs.items()}
-        known = [point.entry(0, k) for k in range(at.width)]
+        known = [at.seen(code, point).entry(0, k) for k in range(at.width)]
         value, slope = traced(code, function, known, here, slope=len(out) > 1)
         self._lay(code, results[0], [value], out[0])
         if len(out) > 1:
@@ -217,11 +209,11 @@ class Loops:
             rows = [slope[i * size : (i + 1) * size] for i in range(len(value))]
             self._lay(code, results[1], rows, out[1])
 
-    def _lay(self, code: Code, place: Address, rows: Sequence[Sequence[Any]], like: Stored) -> None:
+    def _lay(self, code: Code, to: Address, rows: Sequence[Sequence[Any]], like: Stored) -> None:
         """Write numbers to a matrix: constants at once, and others into them."""
         space = self._space.inside(code)
         plain = [[0.0 if isinstance(x, Number) else float(x) for x in row] for row in rows]
-        matrix = Stored(space, place, like.height, like.width)
+        matrix = Stored(space, to, like.height, like.width)
         space.constant(plain, like.width).copied_to(matrix)
         view: View = matrix.view
         for i, row in enumerate(rows):

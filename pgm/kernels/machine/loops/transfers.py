@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from pgm.kernels.machine.code import Code
 from pgm.kernels.machine.loops.stored import Space, Stored
 from pgm.kernels.machine.loops.views import Index, View, shuffled
@@ -14,8 +16,8 @@ def read(space: Space, cells: Memory, height: int, width: int) -> Stored:
     """The matrix of an array's cells, row by row."""
     found = space.new(height, width)
 
-    def write(code: Code, out: View, *place: Address | Whole) -> None:
-        _read(code, out, _memory(code, cells, *place), near=_is_near(cells))
+    def write(code: Code, out: View, *where: Any) -> None:
+        _read(code, out, inside(code, cells, *where), near=_is_near(cells))
 
     _transfer(space, "read", write, found, cells)
     return found
@@ -25,21 +27,32 @@ def write(space: Space, cells: Memory, matrix: Stored) -> None:
     """Put a matrix into an array's cells."""
     plain = matrix.plain() if matrix.shape[1] != 1 else matrix.T.plain()
 
-    def written(code: Code, a: View, *place: Address | Whole) -> None:
-        _write(code, a, _memory(code, cells, *place), near=_is_near(cells))
+    def written(code: Code, a: View, *where: Any) -> None:
+        _write(code, a, inside(code, cells, *where), near=_is_near(cells))
 
     _transfer(space, "write", written, plain, cells)
 
 
-def _transfer(space: Space, name: str, how: object, matrix: Stored, cells: Memory) -> None:
-    told = f"{name} {cells.runs.name} {'near' if _is_near(cells) else 'apart'}"
-    given = [cells.address, space.code.whole(cells.step), space.code.whole(cells.apart)]
-    space.call(told, how, matrix, given=given)  # type: ignore[arg-type]
+def place(cells: Memory) -> list[Address | Whole]:
+    """Where an array's cells are, as arguments of a function."""
+    whole = cells.code.whole
+    return [cells.address, whole(cells.step), whole(cells.apart)]
 
 
-def _memory(code: Code, like: Memory, address: Address, step: Whole, apart: Whole) -> Memory:
+def inside(code: Code, like: Memory, address: Address, step: Whole, apart: Whole) -> Memory:
+    """An array's cells as a function sees them that is given their place."""
     near = _is_near(like)
     return Memory(code, address, step=1 if near else step, runs=like.runs, apart=apart)
+
+
+def lie(cells: Memory) -> str:
+    """How an array's cells lie, in names of functions."""
+    return f"{cells.runs.name} {'near' if _is_near(cells) else 'apart'}"
+
+
+def _transfer(space: Space, name: str, how: object, matrix: Stored, cells: Memory) -> None:
+    told = f"{name} {lie(cells)}"
+    space.call(told, how, matrix, given=place(cells))  # type: ignore[arg-type]
 
 
 def _is_near(cells: Memory) -> bool:

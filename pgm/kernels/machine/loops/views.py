@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from pgm.kernels.machine.code import Code
+from pgm.kernels.machine.kinds import packed
 from pgm.kernels.machine.loops.layout import Layout
-from pgm.kernels.machine.memory import Memory, Runs
 from pgm.kernels.machine.numbers import Number, Operand, constant
 from pgm.kernels.machine.wholes import Address, Whole
 
@@ -42,13 +42,11 @@ class View:
 
     def entry(self, i: Index, j: Index) -> Number:
         """An entry."""
-        runs = Runs.SAME if self.layout.across > 1 else Runs.BESIDE
-        return Memory(self.code, self.at(i, j), runs=runs).load(0)
+        return self._load(self.at(i, j), self.layout.entry)
 
     def put_entry(self, i: Index, j: Index, value: Operand) -> None:
         """Write an entry."""
-        number = constant(self.code, value).number().spread(self.layout.entry)
-        self.code.line(f"store {number.kind} {number.text}, ptr {self.at(i, j).text}, align 8")
+        self._store(self.at(i, j), self.layout.entry, value)
 
     def pack(self, i: Index, q: Index) -> Number:
         """A pack of a row."""
@@ -56,15 +54,23 @@ class View:
 
     def beside(self, i: Index, j: Index) -> Number:
         """The pack of a row that begins at a column."""
-        return Memory(self.code, self.at(i, j)).load(0)
+        return self._load(self.at(i, j), self.layout.lanes)
 
     def put(self, i: Index, q: Index, value: Operand) -> None:
         """Write a pack of a row."""
-        Memory(self.code, self.at(i, q * self.layout.across)).store(0, value)
+        self._store(self.at(i, q * self.layout.across), self.layout.lanes, value)
 
     def one(self, value: float) -> Number:
         """A constant, as an entry is."""
         return constant(self.code, value).spread(self.layout.entry)
+
+    def _load(self, place: Address, lanes: int) -> Number:
+        kind = packed("double", lanes)
+        return Number(self.code, self.code.value(f"load {kind}, ptr {place.text}, align 8"), lanes)
+
+    def _store(self, place: Address, lanes: int, value: Operand) -> None:
+        number = constant(self.code, value).number().spread(lanes)
+        self.code.line(f"store {number.kind} {number.text}, ptr {place.text}, align 8")
 
 
 def tiled(
