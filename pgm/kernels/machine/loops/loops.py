@@ -9,7 +9,6 @@ from typing import Any
 from pgm.kernels import step
 from pgm.kernels.machine.code import Code
 from pgm.kernels.machine.kinds import ADDRESS, WHOLE
-from pgm.kernels.machine.loops import moves
 from pgm.kernels.machine.loops.frame import Frame
 from pgm.kernels.machine.loops.layout import Layout
 from pgm.kernels.machine.loops.stored import Space, Stored
@@ -76,16 +75,11 @@ class Loops:
 
     def diagonal(self, matrix: Stored) -> list[Number]:
         """The numbers on a diagonal, side by side."""
-        found = self._space.new(1, matrix.height)
-        self._space.call("diagonal", moves.diagonal, matrix, found)
-        return found.row(0)
+        return matrix.diagonal_row().row(0)
 
     def largest(self, matrix: Stored) -> list[Number]:
         """The largest magnitude in each column, side by side."""
-        plain = matrix.plain()
-        found = self._space.new(1, plain.width)
-        self._space.call("largest", moves.largest, plain, found)
-        return found.row(0)
+        return matrix.largest().row(0)
 
     def alike(self, value: float, size: int) -> list[Number]:
         """Equal numbers of a vector, side by side."""

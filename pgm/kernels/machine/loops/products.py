@@ -2,19 +2,44 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from pgm.kernels.machine.code import Code
 from pgm.kernels.machine.numbers import Number
+from pgm.kernels.machine.wholes import Whole
 from pgm.kernels.machine.loops.views import Index, View, lanes_where, size_of, tiled, transposed
 
 
-def product(code: Code, a: View, b: View, out: View, *, half: bool = False) -> None:
+class Plan(NamedTuple):
+    """The tiles of a product: full ones of `tall` rows, and the `rest` of the rows below them.
+
+    One function serves all products of the same plan.
+    """
+
+    tall: int
+    rest: int
+    wide: int
+    full: int
+    half: bool
+    told: str
+
+    @classmethod
+    def of(cls, a: View, out: View, half: bool) -> Plan:
+        """The plan of a product, or of the half below its diagonal."""
+        most, wide = out.layout.tile(out.height, out.packs)
+        tall, wide = size_of(out.height, most), size_of(out.packs, wide)
+        full, rest = divmod(out.height, tall)
+        told = f"{'half ' if half else ''}{tall} {rest} {a.packs}{'t' * a.turned} {out.packs}"
+        return cls(tall, rest, wide, full, half, told)
+
+
+def product(
+    code: Code, a: View, b: View, out: View, plan: Plan, inside: Whole, full: Whole
+) -> None:
     """The product A B, or, of a symmetric one, the half below its diagonal.
 
-    Tiles of rows and packs are summed in registers, along the columns of A.
+    Tiles of rows and packs are summed in registers, along the columns of A, which are `inside`.
     """
-    inside, layout = b.height, out.layout
-    most, wide = layout.tile(out.height, out.packs)
-    tall, wide = size_of(out.height, most), size_of(out.packs, wide)
 
     def rows(i: Index, height: int) -> None:
         def tile(q: Index, packs: int) -> None:
@@ -29,10 +54,13 @@ def product(code: Code, a: View, b: View, out: View, *, half: bool = False) -> N
                 for p, total in enumerate(line):
                     out.put(i + r, q + p, total.get())
 
-        last = (i + (height - 1)) // layout.across if half else None
-        tiled(code, out.packs, wide, tile, last=last)
+        last = (i + (height - 1)) // out.layout.across if plan.half else None
+        tiled(code, out.packs, plan.wide, tile, last=last)
 
-    tiled(code, out.height, tall, rows)
+    with code.loop(full) as k:
+        rows(k * plan.tall, plan.tall)
+    if plan.rest:
+        rows(full * plan.tall, plan.rest)
 
 
 def mirrored(code: Code, a: View) -> None:

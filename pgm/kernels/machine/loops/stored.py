@@ -14,6 +14,8 @@ from pgm.kernels.machine.loops.views import View
 from pgm.kernels.machine.numbers import Number, Operand, constant
 from pgm.kernels.machine.wholes import Address, Whole
 
+# Entries of matrices that are transposed entry by entry.
+_FEW = 64
 _KINDS: dict[type, Kind] = {Address: ADDRESS, Whole: WHOLE, Number: FLOAT}
 Constants = dict[tuple[int, tuple[tuple[float, ...], ...]], str]
 
@@ -60,16 +62,22 @@ class Space:
         return found
 
     def call(
-        self, name: str, write: Callable[..., None], *matrices: Stored, given: Sequence[Any] = ()
+        self,
+        name: str,
+        write: Callable[..., None],
+        *matrices: Stored,
+        given: Sequence[Any] | None = None,
     ) -> None:
         """Call the function of a name and of these shapes, written when it is called first.
 
-        No other matrix may share memory with one that it writes.
+        With more that is `given`, a function serves all shapes, and its name tells of what it
+        depends on. No other matrix may share memory with one that it writes.
         """
-        shapes = " ".join(matrix.told for matrix in matrices)
+        shapes = " ".join(matrix.told for matrix in matrices) if given is None else ""
+        given = [self.code.whole(x) if isinstance(x, int) else x for x in given or ()]
         kinds = [ADDRESS] * len(matrices) + [_KINDS[type(each)] for each in given]
         helper = self.code.module.helper(
-            f"{name} {shapes}", kinds, self.layout.lanes, None, disjoint=True
+            f"{name} {shapes}".rstrip(), kinds, self.layout.lanes, None, disjoint=True
         )
         if helper.fresh:
             code, count = helper.code, len(matrices)
@@ -100,6 +108,18 @@ class Stored:
         return self.seen(self.space.code, self.address)
 
     @property
+    def packs(self) -> int:
+        """The packs of all rows."""
+        return self.height * self.space.layout.packs(self.width)
+
+    @property
+    def steps(self) -> tuple[int, int]:
+        """How far apart entries are, of one row and the next, and in a row."""
+        layout = self.space.layout
+        down = layout.packs(self.width) * layout.across
+        return (1, down) if self.turned else (down, 1)
+
+    @property
     def told(self) -> str:
         """The shape in words, in names of functions."""
         return f"{self.height}x{self.width}{'t' if self.turned else ''}"
@@ -122,8 +142,32 @@ class Stored:
         if not self.turned:
             return self
         found = self.space.new(*self.shape)
-        self.space.call("turned", products.turned, self.T, found)
+        self._turn(self.T, found)
         return found
+
+    def _turn(self, source: Stored, out: Stored) -> None:
+        """Write the transpose of a matrix that is not turned, the small ones entry by entry."""
+        if source.height * source.width > _FEW:
+            self.space.call("turned", products.turned, source, out)
+        else:
+            out.clear()
+            source.T.put(out, 0, 0)
+
+    def clear(self) -> None:
+        """Write zeros."""
+        self.space.call("cleared", moves.cleared, self, given=[self.packs])
+
+    def put(self, out: Stored, i: int, j: int) -> None:
+        """Write the entries to a block of another matrix, from a row and a column on."""
+        self._block((0, 0), self.shape, out, (i, j))
+
+    def _block(
+        self, at: tuple[int, int], shape: tuple[int, int], out: Stored, to: tuple[int, int]
+    ) -> None:
+        first = Stored(self.space, self.view.at(*at), *shape)
+        second = Stored(self.space, out.view.at(*to), *shape)
+        given = [*shape, *self.steps, *out.steps]
+        self.space.call("block", moves.block, first, second, given=given)
 
     def copied_to(self, other: Stored) -> None:
         """Write the entries to another matrix of the same shape."""
@@ -131,9 +175,10 @@ class Stored:
         if self.turned != other.turned:
             source = self.T if other.turned else self
             other = other.T if other.turned else other
-            self.space.call("turned", products.turned, source.T, other)
+            self._turn(source.T, other)
         else:
-            self.space.call("copy", moves.copied, self._straight, other._straight)
+            one, copy = self._straight, other._straight
+            self.space.call("copy", moves.copied, one, copy, given=[self.packs])
 
     def copy(self) -> Stored:
         """The matrix in memory of its own."""
@@ -144,19 +189,25 @@ class Stored:
             return (other.T @ self.T).T
         other = other.plain()
         found = self.space.new(self.shape[0], other.shape[1])
-        self.space.call("product", products.product, self, other, found)
+        self._product(other, found)
         return found
+
+    def _product(self, other: Stored, found: Stored, *, half: bool = False) -> None:
+        """Write the product A B, of a B that is not turned."""
+        plan = products.Plan.of(self.view, found.view, half)
+
+        def write(code: Code, a: View, b: View, out: View, inside: Whole, full: Whole) -> None:
+            products.product(code, a, b, out, plan, inside, full)
+
+        given = [self.shape[1], plan.full]
+        self.space.call(f"product {plan.told}", write, self, other, found, given=given)
 
     def times(self, other: Stored) -> Stored:
         """The product A Bᵀ, of which it is known that it is symmetric."""
         other = other.T.plain()
         found = self.space.new(self.shape[0], other.shape[1])
-
-        def half(code: Code, a: View, b: View, out: View) -> None:
-            products.product(code, a, b, out, half=True)
-            products.mirrored(code, out)
-
-        self.space.call("square", half, self, other, found)
+        self._product(other, found, half=True)
+        self.space.call("mirrored", products.mirrored, found)
         return found
 
     def __add__(self, other: Stored) -> Stored:
@@ -171,7 +222,9 @@ class Stored:
 
     def one_minus(self) -> Stored:
         """The matrix I − A."""
-        return self._each("one minus", moves.one_minus)
+        found = self._each("negative", moves.negative)
+        ones = self.space.constant([[1.0] * self.height], self.height)
+        return found.raised(ones)
 
     def part(self, rows: Sequence[int], columns: Sequence[int]) -> Stored:
         """The entries in some rows and columns."""
@@ -181,12 +234,14 @@ class Stored:
             return self
         if self.turned:
             return self.T.part(columns, rows).T
-        found = self.space.new(len(rows), len(columns))
-
-        def write(code: Code, a: View, out: View) -> None:
-            moves.part(code, a, out, rows, columns)
-
-        self.space.call(f"part {rows} {columns}", write, self, found)
+        found, at = self.space.new(len(rows), len(columns)), 0
+        found.clear()
+        for i, height in moves.stretches(rows):
+            to = 0
+            for j, width in moves.stretches(columns):
+                self._block((i, j), (height, width), found, (at, to))
+                to += width
+            at += height
         return found
 
     def widened(self, places: Sequence[int], width: int) -> Stored:
@@ -194,32 +249,38 @@ class Stored:
         places = tuple(places)
         if places == tuple(range(width)):
             return self
-        found = self.space.new(self.shape[0], width)
-
-        def write(code: Code, a: View, out: View) -> None:
-            moves.widened(code, a, out, places)
-
-        self.space.call(f"widened {places}", write, self, found)
+        found, at = self.space.new(self.shape[0], width), 0
+        found.clear()
+        for j, count in moves.stretches(places):
+            self._block((0, at), (self.shape[0], count), found, (0, j))
+            at += count
         return found
 
     def bordered(self, across: Stored, own: Stored) -> Stored:
         """The symmetric matrix [[A, Bᵀ], [B, C]] of A, this one, B = `across` and C = `own`."""
-        size = self.shape[0] + own.shape[0]
+        first, size = self.shape[0], self.shape[0] + own.shape[0]
         found = self.space.new(size, size)
-        self.space.call("bordered", moves.bordered, self, across, own, found)
+        found.clear()
+        self.put(found, 0, 0)
+        across.put(found, first, 0)
+        across.T.put(found, 0, first)
+        own.put(found, first, first)
         return found
 
     def above(self, other: Stored) -> Stored:
         """The column of this one's numbers, and of those of another."""
         found = self.space.new(1, self.shape[0] + other.shape[0])
-        self.space.call("above", moves.above, self, other, found.T)
+        found.clear()
+        self.put(found.T, 0, 0)
+        other.put(found.T, self.shape[0], 0)
         return found.T
 
     def kept(self, truths: Stored) -> Stored:
         """The matrix with zeros in rows whose truth, in a row of entries, does not hold."""
         plain = self.plain()
         found = self.space.new(*self.shape)
-        self.space.call("kept", moves.kept, plain, truths, found)
+        given = [plain.height, self.space.layout.packs(plain.width)]
+        self.space.call("kept", moves.kept, plain, truths, found, given=given)
         return found
 
     def chosen(self, truth: Number, other: Stored) -> Stored:
@@ -228,8 +289,26 @@ class Stored:
 
     def raised(self, numbers: Stored) -> Stored:
         """The matrix with numbers, a row of entries, added to its diagonal; it is changed."""
-        self.space.call("raised", moves.raised, self, numbers)
+        given = [self.height, sum(self.steps)]
+        self.space.call("raised", moves.raised, self, numbers, given=given)
         return self
+
+    def largest(self) -> Stored:
+        """The largest magnitude in each column, as a row."""
+        plain = self.plain()
+        found = self.space.new(1, plain.width)
+        given = [plain.height, self.space.layout.packs(plain.width)]
+        self.space.call("largest", moves.largest, plain, found, given=given)
+        return found
+
+    def diagonal_row(self) -> Stored:
+        """The diagonal, as a row."""
+        found = self.space.new(1, self.height)
+        found.clear()
+        own = Stored(self.space, self.address, 1, self.height)
+        given = [1, self.height, 0, sum(self.steps), *found.steps]
+        self.space.call("block", moves.block, own, found, given=given)
+        return found
 
     @property
     def diagonal(self) -> list[Number]:
@@ -270,7 +349,7 @@ class Stored:
         given = [(other.T if self.turned else other).plain() for other in others]
         found = space.new(self.height, self.width)
         more = [space.numbers(*numbers)] if numbers else []
-        space.call(name, write, own, *given, *more, found)
+        space.call(name, write, own, *given, *more, found, given=[self.packs])
         return found.T if self.turned else found
 
 

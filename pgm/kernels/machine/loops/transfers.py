@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from pgm.kernels.machine.code import Code
@@ -17,7 +18,8 @@ def read(space: Space, cells: Memory, height: int, width: int) -> Stored:
     found = space.new(height, width)
 
     def write(code: Code, out: View, *where: Any) -> None:
-        _read(code, out, inside(code, cells, *where), near=_is_near(cells))
+        *here, rows = where
+        _read(code, out, inside(code, cells, *here), rows, near=_is_near(cells))
 
     _transfer(space, "read", write, found, cells)
     return found
@@ -28,7 +30,8 @@ def write(space: Space, cells: Memory, matrix: Stored) -> None:
     plain = matrix.plain() if matrix.shape[1] != 1 else matrix.T.plain()
 
     def written(code: Code, a: View, *where: Any) -> None:
-        _write(code, a, inside(code, cells, *where), near=_is_near(cells))
+        *here, rows = where
+        _write(code, a, inside(code, cells, *here), rows, near=_is_near(cells))
 
     _transfer(space, "write", written, plain, cells)
 
@@ -50,23 +53,23 @@ def lie(cells: Memory) -> str:
     return f"{cells.runs.name} {'near' if _is_near(cells) else 'apart'}"
 
 
-def _transfer(space: Space, name: str, how: object, matrix: Stored, cells: Memory) -> None:
-    told = f"{name} {lie(cells)}"
-    space.call(told, how, matrix, given=place(cells))  # type: ignore[arg-type]
+def _transfer(space: Space, name: str, how: Callable[..., None], matrix: Stored, cells: Memory) -> None:
+    told = f"{name} {lie(cells)} {matrix.width}"
+    space.call(told, how, matrix, given=[*place(cells), matrix.height])
 
 
 def _is_near(cells: Memory) -> bool:
     return isinstance(cells.step, int) and cells.step == 1
 
 
-def _read(code: Code, out: View, cells: Memory, *, near: bool) -> None:
+def _read(code: Code, out: View, cells: Memory, rows: Whole, *, near: bool) -> None:
     across = out.layout.across
     if across == 1:
-        with code.loop(out.height * out.width) as k:
+        with code.loop(rows * out.width) as k:
             out.put(0, k, cells.load(k))
         return
     full, rest = divmod(out.width, across)
-    with code.loop(out.height) as i:
+    with code.loop(rows) as i:
         begin = i * out.width
         for q in range(full if near else 0):
             out.put(i, q, _part(code, cells, begin + q * across, across))
@@ -79,14 +82,14 @@ def _read(code: Code, out: View, cells: Memory, *, near: bool) -> None:
                 out.put_entry(i, j, _one(code, cells, begin + j))
 
 
-def _write(code: Code, a: View, cells: Memory, *, near: bool) -> None:
+def _write(code: Code, a: View, cells: Memory, rows: Whole, *, near: bool) -> None:
     across = a.layout.across
     if across == 1:
-        with code.loop(a.height * a.width) as k:
+        with code.loop(rows * a.width) as k:
             cells.store(k, a.pack(0, k))
         return
     full, rest = divmod(a.width, across)
-    with code.loop(a.height) as i:
+    with code.loop(rows) as i:
         begin = i * a.width
         for q in range(full if near else 0):
             cells.store(begin + q * across, a.pack(i, q))
