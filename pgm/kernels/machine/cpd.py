@@ -96,9 +96,10 @@ def _regressed(
 
 def _constant(w: Writer, rule: Points) -> step.Rule:
     size = range(len(rule.signs))
-    parts = map(w.matrices.constant, (rule.mean, rule.slope, rule.rest))
+    constant = w.matrices.constant
     signs = [[rule.signs[i] if i == j else 0.0 for j in size] for i in size]
-    return step.Rule(*parts, w.matrices.constant(signs) if signs else None)
+    mean, slope, rest = constant(rule.mean), constant(rule.slope), constant(rule.rest)
+    return step.Rule(mean, slope, rest, constant(signs) if signs else None)
 
 
 def _about(

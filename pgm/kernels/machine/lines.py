@@ -7,19 +7,17 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 from pgm.kernels import step
-from pgm.kernels.machine.code import Code, Variable
+from pgm.kernels.machine.code import Code
 from pgm.kernels.machine.memory import Memory
 from pgm.kernels.machine.numbers import Number, constant
 from pgm.kernels.machine.told import Function
 from pgm.kernels.machine.traces import Inputs, traced
+from pgm.kernels.machine.variables import Variable
 from pgm.kernels.numbers import Matrix, most, where
 
 
 class Lines:
-    """Matrices that are rows of single numbers; see `Loops` for the other kind.
-
-    A vector's numbers *side by side* are here its numbers, one by one.
-    """
+    """Matrices that are rows of single numbers, side by side one by one; see `Matrices`."""
 
     def __init__(self, code: Code) -> None:
         self.code = code
@@ -117,9 +115,7 @@ class Lines:
     def kept(self, truths: Sequence[Number], matrix: Matrix) -> Matrix:
         """The symmetric matrix with zeros in rows and columns whose truth does not hold."""
         size = range(len(truths))
-        return Matrix(
-            [where(truths[i] & truths[j], matrix[i, j], 0.0) for j in size] for i in size
-        )
+        return Matrix([where(truths[i] & truths[j], matrix[i, j], 0.0) for j in size] for i in size)
 
     def chosen(self, truth: Number, one: Matrix, other: Matrix) -> Matrix:
         """One matrix where a truth holds, another elsewhere."""

@@ -88,9 +88,7 @@ def _on_chart(
     return m.replaced(value, {new: variable.get() for new, variable in charted.items()})
 
 
-def _is_certain(
-    w: Writer, motion: Motion, line: Line, cov: AnyMatrix, own: AnyMatrix
-) -> Number:
+def _is_certain(w: Writer, motion: Motion, line: Line, cov: AnyMatrix, own: AnyMatrix) -> Number:
     """Whether zeros of components without noise need not be told from rounding."""
     sure = line.sure
     if line.matrix.shape[1]:

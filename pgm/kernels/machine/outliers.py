@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from typing import Any
 
 from pgm.kernels.machine.lines import held
+from pgm.kernels.machine.matrices import Belief
 from pgm.kernels.machine.numbers import Number
 from pgm.kernels.machine.told import Function, Loss, Sensor
 from pgm.kernels.machine.traces import written
 from pgm.kernels.machine.wholes import Whole
-from pgm.kernels.machine.writer import Belief, Writer
+from pgm.kernels.machine.writer import Writer
 from pgm.kernels.numbers import most, where
 from pgm.kernels.step import AnyMatrix
 
@@ -83,7 +84,9 @@ class Weighing:
         """Whether no weight moves any more."""
         return self._left.get() <= TOLERANCE
 
-    def weigh(self, loss: Loss, at: Whole, square: Any, count: Any, begins: Number) -> tuple[Any, Any]:
+    def weigh(
+        self, loss: Loss, at: Whole, square: Any, count: Any, begins: Number
+    ) -> tuple[Any, Any]:
         """A sighting's weight, and the square that it is of, given its square at the last belief.
 
         The weight is one when all `begins`.
@@ -127,4 +130,3 @@ def _by_count(w: Writer, functions: Sequence[Function], count: Any, given: list[
     for k, value in enumerate(values[:-1]):
         found = where(count == float(k), value, found)
     return found
-

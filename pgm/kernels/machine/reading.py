@@ -8,11 +8,12 @@ from pgm.kernels import step
 from pgm.kernels.arrays import LAST_PLACES, LOG_2PI
 from pgm.kernels.gaussian import NEARLY_SINGULAR
 from pgm.kernels.machine.cpd import Line, keep, linearised
+from pgm.kernels.machine.matrices import Belief
 from pgm.kernels.machine.numbers import Number
 from pgm.kernels.machine.outliers import REWEIGHINGS, Weighing, gated, kept_surplus, surplus
 from pgm.kernels.machine.told import Forward, Sensor
 from pgm.kernels.machine.wholes import Whole
-from pgm.kernels.machine.writer import Belief, Writer
+from pgm.kernels.machine.writer import Writer
 from pgm.kernels.numbers import least, most, sqrt, where
 from pgm.kernels.step import AnyMatrix
 
@@ -25,7 +26,7 @@ _FARTHEST = 1e12
 
 
 class Taken:
-    """A belief that takes in measurements: its moments, their log-density, and whether it is sure."""
+    """A belief that takes in measurements: moments, their log-density, and whether it is sure."""
 
     def __init__(self, w: Writer, mean: AnyMatrix, cov: AnyMatrix) -> None:
         self.moments = w.matrices.carried(mean, cov)

@@ -47,7 +47,7 @@ def made(chain: Forward | Backward, lanes: int, loops: bool | None = None) -> Sw
     code = module.function("sweep", (ADDRESS, WHOLE, WHOLE, ADDRESS), lanes=lanes)
     table, first, last, room = code.arguments
     frame = Frame(code, room)
-    looped = is_long(chain) if loops is None else loops
+    looped = is_long(chain, lanes) if loops is None else loops
     w = Writer(code, table, chain, Loops(code, frame) if looped else Lines(code))
     with _runs(w, first, last):
         if isinstance(chain, Forward):

@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 class Trace(Protocol):
     """A straight line of operations; see `pgm.tracing.graph.Graph`."""
 
-    operations: Sequence[tuple[Any, ...]]
+    @property
+    def operations(self) -> Sequence[Any]:
+        """Names, each followed by places of earlier operations."""
+        ...
 
     def reachable(self, outputs: Iterable[int]) -> list[int]:
         """The operations on which the outputs depend, in order."""

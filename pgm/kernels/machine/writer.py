@@ -10,15 +10,11 @@ from typing import Any
 
 from pgm.kernels.machine import told
 from pgm.kernels.machine.code import Code
-from pgm.kernels.machine.lines import Carried, Lines
-from pgm.kernels.machine.loops.loops import Held, Loops
+from pgm.kernels.machine.matrices import Matrices
 from pgm.kernels.machine.memory import Cells, Memory, Runs
 from pgm.kernels.machine.numbers import Number
 from pgm.kernels.machine.wholes import Address, Whole
 from pgm.kernels.step import AnyMatrix
-
-# A mean and a covariance that are carried from step to step.
-Belief = Carried | Held
 
 
 class Writer:
@@ -28,16 +24,14 @@ class Writer:
     that is known, be the table.
     """
 
-    def __init__(
-        self, code: Code, table: Address, chain: Any, matrices: Lines | Loops
-    ) -> None:
+    def __init__(self, code: Code, table: Address, chain: Any, matrices: Matrices) -> None:
         self.code, self.matrices = code, matrices
         wholes, addresses = Cells(code, table, Whole), Cells(code, table, Address)
         self.last, self._count = wholes.load(told.LAST), wholes.load(told.RUNS)
         self.iterations = wholes.load(told.ITERATIONS)
         self._settings = addresses.load(told.SETTINGS)
         self._residuals, self._ended = addresses.load(told.RESIDUALS), addresses.load(told.ENDED)
-        self._places = {
+        self._places: dict[told.Array, tuple[Any, ...]] = {
             array: (addresses.load(array.place), *map(wholes.load, _after(array.place)))
             for array in arrays(chain)
         }

@@ -22,11 +22,7 @@ from pgm.kernels.machine.wholes import Address
 
 
 class Loops:
-    """Matrices in memory; see `Lines` for the other kind.
-
-    A vector's numbers *side by side* are here packs, of several numbers of a single run, and zeros
-    after the last.
-    """
+    """Matrices in memory, whose numbers are side by side in packs; see `Matrices`."""
 
     def __init__(self, code: Code, frame: Frame) -> None:
         self.code, self._frame = code, frame

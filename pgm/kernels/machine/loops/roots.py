@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from pgm.kernels.machine.code import Code, Variable
+from pgm.kernels.machine.code import Code
 from pgm.kernels.machine.elementary import elementary
 from pgm.kernels.machine.loops.views import Index, View, size_of, tiled
 from pgm.kernels.machine.numbers import Number
@@ -121,7 +121,7 @@ def volume(code: Code, pivots: View, out: View) -> None:
 
 def open_share(code: Code, a: View, lines: View, unit: View, out: View) -> None:
     """The least share that components before it leave of one's variance, as `step.open_share`."""
-    least_share: Variable[Number] = code.variable(out.one(1.0))
+    least_share = code.variable(out.one(1.0))
     with code.loop(a.height) as i:
         with code.loop(a.packs, i // a.layout.across) as q:
             (line,) = _rest(a, lines, i, 1, q, 1, i, 0, _across(unit))
@@ -158,9 +158,7 @@ def _rest(
 ) -> list[list[Number]]:
     """A tile of a right side, less what the rows from `begin` to below `end` tell of it."""
     code = right.code
-    rest = [
-        [code.variable(right.pack(i + r, q + p)) for p in range(packs)] for r in range(height)
-    ]
+    rest = [[code.variable(right.pack(i + r, q + p)) for p in range(packs)] for r in range(height)]
     with code.loop(end, begin) as k:
         above = [known.pack(k, q + p) for p in range(packs)]
         for r, line in enumerate(rest):

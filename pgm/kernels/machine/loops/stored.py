@@ -14,8 +14,8 @@ from pgm.kernels.machine.loops.views import View
 from pgm.kernels.machine.numbers import Number, Operand, constant
 from pgm.kernels.machine.wholes import Address, Whole
 
-# Entries of matrices that are transposed entry by entry.
-_FEW = 64
+# Rows or columns from which on matrices are transposed by packs.
+_FEW = 4
 _KINDS: dict[type, Kind] = {Address: ADDRESS, Whole: WHOLE, Number: FLOAT}
 Constants = dict[tuple[int, tuple[tuple[float, ...], ...]], str]
 
@@ -147,7 +147,7 @@ class Stored:
 
     def _turn(self, source: Stored, out: Stored) -> None:
         """Write the transpose of a matrix that is not turned, the small ones entry by entry."""
-        if source.height * source.width > _FEW:
+        if min(source.height, source.width) >= _FEW:
             self.space.call("turned", products.turned, source, out)
         else:
             out.clear()

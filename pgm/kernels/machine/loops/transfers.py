@@ -53,7 +53,9 @@ def lie(cells: Memory) -> str:
     return f"{cells.runs.name} {'near' if _is_near(cells) else 'apart'}"
 
 
-def _transfer(space: Space, name: str, how: Callable[..., None], matrix: Stored, cells: Memory) -> None:
+def _transfer(
+    space: Space, name: str, how: Callable[..., None], matrix: Stored, cells: Memory
+) -> None:
     told = f"{name} {lie(cells)} {matrix.width}"
     space.call(told, how, matrix, given=[*place(cells), matrix.height])
 
@@ -90,7 +92,7 @@ def _write(code: Code, a: View, cells: Memory, rows: Whole, *, near: bool) -> No
         return
     full, rest = divmod(a.width, across)
     with code.loop(rows) as i:
-        begin = i * a.width
+        begin: Index = i * a.width
         for q in range(full if near else 0):
             cells.store(begin + q * across, a.pack(i, q))
         if near and rest:
