@@ -76,7 +76,7 @@ class Compiled:
 
 
 # The passes of levels 0 and 1: numbers into registers, inlining, and no search beyond a block.
-_LIGHT = ("always_inliner", "sroa", "simplify_cfg", "instruction_combine", "loop_rotate")
+_LIGHT = ("always_inliner", "sroa", "simplify_cfg")
 
 
 def _engine(text: str, level: int) -> Any:

@@ -10,6 +10,10 @@ if TYPE_CHECKING:
     from pgm.kernels.machine.code import Code
 
 
+# Instructions that leave a number as it is.
+_NOTHING = {("add", 0), ("sub", 0), ("mul", 1), ("udiv", 1)}
+
+
 class Whole:
     """A whole number of 64 bits: a count, an index or a distance in memory."""
 
@@ -76,6 +80,8 @@ class Whole:
         return Number(self.code, self.code.value(f"sitofp i64 {self.text} to double"))
 
     def _with(self, instruction: str, other: Whole | int) -> Whole:
+        if isinstance(other, int) and (instruction, other) in _NOTHING:
+            return self
         text = other.text if isinstance(other, Whole) else str(other)
         return Whole(self.code, self.code.value(f"{instruction} i64 {self.text}, {text}"))
 
