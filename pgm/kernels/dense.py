@@ -8,8 +8,12 @@ regular; that of a stack is semidefinite, and tells zeros from rounding (`roots`
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import cached_property, lru_cache
+from math import prod
+from threading import local
 from types import ModuleType
 from typing import Self
 
@@ -20,13 +24,19 @@ from pgm.kernels.arrays import (
     Array,
     Mask,
     block,
+    frozen,
     make_symmetric,
     multiply,
     times_symmetric,
     times_transposed,
     transpose,
 )
-from pgm.kernels.numbers import Matrix, Number, Root, inverse, least
+from pgm.kernels.numbers import Matrix, Number, Root, least, log
+
+# A B and A Bᵀ along rows of runs.
+_PRODUCT, _TIMES = "ij...,jk...->ik...", "ij...,kj...->ik..."
+# From this size on half of a symmetric product of rows of runs is computed, row by row.
+_LARGE = 6
 
 
 class _ArrayMatrix:
@@ -53,6 +63,12 @@ def _lapack() -> ModuleType:
     return module
 
 
+@lru_cache(maxsize=64)
+def _identity(size: int) -> Array:
+    """The matrix I, (size, size)."""
+    return frozen(np.eye(size))
+
+
 class Dense(_ArrayMatrix):
     """One matrix, (m, n)."""
 
@@ -76,13 +92,12 @@ class Dense(_ArrayMatrix):
         return Dense(self.array.dot(other.array))
 
     def times(self, other: Dense) -> Dense:
-        """The product A Bᵀ, of which it is known that it is symmetric."""
-        product = self.array.dot(other.array.T)
-        return Dense(0.5 * (product + product.T))
+        """The product A Bᵀ, of which it is known that it is symmetric but for rounding."""
+        return Dense(self.array.dot(other.array.T))
 
     def one_minus(self) -> Dense:
         """The matrix I − A."""
-        return Dense(np.eye(len(self.array)) - self.array)
+        return Dense(_identity(len(self.array)) - self.array)
 
     def scaled(self, number: float) -> Dense:
         """The matrix times a number."""
@@ -111,20 +126,22 @@ class DenseRoot:
     """The root `lower` (n, n) of a positive definite matrix A = L Lᵀ; NaN if A is not definite."""
 
     __slots__ = ("lower", "share")
+    lower: Array
 
     def __init__(self, matrix: Array) -> None:
-        lower, fault = _lapack().dpotrf(matrix, 1)
-        self.lower: Array = np.full_like(matrix, np.nan) if fault else lower
-        self.share = 1.0
-        for pivot, whole in zip(
-            self.lower.diagonal().tolist(), matrix.diagonal().tolist(), strict=True
-        ):
-            self.share = least(pivot * pivot * inverse(whole), self.share)
+        self.lower, fault = _lapack().dpotrf(matrix, 1)
+        if fault:
+            self.lower = np.full_like(matrix, np.nan)
+        self.share: float = math.nan if fault else 1.0
+        pivots, whole = self.lower.diagonal().tolist(), matrix.diagonal().tolist()
+        for pivot, variance in zip(pivots, whole, strict=True):
+            self.share = least(pivot * pivot / variance if variance else math.nan, self.share)
 
     @property
     def volume(self) -> float:
         """The logarithm of |L|, half of that of |A|."""
-        return float(np.log(self.lower.diagonal()).sum())
+        total: float = sum(map(log, self.lower.diagonal().tolist()))
+        return total
 
     @property
     def matrix(self) -> Dense:
@@ -138,6 +155,42 @@ class DenseRoot:
     def solve_transposed(self, right: Dense) -> Dense:
         """The X with Lᵀ X = B."""
         return Dense(_lapack().dtrtrs(self.lower, right.array, 1, 1)[0])
+
+
+class _Scratch(local):
+    """Memory for the products of a step, which the next step uses again, by thread.
+
+    Fresh memory for large arrays takes longer than their arithmetic.
+    """
+
+    def __init__(self) -> None:
+        self.memory, self.used, self.active = np.empty(0), 0, False
+
+    def empty(self, *shape: int) -> Array:
+        """An uninitialised array."""
+        size = prod(shape)
+        first, self.used = self.used, self.used + size
+        if not self.active or self.used > self.memory.size:
+            return np.empty(shape)
+        return self.memory[first : self.used].reshape(shape)
+
+
+_scratch = _Scratch()
+
+
+@contextmanager
+def scratch() -> Iterator[None]:
+    """A context in which products of runs lie in memory that is used again after it.
+
+    Sums and differences do not, and can leave it.
+    """
+    if _scratch.memory.size < _scratch.used:
+        _scratch.memory = np.empty(_scratch.used)
+    _scratch.used, _scratch.active = 0, True
+    try:
+        yield
+    finally:
+        _scratch.active = False
 
 
 class Runs(_ArrayMatrix):
@@ -160,23 +213,36 @@ class Runs(_ArrayMatrix):
         return Runs(self.array.swapaxes(0, 1))
 
     def __matmul__(self, other: Runs) -> Runs:
+        a, b = self.array, other.array
+        if a.shape[2:] == (1,):  # one for all, of which BLAS makes products
+            out = _scratch.empty(len(a), *b.shape[1:])
+            np.matmul(a[..., 0], b.reshape(len(b), -1), out=out.reshape(len(a), -1))
+            return Runs(out)
+        out = _scratch.empty(len(a), b.shape[1], *_batch(a, b))
+        if b.shape[2:] == (1,):
+            return Runs(np.matmul(b[..., 0].T, a, out=out))
         # Of a symmetric matrix rows are read in place of columns, which is faster.
-        product = "ij...,kj...->ik..." if other.symmetric else "ij...,jk...->ik..."
-        return Runs(np.einsum(product, self.array, other.array))
+        return Runs(np.einsum(_TIMES if other.symmetric else _PRODUCT, a, b, out=out))
 
     def times(self, other: Runs) -> Runs:
         """The products A Bᵀ, of which it is known that they are symmetric: half is computed."""
         a, b = self.array, other.array
         size = len(a)
-        out = np.empty((size, size, *np.broadcast_shapes(a.shape[2:], b.shape[2:])))
-        for i in range(size):
-            np.einsum("j...,kj...->k...", a[i], b[: i + 1], out=out[i, : i + 1])
+        out = _scratch.empty(size, size, *_batch(a, b))
+        if b.shape[2:] == (1,) < a.shape[2:]:
+            np.matmul(b[..., 0], a, out=out)
+        elif size < _LARGE:
+            np.einsum(_TIMES, a, b, out=out)
+        else:
+            for i in range(size):
+                np.einsum("j...,kj...->k...", a[i], b[: i + 1], out=out[i, : i + 1])
+        for i in range(1, size):
             out[:i, i] = out[i, :i]
         return Runs(out)
 
     def one_minus(self) -> Runs:
         """The matrices I − A."""
-        found = -self.array
+        found = np.negative(self.array, out=_scratch.empty(*self.array.shape))
         diagonal = np.einsum("ii...->i...", found)
         diagonal += 1.0
         return Runs(found)
@@ -212,8 +278,6 @@ class RunsRoot:
     at once.
     """
 
-    __slots__ = ("root",)
-
     def __init__(self, root: Root) -> None:
         self.root = root
 
@@ -223,7 +287,7 @@ class RunsRoot:
         found: Array = self.root.share
         return found
 
-    @property
+    @cached_property
     def volume(self) -> Array:
         """The logarithms of |L|, (*batch)."""
         found: Array = self.root.volume
@@ -247,12 +311,22 @@ class RunsRoot:
         return _runs(self.root.solve_transposed(_rows(right)))
 
 
+def _batch(a: Array, b: Array) -> tuple[int, ...]:
+    """The batch of two arrays (m, n, *batch), of which one may be of length one."""
+    one, other = a.shape[2:], b.shape[2:]
+    return one if other == (1,) or one == other else np.broadcast_shapes(one, other)
+
+
 def _rows(right: Runs) -> Matrix:
     return Matrix([row] for row in right.array)
 
 
 def _runs(rows: Matrix) -> Runs:
-    return Runs(np.array([row[0] for row in rows.rows]))
+    columns = [row[0] for row in rows.rows]
+    out = _scratch.empty(len(columns), *columns[0].shape)
+    for place, column in zip(out, columns, strict=True):
+        place[...] = column
+    return Runs(out)
 
 
 class Stack(_ArrayMatrix):

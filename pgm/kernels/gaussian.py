@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
-from math import sqrt
+from math import log, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,8 +26,9 @@ from pgm.kernels.arrays import (
     Index,
     components_first,
     components_last,
+    symmetric,
 )
-from pgm.kernels.dense import Dense, DenseRoot, Runs, RunsRoot
+from pgm.kernels.dense import Dense, DenseRoot, Runs, RunsRoot, scratch
 from pgm.kernels.moments import ROUNDING
 from pgm.kernels.numbers import Matrix, Number
 
@@ -38,6 +39,8 @@ NEARLY_SINGULAR = 1e-6
 _REGULAR = 1e-11
 # Of n components and d others, beyond n d (n + d) of this size LAPACK is quicker than Python.
 _MOST = 90
+# The largest factor by which a mild measurement shrinks a variance.
+_MILD = 1e3
 
 
 def deviations(cov: Array) -> Array:
@@ -71,9 +74,12 @@ def root(cov: Array) -> DenseRoot | RunsRoot | None:
 
     P is not clearly regular if a pivot L_jj² of its root is at most 10⁻¹¹ P_jj.
     """
+    if cov.ndim == 2:
+        one = Dense(cov).root()
+        return one if one.share > _REGULAR else None
     with np.errstate(invalid="ignore", divide="ignore"):  # such a pivot may have no root
-        found: DenseRoot | RunsRoot = _kind(cov)(cov).root()
-    return found if np.all(found.share > _REGULAR) else None
+        many = Runs(cov).root()
+    return many if (many.share > _REGULAR).all() else None
 
 
 def _kind(array: Array) -> Any:
@@ -111,9 +117,11 @@ def predict(cov: Array, matrix: Array, noise: Array, bare: tuple[int, ...] = ())
     quick = _predicting(len(noise), len(cov)) if cov.ndim == 2 else None
     if quick is not None:
         spread: Array = quick(cov, matrix, noise)
+    elif cov.ndim == 2:
+        spread = symmetric(step.predict(Dense(cov), Dense(matrix), Dense(noise)).array)
     else:
-        kind = _kind(cov)
-        spread = step.predict(kind(cov, True), kind(matrix), kind(noise)).array
+        with scratch():
+            spread = step.predict(Runs(cov, True), Runs(matrix), Runs(noise)).array
     return _certain(spread, cov, matrix, bare) if bare else spread
 
 
@@ -225,7 +233,7 @@ def update(
     """
     if not exact:
         arguments = mean, cov, matrix, residual, noise
-        found = update_one(*arguments) if cov.ndim == 2 else _conditioned(Runs, *arguments, least)
+        found = update_one(*arguments) if cov.ndim == 2 else _update_many(*arguments, least)
         if found is not None:
             return Update(found[0], found[1], found[2], True, None)
     parts = components_last(mean, 1), components_last(cov, 2), components_last(matrix, 2)
@@ -252,21 +260,50 @@ def update_one(
     if quick is not None:
         found: tuple[Array, Array, float] | None = quick(mean, cov, matrix, residual, noise)
         return found
-    return _conditioned(Dense, mean, cov, matrix, residual, noise, NEARLY_SINGULAR)
+    vectors = Dense(mean[:, None]), Dense(residual[:, None])
+    after = step.update(vectors[0], Dense(cov), Dense(matrix), vectors[1], Dense(noise))
+    if not after.share > NEARLY_SINGULAR:
+        return None
+    density: float = _log_density(after, len(residual))
+    return after.mean.array[:, 0], symmetric(after.cov.array), density
 
 
-def _conditioned(
-    kind: Any, mean: Array, cov: Array, matrix: Array, residual: Array, noise: Array, least: float
-) -> tuple[Array, Array, Any] | None:
-    """The mean, covariance and log-density of `update`, by a kind of matrices.
+def _update_many(
+    mean: Array, cov: Array, matrix: Array, residual: Array, noise: Array, least: float
+) -> tuple[Array, Array, Array] | None:
+    """The means, covariances and log-densities of `update` for a batch of runs.
 
     None if a pivot of S is at most `least` times its diagonal entry, in any run.
     """
-    vectors = kind(mean[:, None]), kind(residual[:, None])
-    after = step.update(vectors[0], kind(cov, True), kind(matrix), vectors[1], kind(noise, True))
-    if not np.all(after.share > least):
-        return None
-    return after.mean.array[:, 0], after.cov.array, _log_density(after, len(residual))
+    belief, slope, error = Runs(cov, True), Runs(matrix), Runs(noise, True)
+    before, off = Runs(mean[:, None]), Runs(residual[:, None])
+    with scratch():
+        cross = slope @ belief
+        root = (cross.times(slope) + error).root()
+        if not (root.share > least).all():
+            return None
+        if _is_mild(noise, root, least):
+            after = step.lessened(before, belief, off, root, cross)
+        else:
+            gain = step.gain(root, cross)
+            after = step.given(before, belief, slope, off, error, root, gain)
+        density = _log_density(after, len(residual))
+        return after.mean.array[:, 0], after.cov.array, density
+
+
+def _is_mild(noise: Array, root: RunsRoot, least: float) -> bool:
+    """Whether it is known that measurements shrink no variance more than a thousand times.
+
+    So it is where det S < 1000 det R, R being the `noise` and `root` that of S: as S ≥ R, S is then
+    at most 1000 R in every direction.
+    """
+    if noise.shape[-1] > 1:
+        many = Runs(noise).root()
+        regular, further = many.share.min() > _MILD * least, root.volume - many.volume
+    else:
+        one = Dense(noise[..., 0]).root()
+        regular, further = one.share > _MILD * least, root.volume - one.volume
+    return bool(regular and further.max() < 0.5 * log(_MILD))
 
 
 def _log_density(after: step.Updated, size: int) -> Number:

@@ -72,6 +72,8 @@ def least(a: Number, b: Number) -> Number:
     """The lesser of two numbers; NaN where one is."""
     if type(a) is float and type(b) is float:
         return a if a < b or a != a else b
+    if isinstance(a, np.ndarray):
+        return np.minimum(a, b)
     return where((a < b) | (a != a), a, b)
 
 
@@ -79,6 +81,8 @@ def most(a: Number, b: Number) -> Number:
     """The larger of two numbers; NaN where one is."""
     if type(a) is float and type(b) is float:
         return a if a > b or a != a else b
+    if isinstance(a, np.ndarray):
+        return np.maximum(a, b)
     return where((a > b) | (a != a), a, b)
 
 

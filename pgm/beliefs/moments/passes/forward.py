@@ -142,14 +142,14 @@ class Watch:
 
         `last` says that the step is the last.
         """
-        spread, left = np.einsum("iir->ir", predicted), along_runs.least_left(predicted, known)
-        mild = left >= _MILD
+        spread = np.einsum("iir->ir", predicted)
+        mild = bool((np.einsum("iir->ir", known) >= _MILD * spread).all())
         regular = mild and not (spread > _GROWN * self._level).any()
         if not regular:
             self._level = spread.copy()
             self._see(along_runs.open_share(predicted.copy()))
         if not mild:
-            self._see(left)
+            self._see(along_runs.least_left(predicted, known))
         if not self._step:
             self._level = np.einsum("iir->ir", known).copy()
         if not regular or last or (self._step and self._step % _EVERY == 0):
