@@ -118,7 +118,13 @@ def function(shapes: Mapping[str, tuple[int, ...]], body: Body) -> Callable[...,
     lines.append(f"return {', '.join([program.text(number) for number in found])}")
     source = f"def function({', '.join(shapes)}):\n try:\n  " + "\n  ".join(lines)
     source += "\n except (ValueError, ZeroDivisionError):\n  return None"
-    scope: dict[str, Any] = {"array": np.ndarray, "pack": pack, "sqrt": sqrt, "log": log}
+    scope: dict[str, Any] = {
+        "array": np.ndarray,
+        "pack": pack,
+        "sqrt": sqrt,
+        "log": log,
+        "rint": round,
+    }
     exec(source, scope)
     compiled: Callable[..., Any] = scope["function"]
     return compiled

@@ -518,8 +518,11 @@ def test_lines_of_what_is_not_definite_return_nothing():
 # ---- once
 
 PACKAGE = Path(pgm.__file__).parent
-# Machine code by Numba has its own, until it goes.
-APART = {"kernels/compiled", "beliefs/moments/compiled"}
+# Machine code by Numba has its own, until it goes; in twice the digits one scalar is taken in after
+# another, with the rounding of each.
+APART = {"kernels/compiled", "beliefs/moments/compiled", "beliefs/moments/digits"}
+# Distances with their mean taken off, and a projection: neither has a gain.
+OTHERS = {("viewer/placing.py", "_stressed"), ("kernels/rows.py", "_eliminate_exact")}
 
 
 def sandwiches(source):
@@ -574,7 +577,7 @@ def test_a_sum_of_squares_is_written_once():
         place = path.relative_to(PACKAGE).as_posix()
         if not any(place.startswith(apart) for apart in APART):
             found |= {(place, name) for name in sandwiches(path.read_text(encoding="utf-8"))}
-    assert found == {("kernels/step.py", "squares")}
+    assert found - OTHERS == {("kernels/step.py", "squares")}
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,7 @@ from pgm.beliefs.moments.steps.vector import Measured
 from pgm.kernels import gaussian
 from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import Array, Mask, components_first, components_last, times, within
+from pgm.kernels.step import nearest
 from pgm.linearisation.failures import require_finite
 from pgm.linearisation.rows import At
 from pgm.linearisers import Line
@@ -312,7 +313,6 @@ def on_chart(link: Link, at: At, before: Array, value: Array) -> Array:
     result a wrapped angle is within half a turn of itself a step before; other components stay.
     """
     assert at.function is not None
-    turned = value[link.angles] - before[link.before]
     # A function that wraps gives the same for an angle a whole turn on; another turns too.
     further = before.copy()
     further[link.before] += TURN
@@ -320,7 +320,8 @@ def on_chart(link: Link, at: At, before: Array, value: Array) -> Array:
     gained = components_first(ends[0] - ends[1], 1)
     wraps = np.abs(gained[link.angles]) < 0.5 * TURN
     moved = value.copy()
-    moved[link.angles] -= np.where(wraps, TURN * np.round(turned / TURN), 0.0)
+    near = nearest(value[link.angles], before[link.before])
+    moved[link.angles] = np.where(wraps, near, value[link.angles])
     return moved
 
 

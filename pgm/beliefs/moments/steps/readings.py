@@ -38,6 +38,7 @@ from pgm.kernels.arrays import (
 )
 from pgm.kernels.gaussian import NEARLY_SINGULAR
 from pgm.kernels.roots import NEGLIGIBLE
+from pgm.kernels.step import nearest
 from pgm.linearisation.failures import require_finite
 from pgm.linearisation.rows import At
 from pgm.linearisers import Line
@@ -368,7 +369,7 @@ def _nearest(reading: Array, value: Array, turning: Sequence[int]) -> Array:
         if moved is reading:
             moved = np.empty_like(value)
             moved[...] = reading
-        moved[k] -= TURN * np.round(off / TURN)
+        moved[k] = nearest(reading[k], value[k])
     return moved
 
 
