@@ -335,7 +335,7 @@ def belief_of(
     belief's own arrays have these axes first, as `log_evidence`, (*lead), has them already.
     `careful` are the moments in twice the digits, None if the step was made in float64 alone.
     """
-    lead, (mean, cov, _) = plan.lead, found
+    lead, (mean, cov) = plan.lead, found
     if lead:
         mean, cov = (part.reshape(*lead, *part.shape[1:]) for part in found.by_run)
     told = log_evidence, status, kind, careful, behind
