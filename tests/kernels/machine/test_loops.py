@@ -242,6 +242,28 @@ def test_sweeps_are_those_of_numpy(monkeypatch, kind, rule, n, runs):
     sweeps.made.cache_clear()
 
 
+@pytest.mark.parametrize("runs", [(), (11,)], ids=["one", "packs"])
+@pytest.mark.parametrize("rule", RULES)
+def test_a_single_component(monkeypatch, rule, runs):
+    """Matrices of one row are columns too."""
+    monkeypatch.setattr(sweeps, "is_long", lambda chain, lanes: True)
+    sweeps.made.cache_clear()
+    x, z = named("x", 1), named("z", 1)
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(x, 0.3, 1.0)],
+        [pgm.NonlinearGaussianCPD(x, x.previous, np.sin, cov=0.1)],
+        [pgm.NonlinearGaussianCPD(z, x, np.cos, cov=0.2)],
+    )
+    evidence = {z: np.random.default_rng(1).normal(size=(*runs, 12, 1))}
+    found, due = (
+        pgm.smooth(model, evidence, lineariser=RULES[rule], compiled=choice)[x]
+        for choice in (True, False)
+    )
+    sweeps.made.cache_clear()
+    assert_allclose(found.mean, due.mean, atol=1e-11)
+    assert_allclose(found.cov, due.cov, atol=1e-11)
+
+
 @pytest.mark.parametrize("lanes", LANES)
 def test_both_kinds_agree(monkeypatch, lanes):
     """In straight lines and in loops, of a model that either may have."""
