@@ -319,5 +319,5 @@ class _Sighting(NamedTuple):
 
 def _is_positive(w: Writer, matrix: AnyMatrix) -> Number:
     """Whether a matrix is positive definite."""
-    first: Number = matrix[0, 0]
-    return (first > 0.0) & (w.matrices.open_share(matrix) > 0.0)
+    positive: Number = (matrix[0, 0] > 0.0) & (w.matrices.open_share(matrix) > 0.0)
+    return positive
