@@ -319,4 +319,5 @@ class _Sighting(NamedTuple):
 
 def _is_positive(w: Writer, matrix: AnyMatrix) -> Any:
     """Whether a matrix is positive definite."""
-    return (matrix[0, 0] > 0.0) & (w.matrices.open_share(matrix) > 0.0)
+    positive: Number = (matrix[0, 0] > 0.0) & (w.matrices.open_share(matrix) > 0.0)
+    return positive

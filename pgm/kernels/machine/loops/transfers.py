@@ -78,8 +78,8 @@ def _read(code: Code, out: View, cells: Memory, rows: Whole, *, near: bool) -> N
         if near and rest:
             out.put(i, full, _part(code, cells, begin + full * across, rest))
         elif not near:
-            with code.loop(out.packs) as q:
-                out.put(i, q, 0.0)
+            with code.loop(out.packs) as p:
+                out.put(i, p, 0.0)
             with code.loop(out.width) as j:
                 out.put_entry(i, j, _one(code, cells, begin + j))
 
