@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from pgm.kernels import step
 from pgm.kernels.machine.numbers import Number
-from pgm.kernels.machine.told import Function, Points, Row
+from pgm.kernels.machine.told import Called, Function, Points, Row
 from pgm.kernels.machine.traces import written
 from pgm.kernels.machine.wholes import Whole
 from pgm.kernels.machine.writer import Writer, held
@@ -43,6 +43,9 @@ def evaluated(
     w: Writer, row: Row, at: Whole, x: Sequence[Any], *, slope: bool = False
 ) -> tuple[list[Any], list[Any]]:
     """The value of a CPD's function at its row, and the derivative, row by row, if it is asked."""
+    if row.called is not None:
+        assert not slope
+        return _called_at(w, row.called, at, x), []
     function = row.function
     assert function is not None
     places = {column: k for k, column in enumerate(function.observed)}
@@ -70,9 +73,16 @@ def traced(
     return every[: len(function.value)], every[len(function.value) :]
 
 
-def linearised(w: Writer, row: Row, at: Whole, mean: Matrix, cov: Matrix) -> Line:
-    """A CPD linearised at a belief over its parents, a mean (n × 1) and a covariance (n × n)."""
+def linearised(
+    w: Writer, row: Row, at: Whole, mean: Matrix, cov: Matrix, again: Number | None = None
+) -> Line:
+    """A CPD linearised at a belief over its parents, a mean (n × 1) and a covariance (n × n).
+
+    `again` says that it was, in this step and at this belief.
+    """
     noise = w.symmetric(row.noise, at)
+    if row.called is not None:
+        return _called(w, row.called, at, mean, cov, noise, again)
     if row.function is None:
         assert row.matrix is not None
         assert row.offset is not None
@@ -90,10 +100,36 @@ def linearised(w: Writer, row: Row, at: Whole, mean: Matrix, cov: Matrix) -> Lin
 
 def keep(w: Writer, row: Row, at: Whole, mean: Matrix, line: Line) -> None:
     """Keep a linearisation, where that is asked for; its noise is kept by whoever weighs it."""
-    if row.function is not None and row.matrix is not None:
+    if row.curved and row.matrix is not None:
         assert row.offset is not None
         w.keep(row.matrix, line.matrix, at)
         w.keep(row.offset, line.value - line.matrix @ mean, at)
+
+
+def _called(
+    w: Writer,
+    called: Called,
+    at: Whole,
+    mean: Matrix,
+    cov: Matrix,
+    noise: Matrix,
+    again: Number | None,
+) -> Line:
+    place = at % called.rows
+    with w.code.when(w.true.lane(0) if again is None else ~again):
+        w.keep(called.mean, mean, place)
+        w.keep(called.cov, cov, place)
+        w.ask(2 * called.number, at)
+    error = None if called.error is None else w.symmetric(called.error, place)
+    matrix, value = w.matrix(called.matrix, place), w.column(called.value, place)
+    return Line(matrix, value, noise, error, w.true)
+
+
+def _called_at(w: Writer, called: Called, at: Whole, x: Sequence[Any]) -> list[Any]:
+    place = at % called.rows
+    w.keep(called.mean, Matrix.column(x), place)
+    w.ask(2 * called.number + 1, at)
+    return [number for (number,) in w.column(called.value, place).rows]
 
 
 def _regressed(w: Writer, row: Row, at: Whole, mean: Matrix, cov: Matrix, noise: Matrix) -> Line:

@@ -150,7 +150,7 @@ def _are_curved(w: Writer, chain: Forward, at: Whole) -> Number:
     """Whether some measurement of a step has to be linearised."""
     found = w.code.constant(False).lane(0)
     for sensor in chain.sensors:
-        if sensor.function is None:
+        if not sensor.curved:
             continue
         if sensor.bounds is None:
             return w.code.constant(True).lane(0)
@@ -221,7 +221,8 @@ def _read(
     """Take in a sighting; `fresh` says that no other of its step is taken in yet."""
     parents = sensor.parents
     x = point.at.part(parents, (0,))
-    line = linearised(w, sensor, at, x, point.about.part(parents, parents))
+    again = None if weighing is None else weighing.again
+    line = linearised(w, sensor, at, x, point.about.part(parents, parents), again)
     keep(w, sensor, at, x, line)
     values = [number for (number,) in w.column(sensor.readings, at).rows]
     for k in sensor.angles:
@@ -259,7 +260,7 @@ def _read(
     if not fresh:
         residual = residual - sighting.matrix @ (mean - point.at)
     after = step.update(mean, cov, sighting.matrix, residual, noise)
-    limit = _STRAIGHT if sensor.function is None else _CURVED
+    limit = _CURVED if sensor.curved else _STRAIGHT
     part = least(limit * (10.0 + after.square), w.code.constant(_MILD))
     whole = step.predict(point.cov, sighting.matrix, noise)
     sharp = (after.square < _FARTHEST) & _is_positive(noise - whole.scaled(part))

@@ -24,6 +24,9 @@ from pgm.kernels.machine.memory import Runs
 LAST, RUNS, ITERATIONS, SETTINGS, RESIDUALS, ENDED, FIRST = range(7)
 # Of an array: its address, and the distances in floats between rows, runs, and its own cells.
 ADDRESS, DOWN, ACROSS, CELL = range(4)
+# What a program is asked for: see `Writer.ask`; the row; the step, infinite at the end; and whether
+# a run is right so far.
+WHAT, ROW, STEP, SURE = range(4)
 
 
 @dataclass(frozen=True)
@@ -120,6 +123,33 @@ class Points:
     variances: tuple[float, ...]
 
 
+@dataclass(frozen=True)
+class Called:
+    """A function that cannot be compiled: machine code waits until its program has called it.
+
+    Attributes
+    ----------
+    number : int
+        Of the function, among those of the chain that are called.
+    rows : int
+        Of how many rows lines stay where they are put, until a step is done with them.
+    mean, cov : Array
+        Where the belief over its parents is put, (n,) and (n, n).
+    value, matrix : Array
+        Where its value there is found, (d,), and its slope (d, n).
+    error : Array or None
+        The covariance (d, d) of the linearisation's error; None where there is none.
+    """
+
+    number: int
+    rows: int
+    mean: Array
+    cov: Array
+    value: Array
+    matrix: Array
+    error: Array | None
+
+
 @dataclass(frozen=True, kw_only=True)
 class Row:
     """A CPD at its rows: y = F x + b + e of its parents x, or a function that is linearised.
@@ -135,7 +165,9 @@ class Row:
     matrix, offset : Array or None
         F (d, n) and b (d,) of an affine CPD, and else where they are kept, if they are.
     function : Function or None
-        None of an affine CPD.
+        Of a CPD that is linearised in machine code.
+    called : Called or None
+        Of one that is linearised by the program.
     points : Points or None
         Of the rule by which it is linearised; None of `Taylor`.
     inputs : Array or None
@@ -152,10 +184,16 @@ class Row:
     matrix: Array | None = None
     offset: Array | None = None
     function: Function | None = None
+    called: Called | None = None
     points: Points | None = None
     inputs: Array | None = None
     kept: Array | None = None
     angles: tuple[int, ...] = ()
+
+    @property
+    def curved(self) -> bool:
+        """Whether it has to be linearised."""
+        return self.function is not None or self.called is not None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -257,6 +295,8 @@ class Forward:
         is kept, and given them.
     density : Array
         The log-densities of each step's measurements.
+    asked : Array or None
+        For what a sweep waits whose functions are called, (4,): see `Writer.ask`.
     """
 
     size: int
@@ -269,6 +309,7 @@ class Forward:
     known: tuple[Array, Array]
     density: Array
     iterated: bool
+    asked: Array | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,6 +10,7 @@ from pgm.kernels.machine import told
 from pgm.kernels.machine.code import Code, Variable
 from pgm.kernels.machine.memory import Cells, Memory, Runs
 from pgm.kernels.machine.numbers import Number, constant
+from pgm.kernels.machine.waiting import Waiting
 from pgm.kernels.machine.wholes import Address, Whole
 from pgm.kernels.numbers import Matrix
 
@@ -21,8 +22,11 @@ class Writer:
     that is known, be the table.
     """
 
-    def __init__(self, code: Code, table: Address, chain: Any) -> None:
-        self.code = code
+    def __init__(
+        self, code: Code, table: Address, chain: Any, waiting: Waiting | None = None
+    ) -> None:
+        self.code, self._waiting = code, waiting
+        self._asked = chain.asked if isinstance(chain, told.Forward) else None
         wholes, addresses = Cells(code, table, Whole), Cells(code, table, Address)
         self.last, self._count = wholes.load(told.LAST), wholes.load(told.RUNS)
         self.iterations = wholes.load(told.ITERATIONS)
@@ -63,6 +67,27 @@ class Writer:
     def ended(self, what: int) -> Memory:
         """Where something is told of the runs at hand."""
         return Memory(self.code, self._ended + (self.run + self._count * what))
+
+    def ask(self, what: int, row: Whole) -> None:
+        """Wait until the program has called a function at a row.
+
+        Of function number k it is asked for a linearisation by 2k, and for a value by 2k + 1.
+        """
+        assert self._waiting is not None
+        cells = self.at(self._asked)
+        cells.store(told.WHAT, float(what))
+        cells.store(told.ROW, row.number())
+        self._waiting.wait()
+
+    def reach(self, step: Number | float, sure: Number) -> None:
+        """Tell the program how far the runs at hand are, and whether all was right so far.
+
+        It is told where it is asked for anything.
+        """
+        if self._asked is not None:
+            cells = self.at(self._asked)
+            cells.store(told.STEP, step)
+            cells.store(told.SURE, sure.number())
 
     def sightings(self, sensor: told.Sensor, at: Whole) -> tuple[Whole, Whole]:
         """The first sighting of a step, and the one after its last."""

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.beliefs.moments.compiled.called import Call, Calls
 from pgm.beliefs.moments.compiled.functions import function_of, loss_of, points_of
+from pgm.beliefs.moments.compiled.memory import address
 from pgm.beliefs.moments.steps import gate as gates
 from pgm.beliefs.moments.steps.plan import ChainPlan, Link
 from pgm.beliefs.moments.steps.sensor import Sensor
@@ -27,12 +29,6 @@ class Uncompiled(Exception):
     """A plan that machine code cannot sweep, and why."""
 
 
-def address(array: npt.NDArray[Any]) -> int:
-    """Where an array's memory begins."""
-    found: int = array.__array_interface__["data"][0]
-    return found
-
-
 class Table:
     """A table that is filled, and the arrays that it tells of, which stay in memory as it does.
 
@@ -44,6 +40,8 @@ class Table:
         self.numbers = [0] * told.FIRST
         self.numbers[told.LAST], self.numbers[told.RUNS] = plan.steps, plan.runs
         self.decisions: list[tuple[Sensor, Array]] = []
+        self.calls = Calls(plan.runs)
+        self._account = plan.account
         self._kept: list[object] = []
 
     def put(self, place: int, array: npt.NDArray[Any]) -> None:
@@ -75,6 +73,16 @@ class Table:
         if self.lanes > 1 and across != 1:
             runs = Runs.APART if across else Runs.SAME
         return told.Array(place, array.shape[2:], runs, cell == 1)
+
+    def called(self, family: Family, why: str, rows: int) -> told.Called:
+        """A function that is called at its rows, so many of which stay where they are at a time."""
+        self._account.call_back(family.cpd.child.name, why)
+        call = Call(family, rows)
+        self.calls.each.append(call)
+        arrays = call.mean, call.cov, call.value, call.matrix
+        places = [self.array(np.moveaxis(cells, -1, 1)) for cells in arrays]
+        error = None if call.error is None else self.array(np.moveaxis(call.error, -1, 1))
+        return told.Called(len(self.calls.each) - 1, rows, *places, error)
 
     @property
     def whole(self) -> Integers64:
@@ -144,8 +152,10 @@ def sensor_of(
     single = sensor.bounds == list(range(plan.steps + 2))
     kept = keep and not stored and bool(sensor.variable.angles)
     loss = _loss_of(sensor, table, taken is not None, found=stored) if sensor.robust else None
+    # Robust sightings of a step are weighed several times, as they were linearised.
+    held = 1 if loss is None else max(np.diff(sensor.bounds))
     return told.Sensor(
-        **_row(family, places(sensor.parents, size), table, stored=stored, keep=keep),
+        **_row(family, places(sensor.parents, size), table, stored=stored, keep=keep, held=held),
         readings=table.array(values),
         moved=table.array(sensor.moved) if kept else None,
         missing=taken is not None,
@@ -189,7 +199,13 @@ def decided(table: Table) -> None:
 
 
 def _row(
-    family: Family, parents: tuple[int, ...], table: Table, *, stored: bool, keep: bool
+    family: Family,
+    parents: tuple[int, ...],
+    table: Table,
+    *,
+    stored: bool,
+    keep: bool,
+    held: int = 1,
 ) -> dict[str, Any]:
     found: dict[str, Any] = {"parents": parents, "height": family.shape[2]}
     if not stored:
@@ -203,25 +219,34 @@ def _row(
             family.keep_errors()
             found["kept"] = table.array(family.noise)
         return found
-    answers, template = family.trace_whole(), family.template
-    if isinstance(answers, str):
-        raise Uncompiled(f"{family.cpd!r}: {answers}")
+    found["noise"] = table.array(family.own_noise)
+    curve = _curve(family, table, max(held, 1))
+    found |= curve
+    if keep:
+        found["matrix"], found["offset"] = table.array(family.matrix), table.array(family.offset)
+        called = curve.get("called")
+        exact = curve.get("points") is None and (called is None or called.error is None)
+        if not exact or family.cpd.noise is not None:
+            family.keep_errors()
+            found["kept"] = table.array(family.noise)
+    return found
+
+
+def _curve(family: Family, table: Table, held: int) -> dict[str, Any]:
+    """How a CPD is linearised: by its traced function, or by calls of it."""
     rule = points_of(family)
     if isinstance(rule, str):
-        raise Uncompiled(f"{family.cpd!r}: {rule}")
+        return {"called": table.called(family, rule, held)}
+    answers, template = family.trace_whole(), family.template
+    if isinstance(answers, str):
+        return {"called": table.called(family, answers, held)}
     inputs = [
         family.inputs[parent]
         for parent, place in zip(template.given, template.places, strict=True)
         if place is None
     ]
-    found |= {"function": function_of(template, answers.trace), "points": rule}
-    found["noise"], found["inputs"] = table.array(family.own_noise), _joined(inputs, table)
-    if keep:
-        found["matrix"], found["offset"] = table.array(family.matrix), table.array(family.offset)
-        if rule is not None or family.cpd.noise is not None:
-            family.keep_errors()
-            found["kept"] = table.array(family.noise)
-    return found
+    function = function_of(template, answers.trace)
+    return {"function": function, "points": rule, "inputs": _joined(inputs, table)}
 
 
 def _joined(inputs: Sequence[Array], table: Table) -> told.Array | None:
