@@ -7,8 +7,9 @@ from math import pi
 from typing import Any, NamedTuple
 
 from pgm.kernels import step
+from pgm.kernels.machine.called import called_at, tangent
 from pgm.kernels.machine.numbers import Number
-from pgm.kernels.machine.told import Called, Function, Points, Row
+from pgm.kernels.machine.told import Function, Lines, Points, Row
 from pgm.kernels.machine.traces import written
 from pgm.kernels.machine.wholes import Whole
 from pgm.kernels.machine.writer import Writer, held
@@ -40,12 +41,16 @@ class Line(NamedTuple):
 
 
 def evaluated(
-    w: Writer, row: Row, at: Whole, x: Sequence[Any], *, slope: bool = False
+    w: Writer, row: Row, at: Whole, x: Sequence[Any], *, slope: Matrix | None = None
 ) -> tuple[list[Any], list[Any]]:
-    """The value of a CPD's function at its row, and the derivative, row by row, if it is asked."""
+    """The value of a CPD's function at its row, and the derivative, row by row, if it is asked.
+
+    It is asked by the covariance of the belief, over which a derivative by differences is taken.
+    """
     if row.called is not None:
-        assert not slope
-        return _called_at(w, row.called, at, x), []
+        if slope is not None:
+            return tangent(w, row, at, x, slope)
+        return called_at(w, row.called, at, [x])[0], []
     function = row.function
     assert function is not None
     places = {column: k for k, column in enumerate(function.observed)}
@@ -59,7 +64,7 @@ def evaluated(
             known[column] = observed.load(places[column])
         return known[column]
 
-    return traced(w, function, of, slope=slope)
+    return traced(w, function, of, slope=slope is not None)
 
 
 def traced(
@@ -78,24 +83,51 @@ def linearised(
 ) -> Line:
     """A CPD linearised at a belief over its parents, a mean (n × 1) and a covariance (n × n).
 
-    `again` says that it was, in this step and at this belief.
+    `again` says that it has been, in this step and at this belief; None that it has not.
     """
     noise = w.symmetric(row.noise, at)
-    if row.called is not None:
-        return _called(w, row.called, at, mean, cov, noise, again)
-    if row.function is None:
+    if row.called is not None and row.called.lines is not None:
+        lines = row.called.lines
+        place = at % lines.rows
+        with w.code.when(w.true.lane(0) if again is None else ~again):
+            if lines.cov is not None:
+                w.keep(row.called.points, mean)
+                w.keep(lines.cov, cov)
+                w.ask(row.called.number, 0, at)
+            else:
+                _put(w, lines, place, _curved(w, row, at, mean, cov, noise))
+        return _again(w, lines, place, noise)
+    if not row.curved:
         assert row.matrix is not None
         assert row.offset is not None
         matrix = w.matrix(row.matrix, at)
         value = matrix @ mean + w.column(row.offset, at)
         return Line(matrix, value, noise, None, w.true)
+    return _curved(w, row, at, mean, cov, noise)
+
+
+def _curved(w: Writer, row: Row, at: Whole, mean: Matrix, cov: Matrix, noise: Matrix) -> Line:
     x = [number for (number,) in mean.rows]
     if row.points is not None and x:
         return _regressed(w, row, at, mean, cov, noise)
-    value, slope = evaluated(w, row, at, x, slope=True)
+    value, slope = evaluated(w, row, at, x, slope=cov)
     size = len(x)
     matrix = Matrix([slope[i * size : (i + 1) * size] for i in range(row.height)])
     return Line(matrix, Matrix.column(value), noise, None, w.true)
+
+
+def _put(w: Writer, lines: Lines, place: Whole, line: Line) -> None:
+    w.keep(lines.value, line.value, place)
+    w.keep(lines.matrix, line.matrix, place)
+    w.keep(lines.sure, Matrix([[line.sure.number()]]), place)
+    if line.error is not None:
+        w.keep(lines.error, line.error, place)
+
+
+def _again(w: Writer, lines: Lines, place: Whole, noise: Matrix) -> Line:
+    matrix, value = w.matrix(lines.matrix, place), w.column(lines.value, place)
+    error = None if lines.error is None else w.symmetric(lines.error, place)
+    return Line(matrix, value, noise, error, w.at(lines.sure, place).load(0) > 0.0)
 
 
 def keep(w: Writer, row: Row, at: Whole, mean: Matrix, line: Line) -> None:
@@ -106,46 +138,24 @@ def keep(w: Writer, row: Row, at: Whole, mean: Matrix, line: Line) -> None:
         w.keep(row.offset, line.value - line.matrix @ mean, at)
 
 
-def _called(
-    w: Writer,
-    called: Called,
-    at: Whole,
-    mean: Matrix,
-    cov: Matrix,
-    noise: Matrix,
-    again: Number | None,
-) -> Line:
-    place = at % called.rows
-    with w.code.when(w.true.lane(0) if again is None else ~again):
-        w.keep(called.mean, mean, place)
-        w.keep(called.cov, cov, place)
-        w.ask(2 * called.number, at)
-    error = None if called.error is None else w.symmetric(called.error, place)
-    matrix, value = w.matrix(called.matrix, place), w.column(called.value, place)
-    return Line(matrix, value, noise, error, w.true)
-
-
-def _called_at(w: Writer, called: Called, at: Whole, x: Sequence[Any]) -> list[Any]:
-    place = at % called.rows
-    w.keep(called.mean, Matrix.column(x), place)
-    w.ask(2 * called.number + 1, at)
-    return [number for (number,) in w.column(called.value, place).rows]
-
-
 def _regressed(w: Writer, row: Row, at: Whole, mean: Matrix, cov: Matrix, noise: Matrix) -> Line:
     rule, x = row.points, [number for (number,) in mean.rows]
     assert rule is not None
     root = cov.root()
     lower = root.matrix
     moves = [[inner(line, s) for line in lower.rows] for s in rule.points]
-    values = [
-        evaluated(w, row, at, [a + b for a, b in zip(x, move, strict=True)])[0] for move in moves
-    ]
+    points = [[a + b for a, b in zip(x, move, strict=True)] for move in moves]
     centred = rule.centred or not row.angles
-    reference = values[0] if centred else evaluated(w, row, at, x)[0]
+    if not centred:
+        points.append(x)
+    if row.called is not None:
+        values = called_at(w, row.called, at, points)
+    else:
+        values = [evaluated(w, row, at, point)[0] for point in points]
+    reference = values[0] if centred else values.pop()
     off = [[a - b for a, b in zip(each, reference, strict=True)] for each in values]
     if row.angles:
-        _about(w, row, at, x, moves, off)
+        _about(w, row, at, x, cov, moves, off)
     found = step.regress(root, _constant(rule), Matrix(off))
     error = _told_from_rounding(row, x, reference, off, found)
     value = Matrix.column(reference) + found.value
@@ -160,7 +170,13 @@ def _constant(rule: Points) -> step.Rule:
 
 
 def _about(
-    w: Writer, row: Row, at: Whole, x: list[Any], moves: list[list[Any]], off: list[list[Any]]
+    w: Writer,
+    row: Row,
+    at: Whole,
+    x: list[Any],
+    cov: Matrix,
+    moves: list[list[Any]],
+    off: list[list[Any]],
 ) -> None:
     """Wrap offsets of angles about their tangent, where some of them exceed half a turn."""
     far = {}
@@ -173,7 +189,7 @@ def _about(
     for truth in far.values():
         any_far = any_far | truth
     with w.code.when(w.code.some(any_far)):
-        slope, size = evaluated(w, row, at, x, slope=True)[1], len(x)
+        slope, size = evaluated(w, row, at, x, slope=cov)[1], len(x)
         for (p, i), variable in offsets.items():
             line = inner(slope[i * size : (i + 1) * size], moves[p])
             rest = off[p][i] - line

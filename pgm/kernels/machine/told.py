@@ -24,9 +24,9 @@ from pgm.kernels.machine.memory import Runs
 LAST, RUNS, ITERATIONS, SETTINGS, RESIDUALS, ENDED, FIRST = range(7)
 # Of an array: its address, and the distances in floats between rows, runs, and its own cells.
 ADDRESS, DOWN, ACROSS, CELL = range(4)
-# What a program is asked for: see `Writer.ask`; the row; the step, infinite at the end; and whether
-# a run is right so far.
-WHAT, ROW, STEP, SURE = range(4)
+# What a program is asked for: the number of a function, at how many points, or zero for a
+# linearisation, and the row; the step at hand, infinite at the end; and whether a run is right so far.
+WHAT, COUNT, ROW, STEP, SURE = range(5)
 
 
 @dataclass(frozen=True)
@@ -124,6 +124,34 @@ class Points:
 
 
 @dataclass(frozen=True)
+class Lines:
+    """Linearisations that are read from memory, of so many `rows` at a time.
+
+    Attributes
+    ----------
+    rows : int
+        A row's linearisation stands at its number modulo `rows`.
+    cov : Array or None
+        Where the program, which linearises, finds the belief's covariance (n, n), its mean being
+        the first of the points; None where machine code does, and puts here what a step needs
+        again.
+    value, matrix : Array
+        The value at the mean, (d,), and F (d, n).
+    error : Array or None
+        The covariance (d, d) of the linearisation's error; None where there is none.
+    sure : Array
+        Whether all of it is right, (1,).
+    """
+
+    rows: int
+    cov: Array | None
+    value: Array
+    matrix: Array
+    error: Array | None
+    sure: Array
+
+
+@dataclass(frozen=True)
 class Called:
     """A function that cannot be compiled: machine code waits until its program has called it.
 
@@ -131,23 +159,16 @@ class Called:
     ----------
     number : int
         Of the function, among those of the chain that are called.
-    rows : int
-        Of how many rows lines stay where they are put, until a step is done with them.
-    mean, cov : Array
-        Where the belief over its parents is put, (n,) and (n, n).
-    value, matrix : Array
-        Where its value there is found, (d,), and its slope (d, n).
-    error : Array or None
-        The covariance (d, d) of the linearisation's error; None where there is none.
+    points, values : Array
+        Where it is called, (N, n), and what it gives there, (N, d).
+    lines : Lines or None
+        Of a CPD that the program linearises, or whose linearisation is needed several times.
     """
 
     number: int
-    rows: int
-    mean: Array
-    cov: Array
-    value: Array
-    matrix: Array
-    error: Array | None
+    points: Array
+    values: Array
+    lines: Lines | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -167,7 +188,7 @@ class Row:
     function : Function or None
         Of a CPD that is linearised in machine code.
     called : Called or None
-        Of one that is linearised by the program.
+        Of one whose function the program calls.
     points : Points or None
         Of the rule by which it is linearised; None of `Taylor`.
     inputs : Array or None
@@ -296,7 +317,7 @@ class Forward:
     density : Array
         The log-densities of each step's measurements.
     asked : Array or None
-        For what a sweep waits whose functions are called, (4,): see `Writer.ask`.
+        For what a sweep waits whose functions are called, (5,): see `WHAT`.
     """
 
     size: int

@@ -68,14 +68,12 @@ class Writer:
         """Where something is told of the runs at hand."""
         return Memory(self.code, self._ended + (self.run + self._count * what))
 
-    def ask(self, what: int, row: Whole) -> None:
-        """Wait until the program has called a function at a row.
-
-        Of function number k it is asked for a linearisation by 2k, and for a value by 2k + 1.
-        """
+    def ask(self, what: int, count: int, row: Whole) -> None:
+        """Wait until the program has called a function at a row, at so many points; see `told`."""
         assert self._waiting is not None
         cells = self.at(self._asked)
         cells.store(told.WHAT, float(what))
+        cells.store(told.COUNT, float(count))
         cells.store(told.ROW, row.number())
         self._waiting.wait()
 
@@ -112,7 +110,7 @@ class Writer:
         return Matrix([half[max(i, j)][min(i, j)] for j in range(size)] for i in range(size))
 
     def keep(self, array: told.Array | None, matrix: Matrix, row: Whole | None = None) -> None:
-        """Put a vector or a matrix into an array at a row, if there is one."""
+        """Put a vector or a matrix into the first cells of an array at a row, if there is one."""
         if array is not None:
             cells = self.at(array, row)
             for k, number in enumerate(number for each in matrix.rows for number in each):

@@ -11,9 +11,9 @@ from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.machine import told
 from pgm.kernels.machine.asking import Asking
 from pgm.kernels.machine.waiting import ALIGNED
+from pgm.linearisation.failures import failure
 from pgm.linearisation.family import Family
-from pgm.linearisation.rows import At
-from pgm.linearisers import Taylor
+from pgm.linearisers import BoundFunction, Taylor
 
 # The runs of a call: the only one, all, or some.
 Some = int | slice | Integers
@@ -27,71 +27,98 @@ class Failed(Exception):
 
 
 class Call:
-    """A CPD whose function is called: the beliefs at which it is asked for, and what it answers.
+    """A CPD whose function is called: the points at which it is asked for, and its values there.
 
-    Arrays have rows first and runs last; see `told.Called`.
+    `points` (count, n, runs) and `values` (count, d, runs) are for so many points at most.
+    """
+
+    def __init__(self, family: Family, count: int) -> None:
+        _, runs, height, size = family.shape
+        self.family = family
+        self.points, self.values = np.zeros((count, size, runs)), np.zeros((count, height, runs))
+
+    def answer(self, row: int, count: int, runs: Some) -> None:
+        """Call the function at a row, at the first points of some runs."""
+        function = self._bound(row, runs)
+        asked = self.points[:count, :, runs]
+        # The runs first, in memory of which the function may keep a view.
+        points = asked.copy() if isinstance(runs, int) else asked.copy().transpose(2, 0, 1)
+        points = points[..., 0, :] if count == 1 else points
+        values = self._values(function, points)
+        found = values[..., None, :] if count == 1 else values
+        self.values[:count, :, runs] = found if isinstance(runs, int) else found.transpose(1, 2, 0)
+
+    def _values(self, function: BoundFunction, points: Array) -> Array:
+        try:
+            return function(points)
+        except Exception as error:
+            mean = points[..., 0, :] if points.ndim > 1 + function.lead else points
+            if type(self.family.lineariser) is Taylor:
+                function(mean)  # which is called first where no machine code is
+            refusal = failure(self.family, function, mean.T, error)
+            if refusal is error:
+                raise
+            raise refusal from error
+
+    def _bound(self, row: int, runs: Some) -> BoundFunction:
+        """The function at a row, with the evidence of some runs."""
+        function = self.family.at(row, row + 1).function
+        assert function is not None
+        if not isinstance(runs, np.ndarray):
+            return function
+        inputs = [v if v is None or len(v) == 1 else v[runs] for v in function.inputs]
+        return function._replace(inputs=inputs)
+
+
+class Lines(Call):
+    """A CPD that is linearised here, by its lineariser, at the belief whose mean is asked for.
+
+    Linearisations are put into memory for so many `rows` at a time; see `told.Lines`.
     """
 
     def __init__(self, family: Family, rows: int) -> None:
+        super().__init__(family, 1)
         _, runs, height, size = family.shape
-        self.family, self._runs = family, runs
+        self.runs = runs
         # Points that are drawn anew for each run depend on how many runs come before it.
-        self._whole = bool(getattr(family.lineariser, "fresh_per_run", False)) and runs > 1
-        self.mean, self.cov = np.zeros((rows, size, runs)), np.zeros((rows, size, size, runs))
+        self.every = bool(getattr(family.lineariser, "fresh_per_run", False))
+        self.cov = np.zeros((1, size, size, runs))
         self.value, self.matrix = np.zeros((rows, height, runs)), np.zeros((rows, height, size, runs))
         exact = type(family.lineariser) is Taylor or not family.hidden
         self.error = None if exact else np.zeros((rows, height, height, runs))
 
-    def linearise(self, row: int, runs: Some) -> None:
-        """Linearise the CPD at a row, for some runs."""
-        place = row % len(self.mean)
-        at = self._at(row, runs)
-        mean, cov = (self._asked(each[place], runs) for each in (self.mean, self.cov))
-        line = self.family.line(at, mean, cov)
-        self._answer(self.value[place], line.value, runs)
-        self._answer(self.matrix[place], line.matrix, runs)
-        if self.error is not None:
-            error = np.zeros(()) if line.error is None else line.error
-            self._answer(self.error[place], error, runs)
-
-    def evaluate(self, row: int, runs: Some) -> None:
-        """Call the function at a row, for some runs."""
-        place = row % len(self.mean)
-        function = self._at(row, runs).function
-        assert function is not None
-        value = function(self._asked(self.mean[place], runs).T)
-        self._answer(self.value[place], value.T, runs)
-
-    def _at(self, row: int, runs: Some) -> At:
-        """The CPD at a row with the evidence of some runs."""
+    def answer(self, row: int, count: int, runs: Some) -> None:
+        """Linearise the CPD at a row for some runs; or call its function, where `count` is one."""
+        if count:
+            super().answer(row, count, runs)
+            return
+        alone = self.every and isinstance(runs, np.ndarray)
         at = self.family.at(row, row + 1)
-        if self._whole or not isinstance(runs, np.ndarray):
-            return at
-        function = at.function
-        assert function is not None
-        inputs = [v if v is None or len(v) == 1 else v[runs] for v in function.inputs]
-        return at._replace(function=function._replace(inputs=inputs))
+        if not alone:
+            at = at._replace(function=self._bound(row, runs))
+        mean, cov = (self._belief(cells[0], runs) for cells in (self.points, self.cov))
+        line = self.family.line(at, mean, cov)
+        place, some = row % len(self.value), runs if alone else slice(None)
+        self.value[place][..., runs] = line.value[..., some]
+        self.matrix[place][..., runs] = line.matrix[..., some]
+        if self.error is not None:
+            self.error[place][..., runs] = 0.0 if line.error is None else line.error[..., some]
 
-    def _asked(self, cells: Array, runs: Some) -> Array:
-        """The beliefs of some runs, in an array that may be kept."""
-        some: Array = cells[..., runs].copy()
-        if not self._whole or not isinstance(runs, np.ndarray):
-            return some
-        every = np.repeat(some[..., :1], self._runs, axis=-1)
-        every[..., runs] = some
+    def _belief(self, cells: Array, runs: Some) -> Array:
+        """Numbers of some runs, in memory that may be kept; of all where points are drawn anew."""
+        found: Array = cells[..., runs].copy()
+        if not (self.every and isinstance(runs, np.ndarray)):
+            return found
+        every = np.repeat(found[..., :1], self.runs, axis=-1)
+        every[..., runs] = found
         return every
-
-    def _answer(self, cells: Array, found: Array, runs: Some) -> None:
-        if self._whole and isinstance(runs, np.ndarray) and found.ndim:
-            found = found[..., runs]
-        cells[..., runs] = found
 
 
 class Calls:
     """The functions that are called in a sweep, one at a time, and what is asked of them."""
 
     def __init__(self, runs: int) -> None:
-        self.asked = np.zeros((4, runs))  # see `told.WHAT`
+        self.asked = np.zeros((5, runs))  # see `told.WHAT`
         self.each: list[Call] = []
         self.failure: BaseException | None = None
         self._lock, self._runs = Lock(), runs
@@ -113,35 +140,39 @@ class Calls:
         made.begin(table, first, packs, address(frames))
         while self.failure is None:
             due = every if packs == 1 else _together(asked, every)
-            what, row, step, _ = asked[:, due[0]].tolist()
+            what, count, row, step, _ = asked[:, due[0]].tolist()
             if step == np.inf:
                 return
-            some = (first + due[:, None] * lanes + np.arange(lanes)).ravel()
-            self._call(int(what), int(row), some)
+            self._call(int(what), int(count), int(row), first, due, lanes)
             made.go_on(address(frames), address(due), len(due))
 
-    def _call(self, what: int, row: int, runs: Integers) -> None:
-        every = len(runs) == self._runs
-        some: Some = runs
-        if every:
-            some = 0 if self._runs == 1 else slice(None)
-        call = self.each[what // 2]
-        answer = call.evaluate if what % 2 else call.linearise
+    def _call(
+        self, what: int, count: int, row: int, first: int, packs: Integers, lanes: int
+    ) -> None:
+        call, runs = self.each[what], self._runs
+        every, some = len(packs) * lanes == runs, _whole(runs)
+        if not every:
+            some = (first + packs[:, None] * lanes + np.arange(lanes)).ravel()
         with self._lock:
             try:
-                answer(row, some)
+                call.answer(row, count, some)
             except Exception as error:
                 if every and self.asked[told.SURE].all():
                     raise
                 raise Failed(f"{call.family.cpd!r} failed in machine code") from error
 
 
+def _whole(runs: int) -> Some:
+    return 0 if runs == 1 else slice(None)
+
+
 def _together(asked: Array, every: Integers) -> Integers:
     """The packs, of those that are furthest behind, that ask for the same."""
-    same = (asked[:3] == asked[:3, :1]).all(axis=0)
+    wanted = asked[: told.SURE]
+    same = (wanted == wanted[:, :1]).all(axis=0)
     if same.all():
         return every
-    what, row, step, _ = asked
-    first = np.lexsort((row, what, step))[0]
-    found: Integers = np.flatnonzero((asked[:3] == asked[:3, first : first + 1]).all(axis=0))
+    what, count, row, step = wanted
+    first = np.lexsort((row, count, what, step))[0]
+    found: Integers = np.flatnonzero((wanted == wanted[:, first : first + 1]).all(axis=0))
     return found

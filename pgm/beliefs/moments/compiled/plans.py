@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pgm.beliefs.moments.compiled.called import Call, Calls
+from pgm.beliefs.moments.compiled.called import Call, Calls, Lines
 from pgm.beliefs.moments.compiled.functions import function_of, loss_of, points_of
 from pgm.beliefs.moments.compiled.memory import address
 from pgm.beliefs.moments.steps import gate as gates
@@ -74,15 +74,16 @@ class Table:
             runs = Runs.APART if across else Runs.SAME
         return told.Array(place, array.shape[2:], runs, cell == 1)
 
-    def called(self, family: Family, why: str, rows: int) -> told.Called:
-        """A function that is called at its rows, so many of which stay where they are at a time."""
+    def called(self, family: Family, why: str, call: Call, lines: told.Lines | None) -> told.Called:
+        """A function that is called, and why."""
         self._account.call_back(family.cpd.child.name, why)
-        call = Call(family, rows)
         self.calls.each.append(call)
-        arrays = call.mean, call.cov, call.value, call.matrix
-        places = [self.array(np.moveaxis(cells, -1, 1)) for cells in arrays]
-        error = None if call.error is None else self.array(np.moveaxis(call.error, -1, 1))
-        return told.Called(len(self.calls.each) - 1, rows, *places, error)
+        places = self.by_runs(call.points[None]), self.by_runs(call.values[None])
+        return told.Called(len(self.calls.each) - 1, *places, lines)
+
+    def by_runs(self, cells: Array) -> told.Array:
+        """An array (rows, own axes, runs), told."""
+        return self.array(np.moveaxis(cells, -1, 1))
 
     @property
     def whole(self) -> Integers64:
@@ -153,7 +154,7 @@ def sensor_of(
     kept = keep and not stored and bool(sensor.variable.angles)
     loss = _loss_of(sensor, table, taken is not None, found=stored) if sensor.robust else None
     # Robust sightings of a step are weighed several times, as they were linearised.
-    held = 1 if loss is None else max(np.diff(sensor.bounds))
+    held = 0 if loss is None or stored else int(max(np.diff(sensor.bounds)))
     return told.Sensor(
         **_row(family, places(sensor.parents, size), table, stored=stored, keep=keep, held=held),
         readings=table.array(values),
@@ -205,7 +206,7 @@ def _row(
     *,
     stored: bool,
     keep: bool,
-    held: int = 1,
+    held: int = 0,
 ) -> dict[str, Any]:
     found: dict[str, Any] = {"parents": parents, "height": family.shape[2]}
     if not stored:
@@ -220,13 +221,13 @@ def _row(
             found["kept"] = table.array(family.noise)
         return found
     found["noise"] = table.array(family.own_noise)
-    curve = _curve(family, table, max(held, 1))
+    curve = _curve(family, table, held)
     found |= curve
     if keep:
         found["matrix"], found["offset"] = table.array(family.matrix), table.array(family.offset)
-        called = curve.get("called")
-        exact = curve.get("points") is None and (called is None or called.error is None)
-        if not exact or family.cpd.noise is not None:
+        lines = None if "called" not in curve else curve["called"].lines
+        erroneous = curve.get("points") is not None or (lines is not None and lines.error is not None)
+        if erroneous or family.cpd.noise is not None:
             family.keep_errors()
             found["kept"] = table.array(family.noise)
     return found
@@ -234,12 +235,16 @@ def _row(
 
 def _curve(family: Family, table: Table, held: int) -> dict[str, Any]:
     """How a CPD is linearised: by its traced function, or by calls of it."""
-    rule = points_of(family)
+    rule, template = points_of(family), family.template
+    assert template is not None
     if isinstance(rule, str):
-        return {"called": table.called(family, rule, held)}
-    answers, template = family.trace_whole(), family.template
+        return {"called": _lined(family, table, rule, held)}
+    answers = family.trace_whole()
     if isinstance(answers, str):
-        return {"called": table.called(family, answers, held)}
+        by_differences = len(template.numerical) == template.size
+        if rule is None and not by_differences:
+            return {"called": _lined(family, table, answers, held)}
+        return {"called": _called(family, rule, table, answers, held), "points": rule}
     inputs = [
         family.inputs[parent]
         for parent, place in zip(template.given, template.places, strict=True)
@@ -247,6 +252,33 @@ def _curve(family: Family, table: Table, held: int) -> dict[str, Any]:
     ]
     function = function_of(template, answers.trace)
     return {"function": function, "points": rule, "inputs": _joined(inputs, table)}
+
+
+def _lined(family: Family, table: Table, why: str, held: int) -> told.Called:
+    """A CPD that is linearised by NumPy, and why."""
+    call = Lines(family, max(held, 1))
+    cells = call.cov, call.value, call.matrix
+    error = None if call.error is None else table.by_runs(call.error)
+    sure = table.array(np.ones((1, 1, 1)))
+    lines = told.Lines(len(call.value), *map(table.by_runs, cells), error, sure)
+    return table.called(family, why, call, lines)
+
+
+def _called(
+    family: Family, rule: told.Points | None, table: Table, why: str, held: int
+) -> told.Called:
+    """A CPD that is linearised by values at points, and why; `held` rows are returned to."""
+    _, runs, height, size = family.shape
+    # Differences are of four points for each component, beside the mean.
+    count = max(4 * size, 0 if rule is None else len(rule.points)) + 1
+    lines = None
+    if held:
+        value, matrix, error, sure = (
+            table.by_runs(np.zeros((held, *own, runs)))
+            for own in ((height,), (height, size), (height, height), (1,))
+        )
+        lines = told.Lines(held, None, value, matrix, None if rule is None else error, sure)
+    return table.called(family, why, Call(family, count), lines)
 
 
 def _joined(inputs: Sequence[Array], table: Table) -> told.Array | None:
