@@ -136,34 +136,34 @@ class Calls:
 
     def _packs(self, made: Asking, table: int, first: int, packs: int, lanes: int) -> None:
         frames, every = aligned(packs * made.floats, ALIGNED), np.arange(packs)
+        begin, together = address(frames), self._runs_of(every, first, lanes)
         asked = self.asked[:, first : first + packs * lanes : lanes]
-        made.begin(table, first, packs, address(frames))
+        made.begin(table, first, packs, begin)
         while self.failure is None:
             due = every if packs == 1 else _together(asked, every)
             what, count, row, step, _ = asked[:, due[0]].tolist()
             if step == np.inf:
                 return
-            self._call(int(what), int(count), int(row), first, due, lanes)
-            made.go_on(address(frames), address(due), len(due))
+            runs = together if due is every else self._runs_of(due, first, lanes)
+            self._call(self.each[int(what)], int(row), int(count), runs)
+            made.go_on(begin, address(due), len(due))
 
-    def _call(
-        self, what: int, count: int, row: int, first: int, packs: Integers, lanes: int
-    ) -> None:
-        call, runs = self.each[what], self._runs
-        every, some = len(packs) * lanes == runs, _whole(runs)
-        if not every:
-            some = (first + packs[:, None] * lanes + np.arange(lanes)).ravel()
+    def _call(self, call: Call, row: int, count: int, runs: Some) -> None:
         with self._lock:
             try:
-                call.answer(row, count, some)
+                call.answer(row, count, runs)
             except Exception as error:
-                if every and self.asked[told.SURE].all():
+                if not isinstance(runs, np.ndarray) and self.asked[told.SURE].all():
                     raise
                 raise Failed(f"{call.family.cpd!r} failed in machine code") from error
 
-
-def _whole(runs: int) -> Some:
-    return 0 if runs == 1 else slice(None)
+    def _runs_of(self, packs: Integers, first: int, lanes: int) -> Some:
+        if self._runs == 1:
+            return 0
+        if len(packs) * lanes == self._runs:
+            return slice(None)
+        found: Integers = (first + packs[:, None] * lanes + np.arange(lanes)).ravel()
+        return found
 
 
 def _together(asked: Array, every: Integers) -> Integers:
