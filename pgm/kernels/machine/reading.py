@@ -247,7 +247,7 @@ def _read(
                 residual, sighting.own, sighting.matrix, cov, sighting.error
             )
             weight, of = weighing.weigh(sensor.loss, at, square, count, begins)
-            noise = sighting.own.scaled(1.0 / weight)
+            noise = sighting.weighed(weight)
             noise = noise if sighting.error is None else noise + sighting.error
             w.keep(sensor.kept, noise, at)
             surplus_of = surplus(w, sensor.loss, of, count, weight)
@@ -294,7 +294,8 @@ class _Sighting(NamedTuple):
     """A sighting as linearised: z = value + H (x − m) + e over the whole slice.
 
     `left` is z − value, `own` and `error` are the covariances of the noise and of the line's error,
-    None for zero, and `count` is how many components were measured; others say nothing.
+    None for zero, and `count` is how many components were measured; others say nothing. `known` are
+    truths of which were, None of all.
     """
 
     left: Matrix
@@ -302,6 +303,7 @@ class _Sighting(NamedTuple):
     own: Matrix
     error: Matrix | None
     count: Any
+    known: list[Any] | None = None
 
     @classmethod
     def of(
@@ -319,7 +321,18 @@ class _Sighting(NamedTuple):
             error = Matrix(
                 [where(known[i] & known[j], error[i, j], 0.0) for j in every] for i in every
             )
-        return cls(left, matrix, own, error, w.sum([truth.number() for truth in known]))
+        return cls(left, matrix, own, error, w.sum([truth.number() for truth in known]), known)
+
+    def weighed(self, weight: Any) -> Matrix:
+        """The covariance of the noise by a weight; what was not measured keeps its own."""
+        noise = self.own.scaled(1.0 / weight)
+        if self.known is None:
+            return noise
+        every = range(len(self.known))
+        return Matrix(
+            [where(self.known[i], noise[i, i], self.own[i, i]) if i == j else noise[i, j] for j in every]
+            for i in every
+        )
 
     @property
     def noise(self) -> Matrix:
