@@ -103,6 +103,9 @@ def unknown(plan: ChainPlan) -> str | None:
             return f"{sensor.family.cpd!r} has graduated noise"
         if sensor.exact:
             return f"{sensor.family.cpd!r} has a singular noise"
+        rule = sensor.family.lineariser
+        if getattr(rule, "fresh_per_run", False) and max(np.diff(sensor.bounds)) > 1:
+            return f"{sensor.family.cpd!r} draws points anew for each of several sightings"
         if sensor.grouped and max(np.diff(sensor.bounds)) > 1:
             return f"{sensor.family.cpd!r} has several sightings in a group"
     for family in plan.families:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from pgm.compile.machine import CALLED
+
 
 @dataclass(eq=False)
 class Account:
@@ -33,7 +35,7 @@ class Account:
         """The account in words, of so many runs."""
         if not self.due:
             return f"by NumPy: {self.rest}" if self.rest else ""
-        called = "".join(f", {name} called back: {why}" for name, why in self.called.items())
+        called = "".join(f", {name} {CALLED}{why}" for name, why in self.called.items())
         if not self.left:
             return f"compiled{called}" if self.compiled else ""
         told = "; ".join(
