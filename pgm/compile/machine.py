@@ -118,9 +118,10 @@ class Compilation(Told[CPD]):
 
     A chain is swept in machine code where all of its CPDs can be. A function that cannot be traced,
     and a lineariser other than `Taylor`, `Unscented`, `Cubature` and `GaussHermite`, is called back
-    in the middle of it, for all runs at once: ``"called back: ..."`` says why. Of a schedule `under` tells, before there is a call; after it
-    ``posterior.status.compilation`` tells of all: the schedule, the call's lineariser, noise by
-    inputs that is singular, runs that are left since their readings are too sharp.
+    in the middle of it, for all runs at once: ``"called back: ..."`` says why. Of a schedule
+    `under` tells, before there is a call; after it ``posterior.status.compilation`` tells of all:
+    the schedule, the call's lineariser, noise by inputs that is singular, runs that are left since
+    their readings are too sharp.
 
     Examples
     --------

@@ -20,9 +20,9 @@ _FLOATS = ALIGNED // 8
 class Asking(NamedTuple):
     """A sweep of packs that wait, each with a frame of so many `floats`, one next to another.
 
-    ``begin(table, first, packs, frames)`` sweeps packs of runs, from run `first` on, until they wait
-    or have ended, and ``go_on(frames, numbers, count)`` those packs further whose numbers stand in
-    memory. Frames begin at a multiple of `waiting.ALIGNED` bytes, and stay where they are.
+    ``begin(table, first, packs, frames)`` sweeps packs of runs, from run `first` on, until they
+    wait or have ended, and ``go_on(frames, numbers, count)`` those packs further whose numbers
+    stand in memory. Frames begin at a multiple of `waiting.ALIGNED` bytes, and stay where they are.
     """
 
     floats: int

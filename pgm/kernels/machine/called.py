@@ -1,4 +1,4 @@
-"""Functions that the program calls for machine code: their values, and derivatives by differences."""
+"""Functions that the program calls for machine code: their values, and their derivatives."""
 
 from __future__ import annotations
 

@@ -328,11 +328,10 @@ class _Sighting(NamedTuple):
         noise = self.own.scaled(1.0 / weight)
         if self.known is None:
             return noise
-        every = range(len(self.known))
-        return Matrix(
-            [where(self.known[i], noise[i, i], self.own[i, i]) if i == j else noise[i, j] for j in every]
-            for i in every
-        )
+        rows = [list(row) for row in noise.rows]
+        for i, known in enumerate(self.known):
+            rows[i][i] = where(known, noise[i, i], self.own[i, i])
+        return Matrix(rows)
 
     @property
     def noise(self) -> Matrix:

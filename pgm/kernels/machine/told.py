@@ -25,7 +25,8 @@ LAST, RUNS, ITERATIONS, SETTINGS, RESIDUALS, ENDED, FIRST = range(7)
 # Of an array: its address, and the distances in floats between rows, runs, and its own cells.
 ADDRESS, DOWN, ACROSS, CELL = range(4)
 # What a program is asked for: the number of a function, at how many points, or zero for a
-# linearisation, and the row; the step at hand, infinite at the end; and whether a run is right so far.
+# linearisation, and the row; the step at hand, infinite at the end; and whether a run is right
+# so far.
 WHAT, COUNT, ROW, STEP, SURE = range(5)
 
 

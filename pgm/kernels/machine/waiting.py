@@ -7,22 +7,24 @@ other memory is: a function that is not gone on with leaves nothing behind.
 
 from __future__ import annotations
 
-from llvmlite import binding
-
 from pgm.kernels.machine.code import Code
 from pgm.kernels.machine.wholes import Address, Whole
 
 # Frames begin at multiples of so many bytes, which are those of the widest pack.
 ALIGNED = 64
-# An end has had a value that says nothing, up to this version of LLVM.
-_END = "i1" if binding.llvm_version_info < (22,) else "void"
 _DECLARED = (
     "declare token @llvm.coro.id(i32, ptr, ptr, ptr)",
     "declare i64 @llvm.coro.size.i64()",
     "declare ptr @llvm.coro.begin(token, ptr)",
     "declare i8 @llvm.coro.suspend(token, i1)",
-    f"declare {_END} @llvm.coro.end(ptr, i1, token)",
 )
+
+
+def _kind_of_end() -> str:
+    """The type in LLVM of what an end gives: up to some version a truth, which says nothing."""
+    from llvmlite import binding  # here, since importing pgm does not load it
+
+    return "i1" if binding.llvm_version_info < (22,) else "void"
 
 
 class Waiting:
@@ -34,7 +36,8 @@ class Waiting:
 
     def __init__(self, code: Code, frame: Address, size: Address) -> None:
         self._code = code
-        for declaration in _DECLARED:
+        self._end = f"{_kind_of_end()} @llvm.coro.end"
+        for declaration in (*_DECLARED, f"declare {self._end}(ptr, i1, token)"):
             code.module.declare(declaration)
         (self._back,) = code.labels("back")
         nothing = "ptr null, ptr null, ptr null"
@@ -57,11 +60,7 @@ class Waiting:
         code = self._code
         code.to(self._back)
         code.begin(self._back)
-        end = f"call {_END} @llvm.coro.end(ptr {self._frame}, i1 false, token none)"
-        if _END == "void":
-            code.line(end)
-        else:
-            code.value(end)
+        code.line(f"call {self._end}(ptr {self._frame}, i1 false, token none)")
 
 
 def go_on(code: Code, frame: Address) -> None:

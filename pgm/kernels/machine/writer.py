@@ -71,6 +71,7 @@ class Writer:
     def ask(self, what: int, count: int, row: Whole) -> None:
         """Wait until the program has called a function at a row, at so many points; see `told`."""
         assert self._waiting is not None
+        assert self._asked is not None
         cells = self.at(self._asked)
         cells.store(told.WHAT, float(what))
         cells.store(told.COUNT, float(count))

@@ -6,8 +6,8 @@ import traceback
 
 import numpy as np
 import pytest
-from scipy.special import erf
 from robots import DRIVE, drive_cpd
+from scipy.special import erf
 from test_compiled import assert_posterior, both
 from textbooks import assert_belief
 from zoo import MODELS, SIGHT, plain, recording, wrapping, x
@@ -300,7 +300,9 @@ def test_beliefs_that_may_be_wrong_do_not_fail():
             raise ValueError("not finite")
         return seen(state, landmark)
 
-    model = plain(sensor=SIGHT.cpd(function=careful, jacobian=None, cov=1e-9 * np.eye(2)), prior=wide)
+    model = plain(
+        sensor=SIGHT.cpd(function=careful, jacobian=None, cov=1e-9 * np.eye(2)), prior=wide
+    )
     found = both(pgm.filter, model, evidence(3))
     assert_belief(found[0][x], found[1][x].mean, found[1][x].cov, 1e-6)
 

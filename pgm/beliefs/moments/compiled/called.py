@@ -83,7 +83,10 @@ class Lines(Call):
         # Points that are drawn anew for each run depend on how many runs come before it.
         self.every = bool(getattr(family.lineariser, "fresh_per_run", False))
         self.cov = np.zeros((1, size, size, runs))
-        self.value, self.matrix = np.zeros((rows, height, runs)), np.zeros((rows, height, size, runs))
+        self.value, self.matrix = (
+            np.zeros((rows, height, runs)),
+            np.zeros((rows, height, size, runs)),
+        )
         exact = type(family.lineariser) is Taylor or not family.hidden
         self.error = None if exact else np.zeros((rows, height, height, runs))
 

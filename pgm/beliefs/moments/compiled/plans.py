@@ -228,9 +228,9 @@ def _row(
     found |= curve
     if keep:
         found["matrix"], found["offset"] = table.array(family.matrix), table.array(family.offset)
-        lines = None if "called" not in curve else curve["called"].lines
-        erroneous = curve.get("points") is not None or (lines is not None and lines.error is not None)
-        if erroneous or family.cpd.noise is not None:
+        lines = curve["called"].lines if "called" in curve else None
+        exact = curve.get("points") is None and (lines is None or lines.error is None)
+        if not exact or family.cpd.noise is not None:
             family.keep_errors()
             found["kept"] = table.array(family.noise)
     return found
@@ -260,10 +260,10 @@ def _curve(family: Family, table: Table, held: int) -> dict[str, Any]:
 def _lined(family: Family, table: Table, why: str, held: int) -> told.Called:
     """A CPD that is linearised by NumPy, and why."""
     call = Lines(family, max(held, 1))
-    cells = call.cov, call.value, call.matrix
+    cov, value, matrix = map(table.by_runs, (call.cov, call.value, call.matrix))
     error = None if call.error is None else table.by_runs(call.error)
     sure = table.array(np.ones((1, 1, 1)))
-    lines = told.Lines(len(call.value), *map(table.by_runs, cells), error, sure)
+    lines = told.Lines(len(call.value), cov, value, matrix, error, sure)
     return table.called(family, why, call, lines)
 
 
