@@ -360,7 +360,7 @@ def test_a_lineariser_of_a_function_is_told():
         child, (x,), lambda s: np.hypot(s[..., :1], 1.0), 0.1, lineariser=rule
     )
     told = pgm.compile(MODELS["plain"].replace(observation=[range_of]), 3).compilation
-    assert told[range_of] == f"it is linearised by {rule!r}"
+    assert told[range_of] == f"called back: it is linearised by {rule!r}"
 
 
 @pytest.mark.parametrize("noise", [pgm.StudentT(4), pgm.Huber(1.5)], ids=repr)
