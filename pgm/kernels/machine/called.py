@@ -9,7 +9,8 @@ from pgm.kernels import step
 from pgm.kernels.machine.told import Called, Row
 from pgm.kernels.machine.wholes import Whole
 from pgm.kernels.machine.writer import Writer
-from pgm.kernels.numbers import Matrix, least, most, nearest_whole, sqrt, where
+from pgm.kernels.numbers import least, most, nearest_whole, sqrt, where
+from pgm.kernels.step import AnyMatrix
 
 # As of `differences`: the least step, as a part of a deviation, in itself, and beside a number; and
 # the multiples of a step at which a function is called.
@@ -19,46 +20,54 @@ _AROUND = 1.0, -1.0, 2.0, -2.0
 _TENFOLD, _LEAST = 10.0, 1e-3
 
 
-def called_at(
-    w: Writer, called: Called, at: Whole, points: Sequence[Sequence[Any]]
-) -> list[list[Any]]:
-    """The values of a function at points, in one call."""
-    w.keep(called.points, Matrix(list(point) for point in points))
-    w.ask(called.number, len(points), at)
-    cells, (_, height) = w.at(called.values), called.values.shape
-    return [[cells.load(k * height + i) for i in range(height)] for k in range(len(points))]
+def values_at(w: Writer, called: Called, at: Whole, points: AnyMatrix) -> AnyMatrix:
+    """The values of a function at points, row by row, in one call."""
+    w.keep(called.points, points)
+    count, height = points.shape[0], called.values.shape[1]
+    w.ask(called.number, count, at)
+    return w.matrices.matrix(w.at(called.values), count, height)
 
 
-def tangent(
-    w: Writer, row: Row, at: Whole, x: Sequence[Any], cov: Matrix
-) -> tuple[list[Any], list[Any]]:
-    """The value of a function, and the derivative, row by row, by differences of fourth order.
+def tangent(w: Writer, row: Row, at: Whole, mean: AnyMatrix, cov: AnyMatrix) -> AnyMatrix:
+    """The derivative of a function by differences of fourth order, which is put among its lines.
 
-    Steps are set by the covariance of the belief about x, as in `differences.jacobian`.
+    So is the value. Steps are set by the covariance of the belief, as in `differences.jacobian`.
     """
-    assert row.called is not None
-    points, steps = [list(x)], []
-    for j, (number, length) in enumerate(zip(x, lengths(cov), strict=True)):
+    called = row.called
+    assert called is not None
+    size = mean.shape[0]
+    x = [mean[j, 0] for j in range(size)]
+    points, steps = [x], []
+    for j, (number, length) in enumerate(zip(x, _lengths(cov, size), strict=True)):
         due = most(most(_PART * length, w.code.constant(_STEP)), _BESIDE * abs(number))
-        taken = (number + due) - number
-        steps.append(taken)
+        steps.append((number + due) - number)
         for multiple in _AROUND:
-            points.append([*x[:j], number + multiple * taken, *x[j + 1 :]])
-    value, *values = called_at(w, row.called, at, points)
+            points.append([*x[:j], number + multiple * steps[-1], *x[j + 1 :]])
+    _store(w.at(called.points), [number for point in points for number in point])
+    w.ask(called.number, len(points), at)
+    values, place = w.at(called.values), at % called.lines.rows
+    found = [[values.load(k * row.height + i) for i in range(row.height)] for k in range(len(points))]
     slope = []
     for i in range(row.height):
         for j, taken in enumerate(steps):
-            a, b, c, d = (values[4 * j + k][i] for k in range(4))
+            a, b, c, d = (found[4 * j + k][i] for k in range(1, 5))
             near, far = a - b, c - d
             if i in row.angles:
                 near, far = _wrapped(near), _wrapped(far)
             slope.append((8.0 * near - far) / (12.0 * taken))
-    return value, slope
+    _store(w.at(called.lines.value, place), found[0])
+    _store(w.at(called.lines.matrix, place), slope)
+    return w.matrix(called.lines.matrix, place)
 
 
-def lengths(cov: Matrix) -> list[Any]:
+def _store(cells: Any, numbers: Sequence[Any]) -> None:
+    for k, number in enumerate(numbers):
+        cells.store(k, number)
+
+
+def _lengths(cov: AnyMatrix, size: int) -> list[Any]:
     """The length over which a function may vary along each component, as `gaussian.lengths`."""
-    stds = [sqrt(most(variance, 0.0)) for variance in cov.diagonal]
+    stds = [sqrt(most(cov[i, i], 0.0)) for i in range(size)]
     units = [where(std > 0.0, std, 1.0) for std in stds]
     found = []
     for i, std in enumerate(stds):

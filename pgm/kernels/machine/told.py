@@ -134,8 +134,7 @@ class Lines:
         A row's linearisation stands at its number modulo `rows`.
     cov : Array or None
         Where the program, which linearises, finds the belief's covariance (n, n), its mean being
-        the first of the points; None where machine code does, and puts here what a step needs
-        again.
+        the first of the points; None where machine code linearises, by values at points.
     value, matrix : Array
         The value at the mean, (d,), and F (d, n).
     error : Array or None
@@ -162,14 +161,14 @@ class Called:
         Of the function, among those of the chain that are called.
     points, values : Array
         Where it is called, (N, n), and what it gives there, (N, d).
-    lines : Lines or None
-        Of a CPD that the program linearises, or whose linearisation is needed several times.
+    lines : Lines
+        Its linearisations.
     """
 
     number: int
     points: Array
     values: Array
-    lines: Lines | None
+    lines: Lines
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,8 +191,11 @@ class Row:
         Of one whose function the program calls.
     points : Points or None
         Of the rule by which it is linearised; None of `Taylor`.
-    inputs : Array or None
-        What is observed of the arguments, (m,).
+    inputs : tuple of Array
+        The observed arguments, (m,) each, in the order of the function's.
+    shifts : tuple of Array
+        Of an affine CPD whose inputs come later, their matrices B (d, m): b + B u + ... is its
+        offset.
     kept : Array or None
         Where the covariance of e with the error is kept.
     angles : tuple of int
@@ -208,7 +210,8 @@ class Row:
     function: Function | None = None
     called: Called | None = None
     points: Points | None = None
-    inputs: Array | None = None
+    inputs: tuple[Array, ...] = ()
+    shifts: tuple[Array, ...] = ()
     kept: Array | None = None
     angles: tuple[int, ...] = ()
 
@@ -360,3 +363,62 @@ class Backward:
     reversed: tuple[Array, Array, Array]
     smoothed: tuple[Array, ...] = ()
     controls: tuple[Array, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Squares(Row):
+    """A CPD as squares of a least-squares problem, of which some rows are linearised together.
+
+    Rows take the place of runs in its arrays, and runs that of rows. `noise` is the inverse of the
+    covariance, zero where nothing is measured, and `parents` are places in a slice, those of the
+    next one behind.
+
+    Attributes
+    ----------
+    child : tuple of int
+        The places of a transition's child in the slices; empty of a measurement.
+    lanes : int
+        How many rows are linearised together; there are as many at least.
+    count : int
+        The place in the table of the number of rows.
+    readings, moved, missing, bounds
+        As of `Sensor`.
+    steps : int or None
+        The place in the table of the address of each row's step; None if each step has one row.
+    """
+
+    child: tuple[int, ...]
+    lanes: int
+    count: int
+    readings: Array | None = None
+    moved: Array | None = None
+    missing: bool = False
+    bounds: int | None = None
+    steps: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Newton:
+    """A Gauss–Newton step of all steps of a chain.
+
+    Attributes
+    ----------
+    size : int
+        The components of a slice.
+    rows : tuple of Squares
+    active : Array
+        Whether a run is worked on, (1,).
+    begin : Array
+        The first slice's equations by the prior, as a `newton.Layout` has them.
+    reference, found, variance : Array
+        The trajectory at which CPDs are linearised, the one that is found, and the variances of its
+        components.
+    """
+
+    size: int
+    rows: tuple[Squares, ...]
+    active: Array
+    begin: Array
+    reference: Array
+    found: Array
+    variance: Array

@@ -129,6 +129,31 @@ def test_points_of_compiled_rules(alone, rule, runs):
     assert_posterior(*both(pgm.smooth, CALLED["both"], evidence(runs), lineariser=rule))
 
 
+@pytest.mark.parametrize("size", [7, 14])
+@pytest.mark.parametrize("rule", [pgm.Taylor(), pgm.Cubature(), pgm.MonteCarlo(60)], ids=repr)
+def test_many_components(alone, size, rule):
+    """Matrices are in memory, for packs of runs too, and their room outlasts a call."""
+    states = pgm.Variable("states", components=tuple(f"c{k}" for k in range(size)))
+    ranges = pgm.Variable("ranges", components=("r", "s"))
+
+    def turning(state):
+        if np.any(state > 1e9):
+            return state
+        return 0.9 * state + 0.1 * np.sin(np.roll(state, 1, axis=-1))
+
+    def ranged(state):
+        return np.interp(state[..., :2], GRID, np.arctan(GRID))
+
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(states, np.zeros(size), 1.0)],
+        [pgm.NonlinearGaussianCPD(states, (states.previous,), turning, cov=0.1)],
+        [pgm.NonlinearGaussianCPD(ranges, (states,), ranged, cov=0.1)],
+    )
+    for lead in ((), (11,)):
+        given = {ranges: np.random.default_rng(3).normal(size=(*lead, 6, 2))}
+        assert_posterior(*both(pgm.smooth, model, given, lineariser=rule))
+
+
 SCHEDULES = [
     pgm.Filtering(iterations=4, tolerance=0),
     pgm.Filtering(gate=0.9),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -22,6 +21,9 @@ from pgm.kernels.machine.memory import Runs
 from pgm.linearisation.family import Family
 from pgm.schedules.gates import gate_of
 
+# Components of which differences are worth their code.
+_FEW = 12
+
 Integers64 = npt.NDArray[np.int64]
 
 
@@ -32,16 +34,15 @@ class Uncompiled(Exception):
 class Table:
     """A table that is filled, and the arrays that it tells of, which stay in memory as it does.
 
-    `lanes` is how many runs are swept together.
+    `lanes` is how many runs are swept together. `calls` are the functions that are called, None
+    where none may be.
     """
 
-    def __init__(self, plan: ChainPlan, lanes: int) -> None:
-        self.lanes = lanes
+    def __init__(self, plan: ChainPlan, lanes: int, calls: Calls | None = None) -> None:
+        self.lanes, self.calls, self._account = lanes, calls, plan.account
         self.numbers = [0] * told.FIRST
         self.numbers[told.LAST], self.numbers[told.RUNS] = plan.steps, plan.runs
         self.decisions: list[tuple[Sensor, Array]] = []
-        self.calls = Calls(plan.runs)
-        self._account = plan.account
         self._kept: list[object] = []
 
     def put(self, place: int, array: npt.NDArray[Any]) -> None:
@@ -74,16 +75,23 @@ class Table:
             runs = Runs.APART if across else Runs.SAME
         return told.Array(place, array.shape[2:], runs, cell == 1)
 
-    def called(self, family: Family, why: str, call: Call, lines: told.Lines | None) -> told.Called:
+    def by_runs(self, cells: Array) -> told.Array:
+        """An array (rows, own axes, runs), told."""
+        return self.array(np.moveaxis(cells, -1, 1))
+
+    def called(self, call: Call, lines: told.Lines, why: str) -> told.Called:
         """A function that is called, and why."""
-        self._account.call_back(family.cpd.child.name, why)
+        if self.calls is None:
+            raise Uncompiled(f"{call.family.cpd!r}: {why}")
+        self._account.call_back(call.family.cpd.child.name, why)
         self.calls.each.append(call)
         places = self.by_runs(call.points[None]), self.by_runs(call.values[None])
         return told.Called(len(self.calls.each) - 1, *places, lines)
 
-    def by_runs(self, cells: Array) -> told.Array:
-        """An array (rows, own axes, runs), told."""
-        return self.array(np.moveaxis(cells, -1, 1))
+    def count(self, number: int) -> int:
+        """The place in the table of a number."""
+        self.numbers.append(number)
+        return len(self.numbers) - 1
 
     @property
     def whole(self) -> Integers64:
@@ -126,7 +134,7 @@ def motion_of(
             raise Uncompiled(f"{family.cpd!r} turns an angle of which its function does not know")
         turning = tuple((new, before, own.index(before)) for new, before in link.turning)
     return told.Motion(
-        **_row(family, places(link.parents, size), table, stored=stored, keep=keep),
+        **row_of(family, places(link.parents, size), table, stored=stored, keep=keep),
         bare=family.bare,
         unsure=not family.semidefinite,
         turning=turning,
@@ -157,9 +165,9 @@ def sensor_of(
     kept = keep and not stored and bool(sensor.variable.angles)
     loss = _loss_of(sensor, table, taken is not None, found=stored) if sensor.robust else None
     # Robust sightings of a step are weighed several times, as they were linearised.
-    held = 0 if loss is None or stored else int(max(np.diff(sensor.bounds)))
+    held = 1 if loss is None else max(1, *np.diff(sensor.bounds).tolist())
     return told.Sensor(
-        **_row(family, places(sensor.parents, size), table, stored=stored, keep=keep, held=held),
+        **row_of(family, places(sensor.parents, size), table, stored=stored, keep=keep, held=held),
         readings=table.array(values),
         moved=table.array(sensor.moved) if kept else None,
         missing=taken is not None,
@@ -202,15 +210,19 @@ def decided(table: Table) -> None:
         sensor.taken[...] = sensor.gated.given & ~sensor.gated.rejected[..., None]
 
 
-def _row(
+def row_of(
     family: Family,
     parents: tuple[int, ...],
     table: Table,
     *,
     stored: bool,
     keep: bool,
-    held: int = 0,
+    held: int = 1,
 ) -> dict[str, Any]:
+    """What is told of a CPD of any kind; see `told.Row`.
+
+    Of a function that is called, `held` rows are linearised before the first is done with.
+    """
     found: dict[str, Any] = {"parents": parents, "height": family.shape[2]}
     if not stored:
         found["angles"] = tuple(np.flatnonzero(family.cpd.child.angle_mask).tolist())
@@ -228,8 +240,8 @@ def _row(
     found |= curve
     if keep:
         found["matrix"], found["offset"] = table.array(family.matrix), table.array(family.offset)
-        lines = curve["called"].lines if "called" in curve else None
-        exact = curve.get("points") is None and (lines is None or lines.error is None)
+        called, rule = curve.get("called"), curve.get("points")
+        exact = rule is None if called is None else called.lines.error is None
         if not exact or family.cpd.noise is not None:
             family.keep_errors()
             found["kept"] = table.array(family.noise)
@@ -237,59 +249,44 @@ def _row(
 
 
 def _curve(family: Family, table: Table, held: int) -> dict[str, Any]:
-    """How a CPD is linearised: by its traced function, or by calls of it."""
+    """How a CPD is linearised: by its traced function, by values at points, or by NumPy."""
     rule, template = points_of(family), family.template
     assert template is not None
     if isinstance(rule, str):
-        return {"called": _lined(family, table, rule, held)}
+        return {"called": _by_numpy(family, table, held, rule)}
     answers = family.trace_whole()
-    if isinstance(answers, str):
-        by_differences = len(template.numerical) == template.size
-        if rule is None and not by_differences:
-            return {"called": _lined(family, table, answers, held)}
-        return {"called": _called(family, rule, table, answers, held), "points": rule}
-    inputs = [
-        family.inputs[parent]
-        for parent, place in zip(template.given, template.places, strict=True)
-        if place is None
-    ]
-    function = function_of(template, answers.trace)
-    return {"function": function, "points": rule, "inputs": _joined(inputs, table)}
+    if not isinstance(answers, str):
+        inputs = tuple(
+            table.array(family.inputs[parent])
+            for parent, place in zip(template.given, template.places, strict=True)
+            if place is None
+        )
+        function = function_of(template, answers.trace)
+        return {"function": function, "points": rule, "inputs": inputs}
+    few = template.size <= _FEW and (rule is not None or len(template.numerical) == template.size)
+    if not few:
+        return {"called": _by_numpy(family, table, held, answers)}
+    return {"called": _by_values(family, rule, table, held, answers), "points": rule}
 
 
-def _lined(family: Family, table: Table, why: str, held: int) -> told.Called:
+def _by_numpy(family: Family, table: Table, held: int, why: str) -> told.Called:
     """A CPD that is linearised by NumPy, and why."""
-    call = Lines(family, max(held, 1))
+    call = Lines(family, held)
     cov, value, matrix = map(table.by_runs, (call.cov, call.value, call.matrix))
     error = None if call.error is None else table.by_runs(call.error)
-    sure = table.array(np.ones((1, 1, 1)))
-    lines = told.Lines(len(call.value), cov, value, matrix, error, sure)
-    return table.called(family, why, call, lines)
+    lines = told.Lines(held, cov, value, matrix, error, table.array(np.ones((1, 1, 1))))
+    return table.called(call, lines, why)
 
 
-def _called(
-    family: Family, rule: told.Points | None, table: Table, why: str, held: int
+def _by_values(
+    family: Family, rule: told.Points | None, table: Table, held: int, why: str
 ) -> told.Called:
-    """A CPD that is linearised by values at points, and why; `held` rows are returned to."""
+    """A CPD that is linearised by values of its function at points, and why."""
     _, runs, height, size = family.shape
     # Differences are of four points for each component, beside the mean.
-    count = max(4 * size, 0 if rule is None else len(rule.points)) + 1
-    lines = None
-    if held:
-        value, matrix, error, sure = (
-            table.by_runs(np.zeros((held, *own, runs)))
-            for own in ((height,), (height, size), (height, height), (1,))
-        )
-        lines = told.Lines(held, None, value, matrix, None if rule is None else error, sure)
-    return table.called(family, why, Call(family, count), lines)
-
-
-def _joined(inputs: Sequence[Array], table: Table) -> told.Array | None:
-    """Inputs (rows, runs or 1, d), one after another."""
-    if not inputs:
-        return None
-    if len(inputs) == 1:
-        return table.array(inputs[0])
-    lead = np.broadcast_shapes(*(values.shape[:2] for values in inputs))
-    wide = [np.broadcast_to(values, (*lead, values.shape[2])) for values in inputs]
-    return table.array(np.concatenate(wide, axis=-1))
+    count = max(4 * size + 1, 0 if rule is None else len(rule.points))
+    own = (height,), (height, size), (height, height), (1,)
+    cells = [table.by_runs(np.zeros((held, *each, runs))) for each in own]
+    value, matrix, error, sure = cells
+    lines = told.Lines(held, None, value, matrix, None if rule is None else error, sure)
+    return table.called(Call(family, count), lines, why)

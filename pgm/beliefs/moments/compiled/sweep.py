@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pgm.beliefs.moments.compiled.called import Failed
+from pgm.beliefs.moments.compiled.called import Calls, Failed
 from pgm.beliefs.moments.compiled.judged import judge
 from pgm.beliefs.moments.compiled.memory import address
 from pgm.beliefs.moments.compiled.plans import (
@@ -95,7 +95,8 @@ def forward(
         return None
     asked = schedule or ONCE
     stored = schedule is None
-    table = Table(plan, _lanes(plan))
+    calls = Calls(plan.runs)
+    table = Table(plan, _lanes(plan), calls)
     try:
         why = unknown(plan)
         if isinstance(asked.damping, LevenbergMarquardt):
@@ -134,10 +135,10 @@ def forward(
         known=(table.array(known[0]), table.array(known[1])),
         density=table.array(known[2]),
         iterated=iterated,
-        asked=table.array(table.calls.asked.T[None]) if table.calls.each else None,
+        asked=table.array(calls.asked.T[None]) if calls.each else None,
     )
     ended = _run(plan, chain, table, (*known, *predicted))
-    failure = table.calls.failure
+    failure = calls.failure
     if isinstance(failure, Failed):
         plan.account.leave(str(failure))
         return None
@@ -228,7 +229,7 @@ def _run(
 def _sweep(chain: told.Forward | told.Backward, table: Table) -> sweeps.Sweep:
     """The sweep of a chain, which calls the functions that are to be called."""
     calls, lanes = table.calls, table.lanes
-    if not calls.each:
+    if calls is None or not calls.each:
         return sweeps.made(chain, lanes)
     assert isinstance(chain, told.Forward)
     made, context = asking(chain, lanes), copy_context()
