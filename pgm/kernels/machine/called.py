@@ -46,7 +46,9 @@ def tangent(w: Writer, row: Row, at: Whole, mean: AnyMatrix, cov: AnyMatrix) -> 
     _store(w.at(called.points), [number for point in points for number in point])
     w.ask(called.number, len(points), at)
     values, place = w.at(called.values), at % called.lines.rows
-    found = [[values.load(k * row.height + i) for i in range(row.height)] for k in range(len(points))]
+    found = [
+        [values.load(k * row.height + i) for i in range(row.height)] for k in range(len(points))
+    ]
     slope = []
     for i in range(row.height):
         for j, taken in enumerate(steps):

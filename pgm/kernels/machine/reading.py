@@ -316,7 +316,7 @@ class _Sighting(NamedTuple):
         return cls(left, matrix, own, error, float(sensor.height) - missing, stands)
 
     def weighed(self, weight: Any) -> AnyMatrix:
-        """The covariance of the noise by a weight, by which what was not measured does not count."""
+        """The covariance of the noise by a weight, which is not of what was not measured."""
         if self.stands is None:
             return self.own.scaled(1.0 / weight)
         return (self.own - self.stands).scaled(1.0 / weight) + self.stands
