@@ -38,9 +38,7 @@ def main() -> None:
         one = Verdict(f"{name}: seconds", each["pgm"], MOST, False)
         holds = "holds" if one.holds else "does NOT hold"
         note(f"{one.what}: {one.measured:.2f}, at most {one.asked:g}: {holds}")
-    times = [
-        [_answer("smooth", choice, str(steps)) for choice in CHOICES] for steps in LENGTHS
-    ]
+    times = [[_answer("smooth", choice, str(steps)) for choice in CHOICES] for steps in LENGTHS]
     table(
         "pgm.smooth in a process of its own: seconds of the processor, first and second call",
         ("steps", *(f"{choice}, {call}" for choice in CHOICES for call in ("first", "second"))),

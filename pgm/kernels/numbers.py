@@ -15,8 +15,8 @@ of NumPy's that has this name, and ``x.choose(truth, a, b)``, one or the other b
 from __future__ import annotations
 
 import math
-from math import prod
 from collections.abc import Iterable, Sequence
+from math import prod
 from typing import Any
 
 import numpy as np

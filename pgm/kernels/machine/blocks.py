@@ -11,9 +11,10 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from pgm.kernels.machine.code import Code, Variable
+from pgm.kernels.machine.code import Code
 from pgm.kernels.machine.memory import Memory
 from pgm.kernels.machine.numbers import Number, Operand
+from pgm.kernels.machine.variables import Variable
 from pgm.kernels.machine.wholes import Address, Whole
 from pgm.kernels.numbers import inverse, least, sqrt
 

@@ -14,13 +14,14 @@ from typing import NamedTuple
 
 from pgm.kernels.machine import told
 from pgm.kernels.machine.blocks import Workspace
-from pgm.kernels.machine.code import Variable
 from pgm.kernels.machine.equations import PACK, Kept, Layout
 from pgm.kernels.machine.kinds import ADDRESS, WHOLE
+from pgm.kernels.machine.lines import Lines
 from pgm.kernels.machine.memory import Memory
 from pgm.kernels.machine.module import Module
 from pgm.kernels.machine.numbers import Number
 from pgm.kernels.machine.squares import Rows
+from pgm.kernels.machine.variables import Variable
 from pgm.kernels.machine.wholes import Address, Whole
 from pgm.kernels.machine.writer import Writer
 from pgm.kernels.normal_equations import eliminate, substitute
@@ -59,7 +60,7 @@ class _Written:
         self.table, first, last, self.work, equations = code.arguments
         self.equations: Address = equations
         self.chain, self.rows, self.layout = chain, rows, Layout(chain.size)
-        self.w = w = Writer(code, self.table, chain)
+        self.w = w = Writer(code, self.table, chain, Lines(code))
         self.space = Workspace(code, self.work)
         self.kept = Kept(code, self.layout, self.space)
         size = self.layout.size

@@ -13,18 +13,21 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import accumulate
 from math import inf, prod
+from operator import and_
 from typing import TYPE_CHECKING, Any
 
-from pgm.kernels import step
 from pgm.kernels.machine import told
 from pgm.kernels.machine.evidence import CONSTANTS, Evidence, Table, read
+from pgm.kernels.machine.extent import is_long
+from pgm.kernels.machine.lines import Lines
+from pgm.kernels.machine.loops.frame import Frame
+from pgm.kernels.machine.loops.loops import Loops
 from pgm.kernels.machine.module import Module
 from pgm.kernels.machine.motion import predicted
-from pgm.kernels.machine.numbers import Number
 from pgm.kernels.machine.python import Python, written
 from pgm.kernels.machine.reading import taken
 from pgm.kernels.machine.writer import Writer
-from pgm.kernels.numbers import Matrix
+from pgm.kernels.step import AnyMatrix
 
 if TYPE_CHECKING:
     from pgm.kernels.machine.compiled import Compiled
@@ -73,7 +76,8 @@ def _write(python: Python, online: Step) -> None:
     table.put(chain.known[1], end + size)
     table.put(chain.density, end + (count - 1))
 
-    w = Writer(code, table.address, chain)
+    frame = Frame.of_function(code)
+    w = Writer(code, table.address, chain, Loops(code, frame) if is_long(chain, 1) else Lines(code))
     mean, cov = w.column(chain.begin[0]), w.symmetric(chain.begin[1])
     total, at = code.memory(begin).load(count - 1), code.whole(0)
     if online.moves:
@@ -84,14 +88,15 @@ def _write(python: Python, online: Step) -> None:
         found = taken(w, chain, at, mean, cov)
         after, spread, sure = found.moments.mean, found.moments.cov, found.sure
         total = total + found.density
-    sure = sure & finite & (abs(total) < inf) & _is_moderate(after, spread, cov)
+    sure = sure & finite & (abs(total) < inf) & _is_moderate(w, after, spread, cov)
     w.keep(chain.known[0], after)
     w.keep(chain.known[1], spread)
-    w.keep(chain.density, Matrix.column([total]))
+    w.at(chain.density).store(0, total)
     with code.when(~sure):
         python.call("Py_DecRef", later, result=None)
         code.give(python.call("PyBytes_FromStringAndSize", python.null, 0))
     code.give(later)
+    frame.settle()
 
 
 def _constants(python: Python, online: Step, table: Table) -> None:
@@ -102,9 +107,10 @@ def _constants(python: Python, online: Step, table: Table) -> None:
         table.put(array, begin + place)
 
 
-def _is_moderate(mean: Matrix, cov: Matrix, before: Matrix) -> Number:
+def _is_moderate(w: Writer, mean: AnyMatrix, cov: AnyMatrix, before: AnyMatrix) -> Any:
     """Whether float64 has digits enough for a belief after a step from a covariance."""
-    found: Any = step.open_share(cov) > _REGULAR
-    for (x,), variance, old in zip(mean.rows, cov.diagonal, before.diagonal, strict=True):
-        found = found & (variance > _REGULAR * old) & (x * x < _FAR * variance)
-    return found  # type: ignore[no-any-return]
+    m, found = w.matrices, []
+    for x, variance, old in zip(m.beside(mean), m.diagonal(cov), m.diagonal(before), strict=True):
+        none = (x == 0.0) & (variance == 0.0) & (old == 0.0)  # as behind the last component
+        found.append(none | ((variance > _REGULAR * old) & (x * x < _FAR * variance)))
+    return w.together(and_, found) & (m.open_share(cov) > _REGULAR)

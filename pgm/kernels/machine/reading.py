@@ -327,6 +327,7 @@ class _Sighting(NamedTuple):
         return self.own if self.error is None else self.own + self.error
 
 
-def _is_positive(w: Writer, matrix: AnyMatrix) -> Number:
+def _is_positive(w: Writer, matrix: AnyMatrix) -> Any:
     """Whether a matrix is positive definite."""
-    return (matrix[0, 0] > 0.0) & (w.matrices.open_share(matrix) > 0.0)
+    positive: Number = (matrix[0, 0] > 0.0) & (w.matrices.open_share(matrix) > 0.0)
+    return positive

@@ -19,9 +19,11 @@ from pgm.kernels.machine.blocks import Block, Workspace
 from pgm.kernels.machine.code import Code
 from pgm.kernels.machine.equations import Layout
 from pgm.kernels.machine.kinds import ADDRESS, WHOLE
+from pgm.kernels.machine.lines import Lines
 from pgm.kernels.machine.memory import Cells, Memory
 from pgm.kernels.machine.module import Module
 from pgm.kernels.machine.numbers import Number
+from pgm.kernels.machine.traces import traced
 from pgm.kernels.machine.wholes import Address, Whole
 from pgm.kernels.machine.writer import Writer
 from pgm.kernels.numbers import Matrix, is_zero, where
@@ -49,7 +51,9 @@ class Rows:
         self.code = code = module.function(name, kinds, lanes=cpd.lanes, **_APART)
         table, self.run, begin, end, self.equations, work = code.arguments
         self.cpd, self.layout, self.reference = cpd, Layout(chain.size), chain.reference
-        self.w, self._along = Writer(code, table, cpd), Writer(code, table, chain.reference)
+        lines = Lines(code)
+        self.w = Writer(code, table, cpd, lines)
+        self._along = Writer(code, table, chain.reference, lines)
         self._along.run = self.run
         self.space = Workspace(code, work)
         addresses = Cells(code, table, Address)
@@ -138,7 +142,8 @@ class Rows:
                 given = w.at(cpd.offset, run)
                 value = [line.load(i, 0) + given.load(i) for i in range(height)]
             else:
-                value, slopes = cpds.evaluated(w, cpd, run, x[:size], slope=True)
+                given_of = cpds.inputs(w, cpd, run)
+                value, slopes = traced(code, cpd.function, x[:size], given_of, slope=True)
                 for k, number in enumerate(slopes):
                     if not is_zero(number):
                         matrix.store(*divmod(k, size), number)

@@ -257,10 +257,10 @@ class Gate:
 class Loss:
     """A robust noise: sightings count with R / w, and the weight w is a function of a square.
 
-    `weight(s)` and `surplus(s, w)`, the log-density less that of N(0, R / w), are traces by how many
-    components were measured; of just the last where none may be missing. Weights and the squares
-    that they are of are kept by row. `expects` says that squares are expected under the belief;
-    `found` that weights are as kept, and only the surplus is due.
+    `weight(s)` and `surplus(s, w)`, the log-density less that of N(0, R / w), are traces by how
+    many components were measured; of just the last where none may be missing. Weights and the
+    squares that they are of are kept by row. `expects` says that squares are expected under the
+    belief; `found` that weights are as kept, and only the surplus is due.
     """
 
     weight: tuple[Function, ...]

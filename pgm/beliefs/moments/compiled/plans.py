@@ -127,7 +127,8 @@ def motion_of(
 ) -> told.Motion:
     """A CPD of the transition."""
     layout, family = plan.layout, link.family
-    size, turning = layout.state_size + layout.slice_size, ()
+    size = layout.state_size + layout.slice_size
+    turning: tuple[tuple[int, int, int], ...] = ()
     if link.turning and not stored:
         own = places(link.parents, size)
         if any(before not in own for before in link.before.tolist()):

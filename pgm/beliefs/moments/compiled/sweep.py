@@ -33,8 +33,8 @@ from pgm.resources import in_threads
 from pgm.schedules.damping import LevenbergMarquardt
 from pgm.schedules.schedule import ONCE, Filtering
 
-# Machine code repays its making from a tenth of a second of the general kernels on: a step of theirs
-# takes as long as the arithmetic of so many runs, and these so many of half a microsecond each.
+# Machine code repays its making from a tenth of a second of the general kernels on: a step of
+# theirs takes as long as the arithmetic of so many runs, of half a microsecond each.
 _STEP, _LONG = 100, 250_000
 # Why runs are left to the general kernels, going forward and back.
 _FAR = "readings are too sharp, a covariance is singular, or numbers are too far apart"
@@ -130,7 +130,10 @@ def forward(
         single=bool(layout.single),
         motions=motions,
         sensors=sensors,
-        begin=(table.array(_by_row(first, begin.mean, 1)), table.array(_by_row(first, begin.cov, 2))),
+        begin=(
+            table.array(_by_row(first, begin.mean, 1)),
+            table.array(_by_row(first, begin.cov, 2)),
+        ),
         predicted=tuple(map(table.array, predicted)),
         known=(table.array(known[0]), table.array(known[1])),
         density=table.array(known[2]),
@@ -187,7 +190,7 @@ def backward(
         known=(table.array(ahead.mean), table.array(ahead.cov)),
         predicted=(table.array(ahead.predicted_mean), table.array(ahead.predicted_cov)),
         motion=(table.array(transition.matrix), table.array(transition.cov)),
-        reversed=tuple(map(table.array, states)),
+        reversed=(table.array(states[0]), table.array(states[1]), table.array(states[2])),
         smoothed=tuple(map(table.array, beliefs or ())),
         controls=tuple(map(table.array, slices or ())) if smooth else (),
     )

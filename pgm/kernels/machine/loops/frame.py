@@ -12,6 +12,7 @@ from pgm.kernels.machine.wholes import Address
 
 # Floats of a line of the cache, where each matrix begins.
 LINE = 8
+_OWN = "%frame"
 
 
 class Frame:
@@ -21,6 +22,16 @@ class Frame:
         self._code, self._address = code, address
         self._used = 0
         self.size = 0  # floats in all
+
+    @classmethod
+    def of_function(cls, code: Code) -> Frame:
+        """Room of a function's own, for matrices that are not too many; it ends by `settle`."""
+        return cls(code, Address(code, _OWN))
+
+    def settle(self) -> None:
+        """Reserve the room of a function's own, once all of it is taken."""
+        if self.size:
+            self._code.reserve(f"[{self.size} x double]", 8 * LINE, _OWN)
 
     def take(self, floats: int) -> Address:
         """Room for so many floats, until the end of the innermost `scratch`."""

@@ -140,7 +140,7 @@ class Loops:
 
     def value(self, function: Function, at: Stored, inputs: Inputs) -> Stored:
         """The value of a function at a vector."""
-        return self.values(function, at.T.plain(), inputs).T
+        return self.values(function, at.T, inputs).T
 
     def slope(self, function: Function, at: Stored, inputs: Inputs) -> tuple[Stored, Stored]:
         """The value of a function at a vector, and its derivative."""
@@ -151,6 +151,7 @@ class Loops:
 
     def values(self, function: Function, points: Stored, inputs: Inputs) -> Stored:
         """The values of a function at points, row by row."""
+        points = points.plain()
         found = self._space.new(points.height, len(function.value))
         if points.height == 1:
             self._apply(function, points, inputs, found)

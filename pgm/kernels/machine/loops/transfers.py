@@ -73,13 +73,13 @@ def _read(code: Code, out: View, cells: Memory, rows: Whole, *, near: bool) -> N
     full, rest = divmod(out.width, across)
     with code.loop(rows) as i:
         begin = i * out.width
-        for q in range(full if near else 0):
-            out.put(i, q, _part(code, cells, begin + q * across, across))
+        for place in range(full if near else 0):
+            out.put(i, place, _part(code, cells, begin + place * across, across))
         if near and rest:
             out.put(i, full, _part(code, cells, begin + full * across, rest))
         elif not near:
-            with code.loop(out.packs) as q:
-                out.put(i, q, 0.0)
+            with code.loop(out.packs) as p:
+                out.put(i, p, 0.0)
             with code.loop(out.width) as j:
                 out.put_entry(i, j, _one(code, cells, begin + j))
 
