@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextvars import copy_context
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 
+from pgm.beliefs.moments.compiled.called import Calls, Failed
 from pgm.beliefs.moments.compiled.judged import judge
+from pgm.beliefs.moments.compiled.memory import address
 from pgm.beliefs.moments.compiled.plans import (
     Table,
     Uncompiled,
-    address,
     decided,
     motion_of,
     places,
@@ -25,6 +27,7 @@ from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.compile.machine import CONTROL, Compiled
 from pgm.kernels.arrays import Array, Mask, vacant
 from pgm.kernels.machine import sweeps, told
+from pgm.kernels.machine.asking import asking
 from pgm.kernels.moments import Conditional
 from pgm.resources import in_threads
 from pgm.schedules.damping import LevenbergMarquardt
@@ -92,7 +95,8 @@ def forward(
         return None
     asked = schedule or ONCE
     stored = schedule is None
-    table = Table(plan, _lanes(plan))
+    calls = Calls(plan.runs)
+    table = Table(plan, _lanes(plan), calls)
     try:
         why = unknown(plan)
         if isinstance(asked.damping, LevenbergMarquardt):
@@ -113,7 +117,7 @@ def forward(
     begin = MomentChain(first, schedule, keep=keep).start()
     if not predicted and any(f.compiled for f in plan.families):
         predicted = tuple(np.empty_like(part) for part in known[:2])  # for the judge alone
-    iterated = asked.iterations > 1 and any(sensor.function for sensor in sensors)
+    iterated = asked.iterations > 1 and any(sensor.curved for sensor in sensors)
     record = np.zeros((asked.iterations + 1, plan.runs if iterated else 0))
     if iterated:
         table.numbers[told.ITERATIONS] = asked.iterations
@@ -134,8 +138,15 @@ def forward(
         known=(table.array(known[0]), table.array(known[1])),
         density=table.array(known[2]),
         iterated=iterated,
+        asked=table.array(calls.asked.T[None]) if calls.each else None,
     )
     ended = _run(plan, chain, table, (*known, *predicted))
+    failure = calls.failure
+    if isinstance(failure, Failed):
+        plan.account.leave(str(failure))
+        return None
+    if failure is not None:
+        raise failure
     decided(table)
     left = stretches(ended[sweeps.LEFT] != 0.0)
     _count(plan, left, _FAR)
@@ -203,7 +214,7 @@ def _run(
     choice, lanes = plan.layout.compiled, table.lanes
     ended = np.zeros((sweeps.TOLD, plan.runs))
     table.put(told.ENDED, ended)
-    whole, sweep = table.whole, sweeps.made(chain, lanes)
+    whole, sweep = table.whole, _sweep(chain, table)
     threads = choice.threads if isinstance(choice, Compiled) else 1
     threads = max(min(threads, plan.runs // lanes), 1)
 
@@ -216,6 +227,21 @@ def _run(
 
     in_threads(work, plan.runs, threads)
     return ended
+
+
+def _sweep(chain: told.Forward | told.Backward, table: Table) -> sweeps.Sweep:
+    """The sweep of a chain, which calls the functions that are to be called."""
+    calls, lanes = table.calls, table.lanes
+    if calls is None or not calls.each:
+        return sweeps.made(chain, lanes)
+    assert isinstance(chain, told.Forward)
+    made, context = asking(chain, lanes), copy_context()
+
+    def sweep(where: int, first: int, last: int) -> None:
+        # As the thread of the program that has begun it, of which NumPy's handling of errors is.
+        context.copy().run(calls.sweep, made, where, first, last, lanes)
+
+    return sweep
 
 
 def _count(plan: ChainPlan, left: list[slice], why: str) -> None:
