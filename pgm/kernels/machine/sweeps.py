@@ -54,7 +54,8 @@ def made(chain: Forward | Backward, lanes: int, loops: bool | None = None) -> Sw
             forward(w, chain)
         else:
             _backward(w, chain)
-    function = module.compile(1).callable("sweep")
+    # Of straight lines all of LLVM's passes make faster code; of loops they only take longer.
+    function = module.compile(1 if looped else 2).callable("sweep")
     return frame.with_room(function) if looped else partial(_without_room, function)
 
 
