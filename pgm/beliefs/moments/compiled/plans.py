@@ -16,8 +16,8 @@ from pgm.beliefs.moments.steps.plan import ChainPlan, Link
 from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.compile.machine import MOST
 from pgm.kernels.arrays import Array, Index
-from pgm.kernels.machine import told
-from pgm.kernels.machine.memory import Runs
+from pgm.kernels.machine.emitter.memory import Runs
+from pgm.kernels.machine.sweeps import told
 from pgm.linearisation.family import Family
 from pgm.schedules.gates import gate_of
 

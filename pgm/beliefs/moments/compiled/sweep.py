@@ -26,8 +26,9 @@ from pgm.beliefs.moments.steps.chain import MomentChain
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.compile.machine import CONTROL, Compiled
 from pgm.kernels.arrays import Array, Mask, vacant
-from pgm.kernels.machine import sweeps, told
-from pgm.kernels.machine.asking import asking
+from pgm.kernels.machine.sweeps import chain as sweeps
+from pgm.kernels.machine.sweeps import told
+from pgm.kernels.machine.sweeps.asking import asking
 from pgm.kernels.moments import Conditional
 from pgm.resources import in_threads
 from pgm.schedules.damping import LevenbergMarquardt
