@@ -95,6 +95,35 @@ class Twofold:
         a, b = self[..., :, :, None], other[..., None, :, :]
         return Twofold(*_sum(*_product(a.hi, a.lo, b.hi, b.lo)))
 
+    def __lt__(self, other: Twofold | Array | float) -> Mask:
+        return (self - other).hi < 0.0
+
+    def __gt__(self, other: Twofold | Array | float) -> Mask:
+        return (self - other).hi > 0.0
+
+    def __eq__(self, other: object) -> Mask:  # type: ignore[override]
+        equal: Mask = (self - _twofold(other)).hi == 0.0
+        return equal
+
+    def __ne__(self, other: object) -> Mask:  # type: ignore[override]
+        differ: Mask = (self - _twofold(other)).hi != 0.0
+        return differ
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __abs__(self) -> Twofold:
+        return where(self.hi < 0.0, -self, self)
+
+    def apply(self, name: str) -> Twofold:
+        """The function of this name: sqrt, log, or rint."""
+        with np.errstate(all="ignore"):
+            return _FUNCTIONS[name](self)
+
+    @staticmethod
+    def choose(truth: Mask, a: Twofold | float, b: Twofold | float) -> Twofold:
+        """The number a where a truth holds, b elsewhere."""
+        return where(truth, a, b)
+
     def dot(self, other: Twofold) -> Twofold:
         """The inner products (...) of two stacks of vectors (..., n)."""
         product = self * other
@@ -154,6 +183,18 @@ def _eye_like(matrix: Twofold) -> Twofold:
     for k in range(matrix.shape[-1]):
         found.hi[..., k, k] = 1.0
     return found
+
+
+def _rint(x: Twofold) -> Twofold:
+    """The nearest whole number; of two, the even one."""
+    whole = np.rint(x.hi)
+    low = np.rint(x.lo)  # of whole numbers beyond 2⁵³
+    half = np.abs(x.hi - np.trunc(x.hi)) == 0.5
+    nearest = np.where(half & (x.lo != 0.0), np.floor(x.hi) + (x.lo > 0.0), whole)
+    return Twofold(nearest) + np.where(nearest == x.hi, low, 0.0)
+
+
+_FUNCTIONS = {"sqrt": sqrt, "log": log, "rint": _rint}
 
 
 def eliminated(

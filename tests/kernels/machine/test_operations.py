@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from machine_code import WIDTHS, apart, elementwise
 
-from pgm.kernels.machine.operations import OPERATIONS
+from pgm.kernels.machine.emitter.operations import OPERATIONS
 from pgm.tracing.operations import BATCH, BOOLEAN, SCALAR
 
 TURNS = np.pi * np.array([0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 100.5, 1e6])

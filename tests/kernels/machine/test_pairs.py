@@ -11,7 +11,7 @@ from pgm.beliefs.moments.digits.laid_out import two
 from pgm.beliefs.moments.digits.written import Trace
 from pgm.kernels import extended
 from pgm.kernels.extended import Twofold
-from pgm.kernels.machine.traces import written
+from pgm.kernels.machine.emitter.traces import written
 
 mp = mpmath.mp.clone()
 mp.dps = 60

@@ -11,7 +11,8 @@ from pgm.compile.machine import rule_told
 from pgm.cpds import RobustNoise
 from pgm.cpds.radius import kept
 from pgm.kernels.arrays import Array
-from pgm.kernels.machine import told
+from pgm.kernels.machine.emitter.functions import Function
+from pgm.kernels.machine.sweeps import told
 from pgm.linearisation.family import Family
 from pgm.linearisers import FunctionTemplate, Taylor
 from pgm.linearisers.points import Points
@@ -23,31 +24,31 @@ from pgm.tracing.program import Column
 _NOTHING = 1e-15
 
 
-def function_of(template: FunctionTemplate, trace: Program) -> told.Function:
+def function_of(template: FunctionTemplate, trace: Program) -> Function:
     """A function with its whole derivative: given parts from the trace, and its own of the rest.
 
     `trace` is that of the value, followed by the derivatives that were given.
     """
-    known = template.compiled.get(trace)
+    known: Function | None = template.compiled.get(trace)
     if known is None:
         known = template.compiled[trace] = _function(template, trace)
     return known
 
 
-def _function(template: FunctionTemplate, trace: Program) -> told.Function:
+def _function(template: FunctionTemplate, trace: Program) -> Function:
     height, size = template.height, template.size
     alone = trace.by(template.missing_columns, height)
-    slope: list[list[int | None]] = [[None] * size for _ in range(height)]
+    slope = np.full((height, size), None)
     for i in range(height):
         for j, column in enumerate(template.missing):
-            slope[i][column] = alone.slope[i * len(template.missing) + j]
+            slope[i, column] = alone.slope[i * len(template.missing) + j]
     first = height
     for _, width, place, jacobian in template.derivatives:
         if jacobian is not None:
             for i in range(height):
-                slope[i][place] = trace.value[first + i * width : first + (i + 1) * width]
+                slope[i, place] = trace.value[first + i * width : first + (i + 1) * width]
             first += height * width
-    flat = [number for row in slope for number in row]
+    flat = slope.ravel().tolist()
     every = [(a, i) for a, width in enumerate(trace.widths) for i in range(width)]
     observed = tuple(column for column in every if column not in template.columns)
     return _told_function(alone, alone.value[:height], flat, template.columns, observed)
@@ -59,7 +60,7 @@ def _told_function(
     slope: Sequence[int | None],
     hidden: Sequence[Column],
     observed: Sequence[Column],
-) -> told.Function:
+) -> Function:
     """Some operations of a program, without those on which they do not depend."""
     order = program.graph.reachable([*value, *(k for k in slope if k is not None)])
     new = {number: k for k, number in enumerate(order)}
@@ -68,7 +69,7 @@ def _told_function(
         name, *operands = program.graph.operations[number]
         plain = name in ("constant", "input")
         operations.append((name, *(operands if plain else (new[k] for k in operands))))
-    return told.Function(
+    return Function(
         tuple(operations),
         tuple(new[k] for k in value),
         tuple(None if k is None else new[k] for k in slope),
@@ -78,8 +79,8 @@ def _told_function(
 
 
 @kept
-def loss_of(noise: RobustNoise, count: int) -> tuple[told.Function, told.Function] | str:
-    """The weight w(s), and the surplus of s and w, of sightings of so many components; or why not."""
+def loss_of(noise: RobustNoise, count: int) -> tuple[Function, Function] | str:
+    """The weight w(s), and the surplus of s and w, of so many components; or why there are none."""
 
     def weight(square: Array) -> Array:
         return noise.weight(square, count)
@@ -122,11 +123,17 @@ def _points(
 ) -> told.Points:
     points: Points = rule.points(size, name, 0)
     fit = points.fit
-    rows = np.where(abs(fit.rows) > _NOTHING * abs(fit.rows).max(axis=1, keepdims=True), fit.rows, 0.0)
+    rows = np.where(
+        abs(fit.rows) > _NOTHING * abs(fit.rows).max(axis=1, keepdims=True), fit.rows, 0.0
+    )
+    mean, slope, rest = map(_told, np.split(rows, [1, 1 + size]))
+    signs = () if fit.signs is None else tuple(fit.signs.tolist())
     return told.Points(
         _told(points.points),
-        *map(_told, np.split(rows, [1, 1 + size])),
-        () if fit.signs is None else tuple(fit.signs.tolist()),
+        mean,
+        slope,
+        rest,
+        signs,
         points.centred,
         points.fitted_rounding,
         tuple(map(float, variances)),

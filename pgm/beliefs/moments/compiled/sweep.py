@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextvars import copy_context
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 
+from pgm.beliefs.moments.compiled.called import Calls, Failed
 from pgm.beliefs.moments.compiled.judged import judge
+from pgm.beliefs.moments.compiled.memory import address
 from pgm.beliefs.moments.compiled.plans import (
     Table,
     Uncompiled,
-    address,
     decided,
     motion_of,
     places,
@@ -24,14 +26,16 @@ from pgm.beliefs.moments.steps.chain import MomentChain
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.compile.machine import CONTROL, Compiled
 from pgm.kernels.arrays import Array, Mask, vacant
-from pgm.kernels.machine import sweeps, told
+from pgm.kernels.machine.sweeps import chain as sweeps
+from pgm.kernels.machine.sweeps import told
+from pgm.kernels.machine.sweeps.asking import asking
 from pgm.kernels.moments import Conditional
 from pgm.resources import in_threads
 from pgm.schedules.damping import LevenbergMarquardt
 from pgm.schedules.schedule import ONCE, Filtering
 
-# Machine code repays its making from a tenth of a second of the general kernels on: a step of theirs
-# takes as long as the arithmetic of so many runs, and these so many of half a microsecond each.
+# Machine code repays its making from a tenth of a second of the general kernels on: a step of
+# theirs takes as long as the arithmetic of so many runs, of half a microsecond each.
 _STEP, _LONG = 100, 250_000
 # Why runs are left to the general kernels, going forward and back.
 _FAR = "readings are too sharp, a covariance is singular, or numbers are too far apart"
@@ -92,7 +96,8 @@ def forward(
         return None
     asked = schedule or ONCE
     stored = schedule is None
-    table = Table(plan, _lanes(plan))
+    calls = Calls(plan.runs)
+    table = Table(plan, _lanes(plan), calls)
     try:
         why = unknown(plan)
         if isinstance(asked.damping, LevenbergMarquardt):
@@ -113,7 +118,7 @@ def forward(
     begin = MomentChain(first, schedule, keep=keep).start()
     if not predicted and any(f.compiled for f in plan.families):
         predicted = tuple(np.empty_like(part) for part in known[:2])  # for the judge alone
-    iterated = asked.iterations > 1 and any(sensor.function for sensor in sensors)
+    iterated = asked.iterations > 1 and any(sensor.curved for sensor in sensors)
     record = np.zeros((asked.iterations + 1, plan.runs if iterated else 0))
     if iterated:
         table.numbers[told.ITERATIONS] = asked.iterations
@@ -126,13 +131,23 @@ def forward(
         single=bool(layout.single),
         motions=motions,
         sensors=sensors,
-        begin=(table.array(_by_row(first, begin.mean, 1)), table.array(_by_row(first, begin.cov, 2))),
+        begin=(
+            table.array(_by_row(first, begin.mean, 1)),
+            table.array(_by_row(first, begin.cov, 2)),
+        ),
         predicted=tuple(map(table.array, predicted)),
         known=(table.array(known[0]), table.array(known[1])),
         density=table.array(known[2]),
         iterated=iterated,
+        asked=table.array(calls.asked.T[None]) if calls.each else None,
     )
     ended = _run(plan, chain, table, (*known, *predicted))
+    failure = calls.failure
+    if isinstance(failure, Failed):
+        plan.account.leave(str(failure))
+        return None
+    if failure is not None:
+        raise failure
     decided(table)
     left = stretches(ended[sweeps.LEFT] != 0.0)
     _count(plan, left, _FAR)
@@ -176,7 +191,7 @@ def backward(
         known=(table.array(ahead.mean), table.array(ahead.cov)),
         predicted=(table.array(ahead.predicted_mean), table.array(ahead.predicted_cov)),
         motion=(table.array(transition.matrix), table.array(transition.cov)),
-        reversed=tuple(map(table.array, states)),
+        reversed=(table.array(states[0]), table.array(states[1]), table.array(states[2])),
         smoothed=tuple(map(table.array, beliefs or ())),
         controls=tuple(map(table.array, slices or ())) if smooth else (),
     )
@@ -200,7 +215,7 @@ def _run(
     choice, lanes = plan.layout.compiled, table.lanes
     ended = np.zeros((sweeps.TOLD, plan.runs))
     table.put(told.ENDED, ended)
-    whole, sweep = table.whole, sweeps.made(chain, lanes)
+    whole, sweep = table.whole, _sweep(chain, table)
     threads = choice.threads if isinstance(choice, Compiled) else 1
     threads = max(min(threads, plan.runs // lanes), 1)
 
@@ -213,6 +228,21 @@ def _run(
 
     in_threads(work, plan.runs, threads)
     return ended
+
+
+def _sweep(chain: told.Forward | told.Backward, table: Table) -> sweeps.Sweep:
+    """The sweep of a chain, which calls the functions that are to be called."""
+    calls, lanes = table.calls, table.lanes
+    if calls is None or not calls.each:
+        return sweeps.made(chain, lanes)
+    assert isinstance(chain, told.Forward)
+    made, context = asking(chain, lanes), copy_context()
+
+    def sweep(where: int, first: int, last: int) -> None:
+        # As the thread of the program that has begun it, of which NumPy's handling of errors is.
+        context.copy().run(calls.sweep, made, where, first, last, lanes)
+
+    return sweep
 
 
 def _count(plan: ChainPlan, left: list[slice], why: str) -> None:

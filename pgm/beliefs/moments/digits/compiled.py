@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pgm.beliefs.moments.compiled.judged import judge
+from pgm.beliefs.moments.compiled.memory import address
 from pgm.beliefs.moments.compiled.plans import (
     Table,
     Uncompiled,
-    address,
     motion_of,
     sensor_of,
 )
@@ -37,8 +37,9 @@ from pgm.compile.machine import CONTROL, Compiled
 from pgm.kernels import roots
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, quiet, vacant, variances
 from pgm.kernels.extended import Twofold
-from pgm.kernels.machine import digits, told
-from pgm.kernels.machine.sweeps import LANES
+from pgm.kernels.machine.emitter.functions import Function
+from pgm.kernels.machine.sweeps import digits, told
+from pgm.kernels.machine.sweeps.chain import LANES
 from pgm.resources import in_threads
 from pgm.schedules.iteration import Anchor
 from pgm.schedules.schedule import Filtering
@@ -198,7 +199,7 @@ def smoothed(made: Record, last: int, first: int, count: int = 1) -> Slices:
     gain, lost = two(room, size, size), room(())
     lost[...] = 0.0
 
-    def swept(bayes: told.Function | None) -> None:
+    def swept(bayes: Function | None) -> None:
         table = Table(plan, _lanes(plan))
 
         def arrays(*value: Any) -> digits.Arrays:

@@ -17,7 +17,7 @@ from pgm.beliefs.moments.digits.adjoint_belief import closer, given, is_close
 from pgm.beliefs.moments.digits.careful_belief import informed, predicted, take
 from pgm.beliefs.moments.digits.laid_out import flat, two
 from pgm.kernels.extended import Twofold
-from pgm.kernels.machine.told import Function
+from pgm.kernels.machine.emitter.functions import Function
 from pgm.tracing.traced import Node, Recorder, Traced, bare
 
 
