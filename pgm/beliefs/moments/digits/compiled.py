@@ -44,6 +44,8 @@ from pgm.resources import in_threads
 from pgm.schedules.iteration import Anchor
 from pgm.schedules.schedule import Filtering
 
+# NumPy's passes take at least so many times as long as those in float64.
+_TIMES = 8
 # The most components of a slice: steps are straight lines, as long as the cube of it.
 _MOST = 6
 # A thousand operations take 15 ms to compile, or 65 to run four times faster: steps of few of them,
@@ -62,7 +64,7 @@ def sweep(
 
     The arguments are those of `careful.sweep`.
     """
-    if not is_used(plan):
+    if not is_used(plan, _TIMES):
         return None
     try:
         found = _swept(plan, schedule, anchor, begin, gated)
