@@ -244,6 +244,16 @@ def test_pairs_are_right_to_30_digits_or_as_told(passes, monkeypatch, n, height,
         assert abs(step.taken.log_density[0] - density) <= 1e-13 * (1 + abs(density))
 
 
+@pytest.mark.parametrize("flat_", [True, False])
+@pytest.mark.parametrize("schedule", SCHEDULES)
+def test_a_chain_without_measurements(passes, monkeypatch, schedule, flat_):
+    monkeypatch.setattr(run, "_suffices", lambda _: False)
+    _, _, model = network(matrices(2, 0), flat_=flat_)
+    found = pgm.infer(pgm.compile(model, steps=5, compiled=True), {}, schedule=schedule)
+    assert found.status.compilation == "compiled"
+    assert assert_alike(passes)
+
+
 def told(model, evidence, **options):
     graph = pgm.compile(model, steps=12, compiled=True)
     return pgm.infer(graph, evidence, **options).status.compilation

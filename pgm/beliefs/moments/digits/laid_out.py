@@ -60,12 +60,12 @@ def later(make: Maker, size: int, unknown: int) -> Later:
 
 
 def flat(value: Any) -> list[Array]:
-    """The arrays of a value, in order; none of an empty one."""
+    """The arrays of a value, in order, but for those without columns, as where δ is empty."""
     if isinstance(value, Twofold):
         return flat((value.hi, value.lo))
     if isinstance(value, tuple):
         return [array for part in value for array in flat(part)]
-    return [value] if value.size else []
+    return [value] if value.shape[-1] else []
 
 
 def mapped(function: Callable[[Array], Array], value: Any) -> Any:
