@@ -76,8 +76,10 @@ class Answers:
         # Of batches; how many points they have.
         self._batches: list[Points] = []
         self._count = 0
-        self._chosen: list[Points] = []
-        self._doubts: list[Array] = []
+        # Where machine code evaluated the trace: arguments, and deviations if derivatives were used.
+        self._swept: list[tuple[Array, Array | None]] = []
+        # Points whose slopes are held against differences, and their doubts.
+        self._chosen: list[tuple[Points, Array]] = []
 
     def single(self, arguments: Sequence[Array], cov: Array | None) -> tuple[Array, Array, bool]:
         """Evaluate at (width,) each: the value (d,), the derivative (d, n), whether it is finite.
@@ -138,72 +140,104 @@ class Answers:
         if std is None:
             flat = flat[:: self.thin]
         for first in range(0, len(flat), _BATCH):
-            part = flat[first : first + _BATCH]
-            apart, shape = self.slopes.apart(part), (len(part),)
-            told = components_last(self.trace.batch(apart, shape)[0], 1)
-            if std is None:
-                self._compare(part, told)
-                continue
-            slope = components_last(self.program.batch(apart, shape)[1], 2)
-            spread = std[first : first + _BATCH, self._places]
-            self._look(Points(part, told, slope, spread))
+            rows = slice(first, first + _BATCH)
+            self._swept.append((flat[rows], None if std is None else std[rows, self._places]))
+            self._count += len(self._swept[-1][0])
+            if self._count >= _BATCH:
+                self._look_back()
 
     def close(self) -> None:
         """Judge all that has been kept, and keep nothing more."""
-        self._look_back()
-        self._open = False
-        if self.fault is None and self._chosen:
-            found, doubts = Points.joined(self._chosen), np.concatenate(self._doubts)
-            self.fault = self.slopes.fault(found.at(_chosen(doubts)))
-        self._chosen, self._doubts = [], []
+        if self._open:
+            self._look_back(last=True)
+        self._open, self._chosen = False, []
 
-    def _look_back(self) -> None:
-        """Judge what has been kept since this was done last."""
-        parts = self._batches if self.fault is None else []
+    def _look_back(self, *, last: bool = False) -> None:
+        """Judge what has been kept since this was done last, and at the `last` the slopes of all."""
+        parts, alone = self._batches, []
         if self._asked:
             told, height = np.array(self._told, dtype=float), len(self.program.value)
             slope = told[:, height:].reshape(len(told), height, -1)
             std = np.array([self._deviations(cov) for cov in self._covs])
             parts.append(Points(np.array(self._asked), told[:, :height], slope, std))
-            self._asked, self._told, self._covs = [], [], []
-        self._batches, self._count = [], 0
-        if parts and self.fault is None:
-            self._look(Points.joined(parts))
+        for flat, std in self._swept:
+            if std is None:
+                alone.append(flat)
+            elif len(flat):
+                parts.append(self._points(flat, std))
+        self._asked, self._told, self._covs = [], [], []
+        self._batches, self._swept, self._count = [], [], 0
+        if self.fault is None and (parts or alone or (last and self._chosen)):
+            self._look(Points.joined(parts) if parts else None, alone, last=last)
+
+    def _points(self, flat: Array, std: Array) -> Points:
+        """Points at which machine code evaluated the trace, as it evaluates here."""
+        shape = (len(flat),)
+        if self.program.smooth:  # whose slopes are not looked at
+            return Points(flat, self._values(flat), np.empty((*shape, len(self._noise), 0)), std)
+        value, slope = self.program.batch(self.slopes.apart(flat), shape)
+        told = (
+            self._values(flat) if len(self.trace.value) > len(value) else components_last(value, 1)
+        )
+        return Points(flat, told, components_last(slope, 2), std)
+
+    def _values(self, flat: Array) -> Array:
+        """The trace's values (k, d), followed by derivatives that were given."""
+        return components_last(self.trace.batch(self.slopes.apart(flat), (len(flat),))[0], 1)
 
     def _deviations(self, cov: Array | None) -> Array:
         if cov is None:
             return np.full(len(self._places), np.nan)
         return np.sqrt(np.maximum(cov.diagonal()[self._places], 0.0))
 
-    def _look(self, points: Points) -> None:
-        some = points.at(slice(None, None, self.thin))
-        self._compare(some.arguments, some.value)
-        if self.fault is None and self._places:
-            self._compare_beside(some)
-            if self.program.smooth:
-                return
-            doubts = self.slopes.doubts(points)
-            chosen = _chosen(doubts)
-            self._chosen.append(points.at(chosen))
-            self._doubts.append(doubts[chosen])
+    def _look(self, points: Points | None, alone: Sequence[Array], *, last: bool) -> None:
+        """Look at points, and at others `alone`, whose values were used, at the `last` at slopes.
 
-    def _compare_beside(self, points: Points) -> None:
-        """Compare values where slopes show in them; where the function fails there, it need not."""
+        The function is asked for all of this at once. Values beside points show slopes; where the
+        function fails there, it need not show them.
+        """
+        asked, told = list(alone), [self._values(flat) for flat in alone]
+        first = len(asked)
+        if points is not None:
+            some = points.at(slice(None, None, self.thin))
+            asked.append(some.arguments)
+            told.append(some.value)
+            first += 1
+            if self._places:
+                asked.append(self._beside(some))
+                told.append(self._values(asked[-1]))
+            if self._places and not self.program.smooth:
+                doubts = self.slopes.doubts(points)
+                chosen = _chosen(doubts)
+                self._chosen.append((points.at(chosen), doubts[chosen]))
+        differed = None
+        if last and self._chosen:
+            found, doubts = map(list, zip(*self._chosen, strict=True))
+            differed = self.slopes.differed(
+                Points.joined(found).at(_chosen(np.concatenate(doubts)))
+            )
+            asked.append(differed.points)
+        due = self.slopes.functions(asked)
+        self.used = self.used or first > 0
+        for k, (flat, answers) in enumerate(zip(asked, told, strict=False)):
+            values = due[k]
+            if values is not None and values.shape == answers.shape:
+                self._hold(flat, answers, values)
+            elif k < first:
+                self.fault = (
+                    "its function fails on a batch of the points at which its trace was used"
+                )
+                self.moved = True
+            if self.fault is not None:
+                return
+        if differed is not None:
+            self.fault = differed.fault(due[-1])
+
+    def _beside(self, points: Points) -> Array:
+        """Points beside some, at which slopes show in values."""
         flat, columns = points.arguments.copy(), self.slopes.columns
         flat[:, columns] = beside(flat[:, columns], points.std)
-        told = components_last(self.trace.batch(self.slopes.apart(flat), (len(flat),))[0], 1)
-        due = self.slopes.function(flat)
-        if due is not None:
-            self._hold(flat, told, due)
-
-    def _compare(self, flat: Array, told: Array) -> None:
-        """Call the user's function at some points; a value unlike the trace's is a fault."""
-        due, self.used = self.slopes.function(flat), True
-        if due is None or due.shape != told.shape:
-            self.fault = "its function fails on a batch of the points at which its trace was used"
-            self.moved = True
-            return
-        self._hold(flat, told, due)
+        return flat
 
     def _hold(self, flat: Array, told: Array, due: Array) -> None:
         """A trace's values `told`, (k, d), unlike the function's are a fault."""
@@ -320,5 +354,10 @@ def judged() -> Iterator[Judge]:
 
 def _chosen(doubts: Array) -> Integers:
     """The places of the points most in doubt, and of some at even distances."""
-    some = np.linspace(0, len(doubts) - 1, min(_EVEN, len(doubts))).astype(np.intp)
-    return np.union1d(some, choice(doubts))
+    last = len(doubts) - 1
+    if last < _EVEN:
+        return np.arange(last + 1)
+    chosen = np.zeros(last + 1, dtype=bool)
+    chosen[np.arange(_EVEN) * last // (_EVEN - 1)] = True
+    chosen[choice(doubts)] = True
+    return np.flatnonzero(chosen)
