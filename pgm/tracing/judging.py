@@ -76,7 +76,7 @@ class Answers:
         # Of batches; how many points they have.
         self._batches: list[Points] = []
         self._count = 0
-        # Where machine code evaluated the trace: arguments, and deviations if derivatives were used.
+        # Where machine code evaluated: arguments, and deviations if derivatives were used.
         self._swept: list[tuple[Array, Array | None]] = []
         # Points whose slopes are held against differences, and their doubts.
         self._chosen: list[tuple[Points, Array]] = []
@@ -153,7 +153,7 @@ class Answers:
         self._open, self._chosen = False, []
 
     def _look_back(self, *, last: bool = False) -> None:
-        """Judge what has been kept since this was done last, and at the `last` the slopes of all."""
+        """Judge what has been kept since this was done last; at the `last` slopes as well."""
         parts, alone = self._batches, []
         if self._asked:
             told, height = np.array(self._told, dtype=float), len(self.program.value)
