@@ -1,85 +1,35 @@
-"""Plans of chains, as machine code is told of them: its key, and its table."""
+"""Plans of chains, as machine code is told of them: what decides their code, and their arrays.
+
+An *owner* is a CPD of the transition, a sensor, or the record of a sweep, by its number: owners
+stand in this order. Arrays are told of by how their owner is asked for them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import pairwise
+from collections.abc import Hashable
+from operator import attrgetter, itemgetter
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pgm.beliefs.moments.compiled.functions import function_of, loss_of, points_of
+from pgm.beliefs.moments.compiled.table import Table
 from pgm.beliefs.moments.steps import gate as gates
 from pgm.beliefs.moments.steps.plan import ChainPlan, Link
 from pgm.beliefs.moments.steps.sensor import Sensor
-from pgm.compile.machine import MOST
+from pgm.compile.machine import MOST, RULES
 from pgm.kernels.arrays import Array, Index
 from pgm.kernels.machine import told
-from pgm.kernels.machine.memory import Runs
 from pgm.linearisation.family import Family
+from pgm.linearisers import Taylor
 from pgm.schedules.gates import gate_of
 
-Integers64 = npt.NDArray[np.int64]
+# By name the arrays that a sweep fills or reads beside those of CPDs and sensors.
+Record = dict[str, Array]
 
 
 class Uncompiled(Exception):
     """A plan that machine code cannot sweep, and why."""
-
-
-def address(array: npt.NDArray[Any]) -> int:
-    """Where an array's memory begins."""
-    found: int = array.__array_interface__["data"][0]
-    return found
-
-
-class Table:
-    """A table that is filled, and the arrays that it tells of, which stay in memory as it does.
-
-    `lanes` is how many runs are swept together.
-    """
-
-    def __init__(self, plan: ChainPlan, lanes: int) -> None:
-        self.lanes = lanes
-        self.numbers = [0] * told.FIRST
-        self.numbers[told.LAST], self.numbers[told.RUNS] = plan.steps, plan.runs
-        self.decisions: list[tuple[Sensor, Array]] = []
-        self._kept: list[object] = []
-
-    def put(self, place: int, array: npt.NDArray[Any]) -> None:
-        """Put the address of an array into the table."""
-        self._kept.append(array)
-        self.numbers[place] = address(array)
-
-    def at(self, array: npt.NDArray[Any]) -> int:
-        """The place in the table of the address of an array."""
-        self.numbers.append(0)
-        self.put(len(self.numbers) - 1, array)
-        return len(self.numbers) - 1
-
-    def array(self, array: Array) -> told.Array:
-        """An array (rows or 1, runs or 1, own axes), told."""
-        if not array.size:  # which is never read, and has no distances
-            array = np.zeros((1, *array.shape[1:]))
-        inner = [(k, n) for k, n in zip(array.strides[2:], array.shape[2:], strict=True) if n > 1]
-        for (outer, _), (stride, size) in pairwise(inner):
-            if outer != stride * size:
-                return self.array(np.ascontiguousarray(array))
-        down, across = (
-            0 if n == 1 else k // 8 for k, n in zip(array.strides, array.shape[:2], strict=False)
-        )
-        cell = inner[-1][0] // 8 if inner else 1
-        place = self.at(array)
-        self.numbers += [down, across, cell]
-        runs = Runs.BESIDE
-        if self.lanes > 1 and across != 1:
-            runs = Runs.APART if across else Runs.SAME
-        return told.Array(place, array.shape[2:], runs, cell == 1)
-
-    @property
-    def whole(self) -> Integers64:
-        """The table."""
-        return np.array(self.numbers, dtype=np.int64)
 
 
 def places(index: Index, size: int) -> tuple[int, ...]:
@@ -102,8 +52,68 @@ def unknown(plan: ChainPlan) -> str | None:
     return None
 
 
+def decisive(plan: ChainPlan, *, stored: bool, keep: bool, gate: gates.Asked | None) -> Hashable:
+    """What decides the code of a plan's forward sweep, beside the places of its CPDs.
+
+    Functions are traced, if they were not, and CPDs made ready to keep errors of linearisations.
+    """
+    rows = [
+        (_function(link.family, stored=stored, keep=keep), len(link.turning))
+        for link in plan.transition
+    ]
+    rows += [
+        (
+            _function(sensor.family, stored=stored, keep=keep),
+            sensor.family.cpd,
+            _gate(sensor, gate, stored=stored),
+            _missing(sensor, gate, stored=stored),
+            _single(sensor, plan.steps),
+        )
+        for sensor in plan.read
+    ]
+    return (*rows, stored, keep)
+
+
+def _function(family: Family, *, stored: bool, keep: bool) -> Hashable:
+    """What decides how a CPD is linearised."""
+    bare = family.bare if family.noisy else None
+    weighed = family.cpd.noise is not None
+    if stored or family.template is None:
+        if keep and weighed and not stored:
+            family.keep_errors()
+        return bare
+    answers, rule = family.trace_whole(), family.lineariser
+    if isinstance(answers, str):
+        raise Uncompiled(f"{family.cpd!r}: {answers}")
+    if family.hidden and type(rule) is not Taylor and type(rule) not in RULES:
+        raise Uncompiled(f"{family.cpd!r}: {points_of(family)}")
+    if keep and (weighed or _has_points(family)):
+        family.keep_errors()
+    return answers.trace, rule, bare
+
+
+def _has_points(family: Family) -> bool:
+    return bool(family.hidden) and type(family.lineariser) is not Taylor
+
+
+def _gate(sensor: Sensor, gate: gates.Asked | None, *, stored: bool) -> float | None:
+    return None if gate is None or stored else gate_of(gate, sensor.variable)
+
+
+def _missing(sensor: Sensor, gate: gates.Asked | None, *, stored: bool) -> bool:
+    taken = sensor.taken
+    if _gate(sensor, gate, stored=stored) is not None:
+        assert sensor.gated is not None
+        taken = sensor.gated.given
+    return taken is not None and not taken.all()
+
+
+def _single(sensor: Sensor, steps: int) -> bool:
+    return sensor.bounds == list(range(steps + 2))
+
+
 def motion_of(
-    plan: ChainPlan, link: Link, table: Table, *, stored: bool, keep: bool
+    plan: ChainPlan, owner: int, link: Link, table: Table, *, stored: bool, keep: bool
 ) -> told.Motion:
     """A CPD of the transition."""
     layout, family = plan.layout, link.family
@@ -114,7 +124,7 @@ def motion_of(
             raise Uncompiled(f"{family.cpd!r} turns an angle of which its function does not know")
         turning = tuple((new, before, own.index(before)) for new, before in link.turning)
     return told.Motion(
-        **_row(family, places(link.parents, size), table, stored=stored, keep=keep),
+        **_row(owner, family, places(link.parents, size), table, stored=stored, keep=keep),
         bare=family.bare,
         unsure=not family.semidefinite,
         turning=turning,
@@ -123,6 +133,7 @@ def motion_of(
 
 def sensor_of(
     plan: ChainPlan,
+    owner: int,
     sensor: Sensor,
     table: Table,
     *,
@@ -132,41 +143,32 @@ def sensor_of(
 ) -> told.Sensor:
     """A sensor with its measurements, and with its gate if gates decide anew."""
     family, size = sensor.family, plan.layout.slice_size
-    values, taken, gated = sensor.moved if stored else sensor.values, sensor.taken, None
-    probability = None if gate is None else gate_of(gate, sensor.variable)
-    if probability is not None:
-        assert sensor.gated is not None
-        taken, gated = sensor.gated.given, _gate_of(probability, sensor, table)
-    if taken is not None and taken.all():
-        taken = None
-    if taken is not None:
-        values = np.where(taken, values, np.nan)
-    single = sensor.bounds == list(range(plan.steps + 2))
+    probability = _gate(sensor, gate, stored=stored)
+    missing = _missing(sensor, gate, stored=stored)
+    readings = "moved_marked" if stored else "marked" if probability is None else "given_marked"
     kept = keep and not stored and bool(sensor.variable.angles)
-    loss = _loss_of(sensor, table, taken is not None, found=stored) if sensor.robust else None
     return told.Sensor(
-        **_row(family, places(sensor.parents, size), table, stored=stored, keep=keep),
-        readings=table.array(values),
-        moved=table.array(sensor.moved) if kept else None,
-        missing=taken is not None,
-        bounds=None if single else table.at(np.array(sensor.bounds, dtype=np.int64)),
-        gate=gated,
-        loss=loss,
+        **_row(owner, family, places(sensor.parents, size), table, stored=stored, keep=keep),
+        readings=table.array(owner, attrgetter(readings)),
+        moved=table.array(owner, attrgetter("moved")) if kept else None,
+        missing=missing,
+        bounds=None if _single(sensor, plan.steps) else table.at(owner, attrgetter("edges")),
+        gate=None if probability is None else _gate_of(probability, owner, sensor, table),
+        loss=_loss_of(owner, sensor, table, missing, found=stored) if sensor.robust else None,
     )
 
 
-def _gate_of(probability: float, sensor: Sensor, table: Table) -> told.Gate:
-    """A sensor's gate, whose decisions are gathered for its record; see `decided`."""
-    count, runs, height, _ = sensor.family.shape
-    limits = gates.limits(probability, height)
-    rejected = np.zeros((count, runs))
-    table.decisions.append((sensor, rejected))
-    assert sensor.gated is not None
-    squares = table.array(sensor.gated.square)
-    return told.Gate(table.array(limits[None, None]), squares, table.array(rejected))
+def _gate_of(probability: float, owner: int, sensor: Sensor, table: Table) -> told.Gate:
+    """A sensor's gate, whose decisions are gathered in the record; see `decided`."""
+    limits = gates.limits(probability, sensor.height)[None, None]
+    return told.Gate(
+        table.array(owner, lambda _: limits),
+        table.array(owner, attrgetter("gated.square")),
+        table.array(-1, itemgetter(rejected_by(sensor))),
+    )
 
 
-def _loss_of(sensor: Sensor, table: Table, missing: bool, *, found: bool) -> told.Loss:
+def _loss_of(owner: int, sensor: Sensor, table: Table, missing: bool, *, found: bool) -> told.Loss:
     """A sensor's robust noise, with the weights of its sightings; `found` as of `told.Loss`."""
     family, weights = sensor.family, sensor.weights
     counts = range(0 if missing else sensor.height, sensor.height + 1)
@@ -175,61 +177,67 @@ def _loss_of(sensor: Sensor, table: Table, missing: bool, *, found: bool) -> tol
         if isinstance(each, str):
             raise Uncompiled(f"{family.cpd!r}: its noise: {each}")
     weight, surplus = zip(*functions, strict=True)
-    places = table.array(weights.weight), table.array(weights.square)
-    return told.Loss(weight, surplus, *places, expects=family.expects, found=found)
+    names = "weights.weight", "weights.square"
+    kept = [table.array(owner, attrgetter(name)) for name in names]
+    return told.Loss(weight, surplus, *kept, expects=family.expects, found=found)
 
 
-def decided(table: Table) -> None:
+def rejected_by(sensor: Sensor) -> str:
+    """The name in a record of a gate's decisions."""
+    return f"rejected {sensor.variable.name}"
+
+
+def undecided(plan: ChainPlan, gate: gates.Asked | None, *, stored: bool) -> Record:
+    """Room for what gates decide in a sweep: 1 of a sighting that is rejected, else 0."""
+    return {
+        rejected_by(sensor): np.zeros(sensor.family.shape[:2])
+        for sensor in plan.read
+        if _gate(sensor, gate, stored=stored) is not None
+    }
+
+
+def decided(plan: ChainPlan, record: Record) -> None:
     """Record what gates have decided in a sweep."""
-    for sensor, rejected in table.decisions:
-        assert sensor.gated is not None
-        assert sensor.taken is not None
-        sensor.gated.rejected[...] = rejected != 0.0
-        sensor.taken[...] = sensor.gated.given & ~sensor.gated.rejected[..., None]
+    for sensor in plan.read:
+        rejected = record.get(rejected_by(sensor))
+        if rejected is not None:
+            assert sensor.gated is not None
+            assert sensor.taken is not None
+            sensor.gated.rejected[...] = rejected != 0.0
+            sensor.taken[...] = sensor.gated.given & ~sensor.gated.rejected[..., None]
 
 
 def _row(
-    family: Family, parents: tuple[int, ...], table: Table, *, stored: bool, keep: bool
+    owner: int,
+    family: Family,
+    parents: tuple[int, ...],
+    table: Table,
+    *,
+    stored: bool,
+    keep: bool,
 ) -> dict[str, Any]:
+    def array(name: str) -> told.Array:
+        return table.array(owner, attrgetter(f"family.{name}"))
+
     found: dict[str, Any] = {"parents": parents, "height": family.shape[2]}
     if not stored:
         found["angles"] = tuple(np.flatnonzero(family.cpd.child.angle_mask).tolist())
     if stored or family.template is None:
-        for name in ("matrix", "offset"):
-            found[name] = table.array(getattr(family, name))
+        found["matrix"], found["offset"] = array("matrix"), array("offset")
         weighed = family.cpd.noise is not None and not stored
-        found["noise"] = table.array(family.own_noise if weighed else family.noise)
+        found["noise"] = array("own_noise" if weighed else "noise")
         if weighed and keep:
-            family.keep_errors()
-            found["kept"] = table.array(family.noise)
+            found["kept"] = array("noise")
         return found
-    answers, template = family.trace_whole(), family.template
-    if isinstance(answers, str):
-        raise Uncompiled(f"{family.cpd!r}: {answers}")
-    rule = points_of(family)
+    answers, rule = family.compiled, points_of(family)
+    assert answers is not None
     if isinstance(rule, str):
         raise Uncompiled(f"{family.cpd!r}: {rule}")
-    inputs = [
-        family.inputs[parent]
-        for parent, place in zip(template.given, template.places, strict=True)
-        if place is None
-    ]
-    found |= {"function": function_of(template, answers.trace), "points": rule}
-    found["noise"], found["inputs"] = table.array(family.own_noise), _joined(inputs, table)
+    found |= {"function": function_of(family.template, answers.trace), "points": rule}
+    found["noise"] = array("own_noise")
+    found["inputs"] = None if family.joined_inputs is None else array("joined_inputs")
     if keep:
-        found["matrix"], found["offset"] = table.array(family.matrix), table.array(family.offset)
+        found["matrix"], found["offset"] = array("matrix"), array("offset")
         if rule is not None or family.cpd.noise is not None:
-            family.keep_errors()
-            found["kept"] = table.array(family.noise)
+            found["kept"] = array("noise")
     return found
-
-
-def _joined(inputs: Sequence[Array], table: Table) -> told.Array | None:
-    """Inputs (rows, runs or 1, d), one after another."""
-    if not inputs:
-        return None
-    if len(inputs) == 1:
-        return table.array(inputs[0])
-    lead = np.broadcast_shapes(*(values.shape[:2] for values in inputs))
-    wide = [np.broadcast_to(values, (*lead, values.shape[2])) for values in inputs]
-    return table.array(np.concatenate(wide, axis=-1))

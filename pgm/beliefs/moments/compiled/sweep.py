@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
+from operator import attrgetter, itemgetter
 from typing import Any
 
 import numpy as np
 
 from pgm.beliefs.moments.compiled.judged import judge
 from pgm.beliefs.moments.compiled.plans import (
-    Table,
+    Record,
     Uncompiled,
-    address,
     decided,
+    decisive,
     motion_of,
     places,
     sensor_of,
+    undecided,
     unknown,
 )
+from pgm.beliefs.moments.compiled.table import Filled, Table, address
 from pgm.beliefs.moments.steps.chain import MomentChain
+from pgm.beliefs.moments.steps.gate import Asked
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.compile.machine import CONTROL, Compiled
 from pgm.kernels.arrays import Array, Mask, vacant
@@ -36,6 +40,11 @@ _STEP, _LONG = 100, 250_000
 # Why runs are left to the general kernels, going forward and back.
 _FAR = "readings are too sharp, a covariance is singular, or numbers are too far apart"
 _SINGULAR = "a covariance is singular on the way back"
+# Sweeps of so many forms of plans are kept by a network's layout.
+_TOLD = 64
+# The names in a record of the belief to begin with, of beliefs, and of densities.
+_BEGIN, _PREDICTED = ("begin mean", "begin cov"), ("predicted mean", "predicted cov")
+_KNOWN = "known mean", "known cov", "density"
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,60 +101,107 @@ def forward(
         return None
     asked = schedule or ONCE
     stored = schedule is None
-    table = Table(plan, _lanes(plan))
     try:
-        why = unknown(plan)
         if isinstance(asked.damping, LevenbergMarquardt):
             raise Uncompiled(CONTROL)
+        why = unknown(plan)
         if why is not None:
             raise Uncompiled(why)
-        cpds = {"stored": stored, "keep": keep}
-        motions = tuple(motion_of(plan, link, table, **cpds) for link in plan.transition)
-        sensors = tuple(
-            sensor_of(plan, sensor, table, **cpds, gate=asked.gate) for sensor in plan.read
-        )
+        key = decisive(plan, stored=stored, keep=keep, gate=asked.gate)
+        if not predicted and any(f.compiled for f in plan.families):
+            predicted = tuple(np.empty_like(part) for part in known[:2])  # for the judge alone
+        nonlinear = any(sensor.family.template for sensor in plan.read)
+        iterated = asked.iterations > 1 and not stored and nonlinear
+        record: Record = dict(zip(_BEGIN, _begin(plan, schedule, keep=keep), strict=True))
+        record |= zip(_KNOWN, known, strict=True)
+        record |= zip(_PREDICTED, predicted, strict=False)
+        record |= undecided(plan, asked.gate, stored=stored)
+        residuals = np.zeros((asked.iterations + 1, plan.runs if iterated else 0))
+        if iterated:
+            settings = np.array([asked.tolerance, asked.damping])
+            record |= {"settings": settings, "residuals": residuals}
+
+        def tell(table: Table) -> told.Forward:
+            return _told(plan, table, record, stored=stored, keep=keep, gate=asked.gate)
+
+        owners = (*plan.transition, *plan.read, record)
+        ended = _run(plan, (*key, *record), tell, owners, (*known, *predicted), asked.iterations)
     except Uncompiled as error:
         plan.account.leave(str(error))
         return None
-    first = replace(plan, transition=[], sensors=[])
-    if plan.batch and plan.begin is None and all(link.family.uniform for link in plan.prior):
-        first = first.of(slice(0, 1))  # which is as all are
-    begin = MomentChain(first, schedule, keep=keep).start()
-    if not predicted and any(f.compiled for f in plan.families):
-        predicted = tuple(np.empty_like(part) for part in known[:2])  # for the judge alone
-    iterated = asked.iterations > 1 and any(sensor.function for sensor in sensors)
-    record = np.zeros((asked.iterations + 1, plan.runs if iterated else 0))
-    if iterated:
-        table.numbers[told.ITERATIONS] = asked.iterations
-        table.put(told.SETTINGS, np.array([asked.tolerance, asked.damping]))
-        table.put(told.RESIDUALS, record)
-    layout = plan.layout
-    chain = told.Forward(
-        size=layout.slice_size,
-        states=places(layout.state_places, layout.slice_size),
-        single=bool(layout.single),
-        motions=motions,
-        sensors=sensors,
-        begin=(table.array(_by_row(first, begin.mean, 1)), table.array(_by_row(first, begin.cov, 2))),
-        predicted=tuple(map(table.array, predicted)),
-        known=(table.array(known[0]), table.array(known[1])),
-        density=table.array(known[2]),
-        iterated=iterated,
-    )
-    ended = _run(plan, chain, table, (*known, *predicted))
-    decided(table)
+    decided(plan, record)
     left = stretches(ended[sweeps.LEFT] != 0.0)
     _count(plan, left, _FAR)
     if schedule is not None:
         done = ended[sweeps.LEFT] == 0.0
         judge(plan, known, predicted or known, done, again=asked.iterations > 1)
-    longest = int(record[-2].max(initial=0.0))
+    longest = int(residuals[-2].max(initial=0.0))
     converged = np.full(plan.runs, plan.linear)
     if iterated:
-        converged = record[-1] == 0.0
+        converged = residuals[-1] == 0.0
     converged &= ended[sweeps.MOVING] == 0.0
     closest, far = float(ended[sweeps.CLOSEST].min(initial=1.0)), bool(ended[sweeps.FAR].any())
-    return Swept(left, list(record[:longest]), converged, closest, far)
+    return Swept(left, list(residuals[:longest]), converged, closest, far)
+
+
+def _told(
+    plan: ChainPlan,
+    table: Table,
+    record: Record,
+    *,
+    stored: bool,
+    keep: bool,
+    gate: Asked | None,
+) -> told.Forward:
+    """A forward sweep, told; see `forward`."""
+    layout, first = plan.layout, len(plan.transition)
+
+    def array(name: str) -> told.Array:
+        return table.array(-1, itemgetter(name))
+
+    cpds = {"stored": stored, "keep": keep}
+    motions = tuple(
+        motion_of(plan, k, link, table, **cpds) for k, link in enumerate(plan.transition)
+    )
+    sensors = tuple(
+        sensor_of(plan, k, sensor, table, **cpds, gate=gate)
+        for k, sensor in enumerate(plan.read, first)
+    )
+    iterated = "residuals" in record
+    if iterated:
+        table.put(told.SETTINGS, -1, itemgetter("settings"))
+        table.put(told.RESIDUALS, -1, itemgetter("residuals"))
+    return told.Forward(
+        size=layout.slice_size,
+        states=places(layout.state_places, layout.slice_size),
+        single=bool(layout.single),
+        motions=motions,
+        sensors=sensors,
+        begin=(array(_BEGIN[0]), array(_BEGIN[1])),
+        predicted=tuple(array(name) for name in _PREDICTED if name in record),
+        known=(array(_KNOWN[0]), array(_KNOWN[1])),
+        density=array(_KNOWN[2]),
+        iterated=iterated,
+    )
+
+
+def _begin(plan: ChainPlan, schedule: Filtering | None, *, keep: bool) -> tuple[Array, Array]:
+    """The belief that a sweep begins with, (1, runs or 1, ...).
+
+    Without evidence, and with runs that are all alike, it is the model's own, and kept.
+    """
+    alike = plan.begin is None and all(link.family.uniform for link in plan.prior)
+    own = alike and plan.prior and not any(link.family.inputs for link in plan.prior)
+    if own and plan.layout.begun:
+        return plan.layout.begun[0]
+    first = replace(plan, transition=[], sensors=[])
+    if plan.batch and alike:
+        first = first.of(slice(0, 1))  # which is as all are
+    begin = MomentChain(first, schedule, keep=keep).start()
+    found = _by_row(first, begin.mean, 1), _by_row(first, begin.cov, 2)
+    if own:
+        plan.layout.begun.append(found)
+    return found
 
 
 def backward(
@@ -163,44 +219,69 @@ def backward(
     """
     if not is_used(plan):
         return None
-    table, layout = Table(plan, _lanes(plan)), plan.layout
+    layout = plan.layout
     lead, front, width = (plan.steps, plan.runs), layout.state_size, layout.slice_size
     states = Conditional(*(vacant(lead, own) for own in ((front, width), (front,), (front, front))))
     beliefs = None
     if smooth:
         every = plan.steps + 1, plan.runs
         beliefs = vacant(every, (width,)), vacant(every, (width, width))
-    chain = told.Backward(
-        size=width,
-        states=places(layout.state_places, width),
-        known=(table.array(ahead.mean), table.array(ahead.cov)),
-        predicted=(table.array(ahead.predicted_mean), table.array(ahead.predicted_cov)),
-        motion=(table.array(transition.matrix), table.array(transition.cov)),
-        reversed=tuple(map(table.array, states)),
-        smoothed=tuple(map(table.array, beliefs or ())),
-        controls=tuple(map(table.array, slices or ())) if smooth else (),
-    )
-    ended = _run(plan, chain, table, (*states, *(beliefs or ())))
+    smoothed, controls = beliefs or (), (slices or ()) if smooth else ()
+
+    def tell(table: Table) -> told.Backward:
+        def arrays(owner: int, names: Sequence[str]) -> tuple[told.Array, ...]:
+            return tuple(table.array(owner, attrgetter(name)) for name in names)
+
+        def members(owner: int, parts: Sequence[Array]) -> tuple[told.Array, ...]:
+            return tuple(table.array(owner, itemgetter(k)) for k in range(len(parts)))
+
+        return told.Backward(
+            size=width,
+            states=places(layout.state_places, width),
+            known=arrays(0, ("mean", "cov")),
+            predicted=arrays(0, ("predicted_mean", "predicted_cov")),
+            motion=arrays(1, ("matrix", "cov")),
+            reversed=members(2, states),
+            smoothed=members(3, smoothed),
+            controls=members(4, controls),
+        )
+
+    owners = ahead, transition, states, smoothed, controls
+    key = "back", len(smoothed), len(controls)
+    ended = _run(plan, key, tell, owners, (*states, *smoothed))
     left = bool(ended[sweeps.LEFT].any())
     _count(plan, [slice(0, plan.runs)] if left else [], _SINGULAR)
     return None if left else (states, beliefs)
 
 
-def _lanes(plan: ChainPlan) -> int:
-    return sweeps.LANES if plan.runs >= sweeps.LANES else 1
-
-
 def _run(
-    plan: ChainPlan, chain: told.Forward | told.Backward, table: Table, out: Sequence[Array]
+    plan: ChainPlan,
+    key: Hashable,
+    tell: Callable[[Table], told.Forward | told.Backward],
+    owners: Sequence[Any],
+    out: Sequence[Array],
+    iterations: int = 1,
 ) -> Array:
     """Run a sweep on all runs of a plan; what it tells of each, (`sweeps.TOLD`, runs).
 
-    `out` are the arrays that it fills.
+    `key` is what decides its code, and `tell` tells that, if no such plan was told before. `out`
+    are the arrays that it fills.
     """
-    choice, lanes = plan.layout.compiled, table.lanes
+    choice, lanes = plan.layout.compiled, sweeps.LANES if plan.runs >= sweeps.LANES else 1
     ended = np.zeros((sweeps.TOLD, plan.runs))
-    table.put(told.ENDED, ended)
-    whole, sweep = table.whole, sweeps.made(chain, lanes)
+    first, before = (plan.steps, plan.runs, iterations), plan.layout.told
+    sweep, table = before.get((key, lanes), (None, None))
+    filled: Filled | None = None if table is None else table.filled(owners, *first)
+    if filled is None:
+        table = Table(owners, lanes)
+        sweep = sweeps.made(tell(table), lanes)
+        filled = table.filled(owners, *first)
+        assert filled is not None
+        if len(before) >= _TOLD:
+            before.clear()
+        before[key, lanes] = sweep, table.closed()
+    numbers = filled.numbers
+    numbers[told.ENDED] = address(ended)
     threads = choice.threads if isinstance(choice, Compiled) else 1
     threads = max(min(threads, plan.runs // lanes), 1)
 
@@ -209,7 +290,7 @@ def _run(
         for array in out if threads > 1 else ():
             begin, end = (runs * len(array) // plan.runs for runs in (first, last))
             array[begin:end, first:last:512] = 0.0
-        sweep(address(whole), first, last)
+        sweep(address(numbers), first, last)
 
     in_threads(work, plan.runs, threads)
     return ended

@@ -289,7 +289,7 @@ def _sensor(
                 step=0,
             )
     bounds = np.searchsorted(reading.step, np.arange(steps + 2)).tolist()
-    return Sensor(
+    made = Sensor(
         family,
         place.parents,
         reading.order,
@@ -299,3 +299,6 @@ def _sensor(
         {},
         isinstance(place.parents, slice) and place.parents == slice(0, layout.slice_size),
     )
+    if place.singular is not None:
+        made.exact = place.singular
+    return made
