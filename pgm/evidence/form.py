@@ -103,7 +103,9 @@ class Form:
     def _reading(self, reading: Reading, rows: Mapping[Key, Rows]) -> Reading:
         """The measurements of a sensor."""
         sensor, step, lead = reading.cpd.child, reading.step, self.bound.lead
-        values = rows[sensor, sensor][..., reading.order, :] if sensor in self.steps else rows[sensor]
+        values = (
+            rows[sensor, sensor][..., reading.order, :] if sensor in self.steps else rows[sensor]
+        )
         taken = taken_of(sensor, values, step, 1)
         if taken is None:
             taken = np.ones(values.shape[-2:], dtype=bool)
@@ -164,7 +166,9 @@ def _name(key: Key) -> str:
     if not isinstance(key, tuple):
         return repr(key)
     sensor, parent = key
-    return f"sightings of {sensor!r}" if sensor == parent else f"{parent!r} of {sensor!r}'s sightings"
+    return (
+        f"sightings of {sensor!r}" if sensor == parent else f"{parent!r} of {sensor!r}'s sightings"
+    )
 
 
 def _kind(constant: bool) -> str:
@@ -176,13 +180,13 @@ def _emptied(bound: BoundEvidence) -> BoundEvidence:
     none = np.empty((0, 1, 1))
     return replace(
         bound,
-        transition=tuple({v: none for v in inputs} for inputs in bound.transition),
+        transition=tuple(dict.fromkeys(inputs, none) for inputs in bound.transition),
         readings=tuple(
             replace(
                 reading,
                 values=none,
                 taken=none.astype(bool),
-                inputs={v: none for v in reading.inputs},
+                inputs=dict.fromkeys(reading.inputs, none),
             )
             for reading in bound.readings
         ),

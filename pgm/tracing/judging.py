@@ -19,19 +19,16 @@ import numpy as np
 from pgm.errors import PgmError
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Integers, components_last, quiet
+from pgm.tracing.measures import EVEN, OF_LARGEST, OF_VALUE, VALUES_OF_NOISE
 from pgm.tracing.program import Column, Program
-from pgm.tracing.slopes import Points, Slopes, beside, choice, shown
+from pgm.tracing.slopes import Points, beside, choice, shown
 from pgm.tracing.trace import Tracer
 
 # From so many points on, a trace is made anew at each call. Then about so many values are judged,
 # and the slopes of so many points are looked at, or so many entries of slopes.
 LARGE, _VALUES, _SLOPES, _ENTRIES = 2**12, 2**10, 2**13, 2**17
-# So many points are judged at a time; so many, at even distances, have their slopes compared with
-# differences whether they are in doubt or not.
-_BATCH, _EVEN = 4096, 16
-# Values that are the same differ by less: shares of a value, of the largest of a batch, and of the
-# noise's deviation.
-_OF_VALUE, _OF_LARGEST, _OF_NOISE = 1e-9, 1e-12, 1e-6
+# So many points are judged at a time.
+_BATCH = 4096
 
 
 class Answers:
@@ -60,15 +57,14 @@ class Answers:
         assert tracer.trace is not None
         self.tracer, self.trace = tracer, tracer.trace
         self.program = self.trace.by(columns, len(variances))
-        noise = np.sqrt(variances)
-        self.slopes = Slopes(tracer.function, self.program, tracer.angles[: len(noise)], noise)
+        self.slopes = tracer.slopes(self.program, tuple(variances))
         self.fault: str | None = None
         # Whether a value was wrong, as where the function has changed; whether there were any.
         self.moved, self.used = False, False
         # Of so many points one is looked at, and of so many of these the value is judged.
         self.every = self.thin = 1
         self._open, self._passed = True, 0
-        self._places, self._noise = list(places), noise
+        self._places, self._noise = list(places), self.slopes.noise
         # Of single evaluations: arguments, value and derivative, covariance.
         self._asked: list[list[float]] = []
         self._told: list[tuple[float, ...]] = []
@@ -154,6 +150,9 @@ class Answers:
 
     def _look_back(self, *, last: bool = False) -> None:
         """Judge what has been kept since this was done last; at the `last` slopes as well."""
+        if last and self._is_cleared():
+            self.used = True
+            return
         parts, alone = self._batches, []
         if self._asked:
             told, height = np.array(self._told, dtype=float), len(self.program.value)
@@ -169,6 +168,24 @@ class Answers:
         self._batches, self._swept, self._count = [], [], 0
         if self.fault is None and (parts or alone or (last and self._chosen)):
             self._look(Points.joined(parts) if parts else None, alone, last=last)
+
+    def _is_cleared(self) -> bool:
+        """Whether machine code clears all that has been kept.
+
+        It is made for a trace that a call has found right before, as there may be more of them.
+        """
+        swept, fresh = self._swept, not (self._batches or self._asked or self._chosen)
+        if not swept or not fresh or self.fault is not None or not self.tracer.proven:
+            return False
+        flats, stds = zip(*swept, strict=True)
+        alone = stds[0] is None
+        if any((std is None) is not alone for std in stds) or not all(map(len, flats)):
+            return False
+        clearing = self.slopes.clearing(self.trace, differentiated=not alone)
+        if clearing is None or self.thin > 1:
+            return False
+        flat = flats[0] if len(flats) == 1 else np.concatenate(flats)
+        return clearing.clears(flat, None if alone else np.concatenate(stds))
 
     def _points(self, flat: Array, std: Array) -> Points:
         """Points at which machine code evaluated the trace, as it evaluates here."""
@@ -248,9 +265,9 @@ class Answers:
             height = len(self._noise)
             # Given derivatives, which may follow, have one scale: some are zero but for rounding.
             scale[height:] = scale[height:].max(initial=0.0)
-            least = _OF_LARGEST * np.maximum(scale, self.tracer.angles)
-            least[:height] += _OF_NOISE * self._noise
-            least = least + _OF_VALUE * np.abs(due)
+            least = OF_LARGEST * np.maximum(scale, self.tracer.angles)
+            least[:height] += VALUES_OF_NOISE * self._noise
+            least = least + OF_VALUE * np.abs(due)
             wrong = np.where(known, ~(error <= least), np.isfinite(told)).any(axis=-1)
         if wrong.any():
             row, self.moved = int(wrong.argmax()), True
@@ -314,7 +331,7 @@ class Judge:
             own = alone.trace or alone.traced()
         if large and not (isinstance(own, str) or own.cast):
             slopes = _ENTRIES // max(len(found.program.slope), 1)
-            found.every = math.ceil(count / min(max(slopes, _EVEN), _SLOPES))
+            found.every = math.ceil(count / min(max(slopes, EVEN), _SLOPES))
             found.thin = math.ceil(count / found.every / _VALUES)
         self.answers.append(found)
         return found
@@ -355,9 +372,9 @@ def judged() -> Iterator[Judge]:
 def _chosen(doubts: Array) -> Integers:
     """The places of the points most in doubt, and of some at even distances."""
     last = len(doubts) - 1
-    if last < _EVEN:
+    if last < EVEN:
         return np.arange(last + 1)
     chosen = np.zeros(last + 1, dtype=bool)
-    chosen[np.arange(_EVEN) * last // (_EVEN - 1)] = True
+    chosen[np.arange(EVEN) * last // (EVEN - 1)] = True
     chosen[choice(doubts)] = True
     return np.flatnonzero(chosen)

@@ -29,27 +29,27 @@ from pgm.kernels.arrays import (
     components_last,
     quiet,
 )
+from pgm.tracing.clearing import Clearing
+from pgm.tracing.measures import (
+    ALIKE,
+    APART,
+    ASKED,
+    BESIDE,
+    DOUBT,
+    NEAR,
+    OF_ITSELF,
+    OF_NOISE,
+    OF_PREDICTION,
+    ROUNDING,
+    SCALES,
+    SIDES,
+    UNTOLD,
+    shares,
+)
 from pgm.tracing.program import Program
 
-# Values show slopes so far beside a point, in standard deviations; where nobody has told these they
-# are taken to be so large.
-_BESIDE, _UNTOLD = 1e-2, 1e-2
-# Slopes are compared with those beside them over steps of about these shares of a deviation: of
-# all components at once, with the same sign, and with signs by turns, lest the steps cancel.
-_NEAR = ((1e-2, 1.0), (1e-5, -1.0))
-# Differences are taken over steps of these shares of a standard deviation, and the trace's slopes
-# looked at so many steps away: at two distances, lest a function that swings be taken for straight.
-_SCALES, _SIDES = np.array([1e-2, 1e-4, 1e-6])[:, None, None], (1.0, -1.0, 1.6, -1.6)
-# The function is asked for about so many entries of slopes in doubt.
-_ASKED = 256
-# Slopes that are the same differ by less: shares of themselves; of the noise and of the prediction,
-# when they move it. Some are alike that differ by a share of an error, and of themselves.
-_OF_ITSELF, _OF_NOISE, _OF_PREDICTION, _ALIKE = 1e-3, 1e-3, 1e-9, 0.1
-# Slopes are in doubt from so much on.
-_DOUBT = 1e-3
-# The rounding of a value is some units in its last place; a step is at least so many of those of
-# its component, or no difference tells anything.
-_ROUNDING, _APART = 1e-14, 1e3
+# The share of a deviation over which differences are taken, by an axis of points and one of moves.
+_SCALES = np.array(SCALES)[:, None, None]
 
 
 def beside(x: Array, std: Array) -> Array:
@@ -57,14 +57,7 @@ def beside(x: Array, std: Array) -> Array:
 
     So no difference of components is the same there as at x, as it were with equal steps.
     """
-    return x + _BESIDE * _shares(x.shape) * _told(std)
-
-
-def _shares(shape: tuple[int, ...]) -> Array:
-    """Numbers between 0.5 and 1.5, each another, by turns of φ."""
-    numbers = np.arange(1.0, math.prod(shape) + 1.0)
-    found: Array = 0.5 + np.modf(0.6180339887498949 * numbers)[0].reshape(shape)
-    return found
+    return x + BESIDE * shares(x.shape) * _told(std)
 
 
 def _told(std: Array) -> Array:
@@ -73,7 +66,7 @@ def _told(std: Array) -> Array:
     They are zero of all components where a call linearises at points alone, as at a start, and of
     those under a flat prior; NaN where nobody has told them. All of these are taken to be 10⁻².
     """
-    found: Array = np.where(np.isfinite(std) & (std > 0.0), std, _UNTOLD)
+    found: Array = np.where(np.isfinite(std) & (std > 0.0), std, UNTOLD)
     return found
 
 
@@ -148,8 +141,17 @@ class Slopes:
         self._cuts = list(map(slice, starts, starts[1:]))
         self.columns = np.array([starts[a] + i for a, i in program.columns], dtype=np.intp)
         self._places: list[int] = self.columns.tolist()
-        self.shares: list[float] = _shares(self.columns.shape).tolist()
-        self._least: list[float] = (_OF_NOISE * noise).tolist()
+        self.shares: list[float] = shares(self.columns.shape).tolist()
+        self._clearing: dict[bool, Clearing] = {}
+        self._least: list[float] = (OF_NOISE * noise).tolist()
+
+    def clearing(self, trace: Program, *, differentiated: bool) -> Clearing | None:
+        """What clears points in machine code; None where the trace is too long for that."""
+        found = self._clearing.get(differentiated)
+        if found is None:
+            found = Clearing(trace, self, differentiated=differentiated)
+            self._clearing[differentiated] = found
+        return found if found.able else None
 
     def function(self, flat: Array) -> Array | None:
         """The function's value (..., d) at arguments side by side; None where it fails."""
@@ -190,10 +192,10 @@ class Slopes:
         of the noise and of |J₊ + J₋| σ / 2; what is below zero is as a smooth function has it.
         """
         std, x = _told(points.std), points.arguments[:, self.columns]
-        shares = _shares(x.shape) * std
-        signs = np.array([near * sign ** np.arange(x.shape[-1]) for near, sign in _NEAR])
-        step = signs[:, None] * shares  # of either distance, (2, k, n)
-        sides = np.broadcast_to(points.arguments, (2, len(_NEAR), *points.arguments.shape)).copy()
+        own_shares = shares(x.shape) * std
+        signs = np.array([near * sign ** np.arange(x.shape[-1]) for near, sign in NEAR])
+        step = signs[:, None] * own_shares  # of either distance, (2, k, n)
+        sides = np.broadcast_to(points.arguments, (2, len(NEAR), *points.arguments.shape)).copy()
         sides[..., self.columns] += np.array([1.0, -1.0])[:, None, None, None] * step
         slopes = self.program.batch(self.apart(sides), sides.shape[:-1])[1]
         above, below = slopes[:, :, 0], slopes[:, :, 1]  # (d, n, 2, k)
@@ -211,9 +213,9 @@ class Slopes:
         `components` are those of all arguments side by side, `std` (n,) of the columns. Nearly all
         slopes are cleared in plain Python, a few numbers being too few for NumPy.
         """
-        spread = [each if 0.0 < each < math.inf else _UNTOLD for each in std.tolist()]
+        spread = [each if 0.0 < each < math.inf else UNTOLD for each in std.tolist()]
         here = slope.ravel().tolist()
-        return any(self._is_apart(*near, components, here, spread) for near in _NEAR)
+        return any(self._is_apart(*near, components, here, spread) for near in NEAR)
 
     def _is_apart(
         self,
@@ -287,7 +289,7 @@ class Differed:
         if len(directions) > 1:
             directions = np.concatenate([directions, [slopes.shares]])
         steps = _SCALES * std
-        steps = np.where(steps >= _APART * np.spacing(np.abs(x)), steps, 0.0)
+        steps = np.where(steps >= APART * np.spacing(np.abs(x)), steps, 0.0)
         # Along each direction, (scales, k, moves, n).
         self._moves = differences.taken(x[:, None], directions * steps[:, :, None])
         around = differences.around(x[:, None], self._moves)
@@ -316,9 +318,9 @@ class Differed:
             told = at.slope @ moves.swapaxes(-1, -2) / scales
             error = np.abs(told - due)
             size = np.sqrt((due**2).sum(axis=-1, keepdims=True))
-            least = np.maximum(_OF_NOISE * slopes.noise[:, None], _OF_PREDICTION * size)
-            least = least + _ROUNDING * np.abs(at.value[:, : len(slopes.angles), None]) / scales
-            wrong = (error > least) & (error > _OF_ITSELF * np.maximum(np.abs(due), np.abs(told)))
+            least = np.maximum(OF_NOISE * slopes.noise[:, None], OF_PREDICTION * size)
+            least = least + ROUNDING * np.abs(at.value[:, : len(slopes.angles), None]) / scales
+            wrong = (error > least) & (error > OF_ITSELF * np.maximum(np.abs(due), np.abs(told)))
             wrong &= (moves != 0.0).any(axis=-1)[:, :, None]
             if wrong.any():
                 least = np.broadcast_to(least, wrong.shape)[wrong]
@@ -343,25 +345,25 @@ class Differed:
         """
         scale, row, part, k = np.nonzero(places)
         slopes, move = self._slopes, self._moves[scale, row, k]
-        sides = np.repeat(self._at.arguments[row, None], len(_SIDES), axis=1)
-        sides[..., slopes.columns] += np.array(_SIDES)[:, None] * move[:, None]
+        sides = np.repeat(self._at.arguments[row, None], len(SIDES), axis=1)
+        sides[..., slopes.columns] += np.array(SIDES)[:, None] * move[:, None]
         steep = slopes.program.batch(slopes.apart(sides), sides.shape[:-1])[1]
         steep = np.moveaxis(steep, 2, 0)[np.arange(len(part)), part]  # (c, n, sides)
         near = (move[:, None] @ steep)[:, 0] / _SCALES[scale, 0]
-        found: Mask = np.abs(near - due[:, None]).max(axis=1) < _ALIKE * error
+        found: Mask = np.abs(near - due[:, None]).max(axis=1) < ALIKE * error
         mean = near.mean(axis=1)
-        return found & (np.abs(mean - due) < _ALIKE * np.maximum(np.abs(due), least))
+        return found & (np.abs(mean - due) < ALIKE * np.maximum(np.abs(due), least))
 
 
 def choice(doubts: Array) -> Integers:
     """The places of the points most in doubt, of each entry some, from doubts (k, d, n)."""
     count, height, width = doubts.shape
-    if not (doubts > _DOUBT).any():
+    if not (doubts > DOUBT).any():
         return np.empty(0, dtype=np.intp)
-    most = min(max(_ASKED // (height * width), 1), count)
+    most = min(max(ASKED // (height * width), 1), count)
     flat = doubts.reshape(count, -1)
     worst = np.argpartition(flat, count - most, axis=0)[count - most :]
-    doubtful = np.take_along_axis(flat, worst, axis=0) > _DOUBT
+    doubtful = np.take_along_axis(flat, worst, axis=0) > DOUBT
     found: Integers = np.unique(worst[doubtful])
     return found
 

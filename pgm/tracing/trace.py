@@ -11,6 +11,7 @@ import numpy as np
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Mask, components_last
 from pgm.tracing.program import Program
+from pgm.tracing.slopes import Slopes
 from pgm.tracing.traced import STAND_INS, Node, Recorder, Traced, Untraceable, bare, traced_elements
 
 LIMIT = 2000  # operations
@@ -115,6 +116,7 @@ class Tracer:
         # Whether a call has found it right; how often it failed since, and calls to leave out.
         self._proven, self._failures, self._waits = False, 0, 0
         self._stale = False
+        self._slopes: tuple[Program, tuple[float, ...], Slopes] | None = None
 
     def confirm(self, centres: Sequence[Array], *, anew: bool = False) -> bool:
         """Whether there is a trace. A new one must equal its function about some values (width,).
@@ -158,6 +160,19 @@ class Tracer:
             else:
                 self._fail(reason)
 
+    @property
+    def proven(self) -> bool:
+        """Whether a call has found the trace right."""
+        return self._proven
+
+    def slopes(self, program: Program, variances: tuple[float, ...]) -> Slopes:
+        """The derivatives of a program of the trace, with the least variances of noise, (d,)."""
+        if self._slopes is None or self._slopes[:2] != (program, variances):
+            noise = np.sqrt(variances)
+            made = Slopes(self.function, program, self.angles[: len(noise)], noise)
+            self._slopes = program, variances, made
+        return self._slopes[2]
+
     def traced(self) -> Program | str:
         """The trace as the function is now, or the reason for none."""
         if self.reason is None:
@@ -165,7 +180,7 @@ class Tracer:
         return str(self.reason) if self.trace is None else self.trace
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_proven": False}
+        return self.__dict__ | {"_proven": False, "_slopes": None}
 
     def _fail(self, reason: str) -> None:
         self.trace, self.reason, self._proven = None, reason, False

@@ -1,0 +1,362 @@
+"""Traces cleared in machine code: values and slopes that are surely right, at the points of a call.
+
+Judging a trace (`pgm.tracing.judging`) takes some hundred calls of NumPy, whatever the number of
+points. Nearly always nothing is wrong. That is found here in two calls of machine code, before and
+after the function is asked: points are laid out, and values compared, by the same measures. What is
+in the least in doubt is not cleared, and judged there. So nothing is decided here but that there is
+nothing to decide.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pgm.kernels.arrays import Array
+from pgm.tracing.measures import (
+    APART,
+    BESIDE,
+    DOUBT,
+    EVEN,
+    NEAR,
+    OF_ITSELF,
+    OF_LARGEST,
+    OF_NOISE,
+    OF_PREDICTION,
+    OF_VALUE,
+    ROUNDING,
+    SCALES,
+    UNTOLD,
+    VALUES_OF_NOISE,
+    shares,
+)
+from pgm.tracing.program import Program
+
+if TYPE_CHECKING:
+    from pgm.kernels.machine.code import Code
+    from pgm.kernels.machine.memory import Memory
+    from pgm.kernels.machine.numbers import Number
+    from pgm.kernels.machine.wholes import Whole
+    from pgm.tracing.slopes import Slopes
+
+# Longer traces and larger derivatives are judged by NumPy alone, whose time they take up.
+_OPERATIONS, _ENTRIES = 400, 40
+_TURN = 2.0 * math.pi
+# A unit in the last place of x is between these shares of it.
+_UNIT = 2.0**-53, 2.0**-52
+
+
+class Clearing:
+    """A trace with its derivative, of which points are cleared.
+
+    Parameters
+    ----------
+    trace : Program
+        The value (D,): that which is differentiated, (d,), and derivatives that were given.
+    slopes : Slopes
+        Of the value (d,) by n columns.
+    differentiated : bool
+        Whether the points' derivatives were used.
+    """
+
+    def __init__(self, trace: Program, slopes: Slopes, *, differentiated: bool) -> None:
+        self.trace, self.slopes, self.program = trace, slopes, slopes.program
+        self.widths, self.columns = sum(trace.widths), slopes.columns.tolist()
+        self.beside = differentiated and bool(self.columns)
+        self.differs = self.beside and not self.program.smooth
+        size = len(self.columns)
+        self.moves = size + (size > 1) if self.differs else 0
+
+    @property
+    def able(self) -> bool:
+        """Whether the trace is short enough for this."""
+        entries = len(self.program.value) * max(len(self.columns), 1)
+        return len(self.program.graph.operations) <= _OPERATIONS and entries <= _ENTRIES
+
+    def clears(self, flat: Array, std: Array | None) -> bool:
+        """Whether all is surely right at points (k, widths), of deviations (k, n) of the columns."""
+        count = len(flat)
+        even = min(EVEN, count) if self.differs else 0
+        rows = count * (1 + self.beside) + len(SCALES) * even * self.moves * 4
+        asked = np.empty((rows, self.widths))
+        asked[:count] = flat
+        height, size = len(self.program.value), len(self.columns)
+        told = np.empty((count * (1 + self.beside), len(self.trace.value)))
+        slope = np.empty((count if self.differs else 0, height, size))
+        moves = np.empty((len(SCALES), even, self.moves, size))
+        spread = asked if std is None else np.ascontiguousarray(std)
+        known = asked, told, slope, moves, spread, _shares(count, size)
+        places = [each.__array_interface__["data"][0] for each in known]
+        before, after = self._code
+        if before(*places, count, even):
+            return False
+        due = self.slopes.function(asked)
+        if due is None or due.shape != (rows, len(self.trace.value)):
+            return False
+        due = np.ascontiguousarray(due)
+        return not after(*places[1:4], due.__array_interface__["data"][0], count, even)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_code"}
+
+    @cached_property
+    def _code(self) -> tuple[Any, Any]:
+        """Two functions, of addresses and counts, which give 1 if something is in doubt."""
+        from pgm.kernels.machine.kinds import ADDRESS, WHOLE
+        from pgm.kernels.machine.module import Module
+
+        module = Module(contract=False)
+        counts = WHOLE, WHOLE
+        before = module.function("before", (*(ADDRESS,) * 6, *counts), WHOLE)
+        self._lay_out(before)
+        after = module.function("after", (*(ADDRESS,) * 4, *counts), WHOLE)
+        self._compare(after)
+        compiled = module.compile(1)
+        return compiled.callable("before"), compiled.callable("after")
+
+    # Before the function is asked
+
+    def _lay_out(self, code: Code) -> None:
+        """Write the trace's values at points and beside them, and where else it is to be asked."""
+        *addresses, count, even = code.arguments
+        asked, told, slope, moves, std, share = (code.memory(each) for each in addresses)
+        doubtful = code.variable(False)
+        width, size = self.widths, len(self.columns)
+        with code.loop(count) as k:
+            x = [asked.load(k * width + i) for i in range(width)]
+            value, steep = self._evaluated(code, x, slope=self.differs)
+            _keep(told, k, value)
+            if self.beside:
+                spread = [_told(std.load(k * size + j)) for j in range(size)]
+                own = [share.load(k * size + j) for j in range(size)]
+                steps = [BESIDE * a * b for a, b in zip(own, spread, strict=True)]
+                y = self._moved(x, steps)
+                _keep(asked, count + k, y)
+                _keep(told, count + k, self._evaluated(code, y)[0])
+                if self.differs:
+                    _keep(slope, k, steep)
+                    doubt = self._in_doubt(code, x, steep, spread, own)
+                    doubtful.set(doubtful.get() | doubt)
+        if self.differs:
+            with code.loop(even) as e:
+                k = code.variable(e)
+                with code.when(count > EVEN):
+                    k.set(e * (count - 1) // (EVEN - 1))
+                doubt = self._laid_around(code, asked, moves, std, k.get(), count, e, even)
+                doubtful.set(doubtful.get() | doubt)
+        code.give(_flag(code, doubtful.get()))
+
+    def _evaluated(
+        self, code: Code, x: Sequence[Number], *, slope: bool = False, alone: bool = False
+    ) -> tuple[list[Any], list[Any]]:
+        """The trace's value, and its slope, row by row, if asked; `alone` the slope of a part."""
+        from pgm.kernels.machine.traces import written
+
+        starts = np.cumsum([0, *self.trace.widths]).tolist()
+
+        def of(argument: int, component: int) -> Number:
+            return x[starts[argument] + component]
+
+        value = [] if alone else written(code, self.trace.graph, self.trace.value, of)
+        if not slope:
+            return value, []
+        due = [k for k in self.program.slope if k is not None]
+        found = dict(zip(due, written(code, self.program.graph, due, of), strict=True))
+        return value, [0.0 if k is None else found[k] for k in self.program.slope]
+
+    def _moved(self, x: Sequence[Any], steps: Sequence[Any]) -> list[Any]:
+        found = list(x)
+        for column, step in zip(self.columns, steps, strict=True):
+            found[column] = found[column] + step
+        return found
+
+    def _in_doubt(
+        self,
+        code: Code,
+        x: Sequence[Any],
+        slope: Sequence[Any],
+        spread: Sequence[Any],
+        own: Sequence[Any],
+    ) -> Number:
+        """Whether a slope is unlike those to both sides; see `Slopes.doubts`."""
+        found, size = code.constant(False), len(self.columns)
+        for near, sign in NEAR:
+            steps = [
+                near * sign**j * a * b for j, (a, b) in enumerate(zip(own, spread, strict=True))
+            ]
+            above = self._evaluated(code, self._moved(x, steps), slope=True, alone=True)[1]
+            steps = [-step for step in steps]
+            below = self._evaluated(code, self._moved(x, steps), slope=True, alone=True)[1]
+            for k, (here, one, other) in enumerate(zip(slope, above, below, strict=True)):
+                if all(isinstance(each, float) for each in (here, one, other)):
+                    continue
+                deviation = spread[k % size]
+                middle = 0.5 * (code.constant(0.0) + one + other)
+                off = (abs(here - middle) - abs(code.constant(0.0) + one - other)) * deviation
+                unit = abs(middle) * deviation + float(self.slopes.noise[k // size])
+                found = found | (off > DOUBT * (unit > 0.0).where(unit, 1.0))
+        return found
+
+    def _laid_around(
+        self,
+        code: Code,
+        asked: Memory,
+        moves: Memory,
+        std: Memory,
+        k: Whole,
+        count: Whole,
+        e: Whole,
+        even: Whole,
+    ) -> Number:
+        """Write the points of differences about one, and the moves to them; see `Differed`.
+
+        The result is whether it is in doubt that a step is large enough.
+        """
+        size, doubtful = len(self.columns), code.constant(False)
+        x = [asked.load(k * self.widths + i) for i in range(self.widths)]
+        spread = [_told(std.load(k * size + j)) for j in range(size)]
+        for s, scale in enumerate(SCALES):
+            steps = []
+            for column, deviation in zip(self.columns, spread, strict=True):
+                step, least, most = scale * deviation, *(u * APART * abs(x[column]) for u in _UNIT)
+                doubtful = doubtful | ((step >= least) & (step < most))
+                steps.append((step >= most).where(step, 0.0))
+            for m in range(self.moves):
+                along = [
+                    step * (self.slopes.shares[j] if m == size else float(j == m))
+                    for j, step in enumerate(steps)
+                ]
+                move = [
+                    (x[column] + step) - x[column]
+                    for column, step in zip(self.columns, along, strict=True)
+                ]
+                place = (even * s + e) * self.moves + m
+                _keep(moves, place, move)
+                for q, times in enumerate((1.0, -1.0, 2.0, -2.0)):
+                    point = self._moved(x, [times * each for each in move])
+                    _keep(asked, count * 2 + place * 4 + q, point)
+        return doubtful
+
+    # After
+
+    def _compare(self, code: Code) -> None:
+        """Write whether some value, or some slope, is not surely right."""
+        *addresses, count, even = code.arguments
+        told, slope, moves, due = (code.memory(each) for each in addresses)
+        height, angles = len(self.trace.value), self._angles
+        own = len(self.program.value)
+        rows, inf = count * (1 + self.beside), math.inf
+        largest = [code.variable(0.0) for _ in range(height)]
+        with code.loop(rows) as k:
+            for i, most in enumerate(largest):
+                size = abs(due.load(k * height + i))
+                most.set(((size > most.get()) & (size < inf)).where(size, most.get()))
+        scales = [each.get() for each in largest]
+        if height > own:  # derivatives that were given have one
+            whole = scales[own]
+            for each in scales[own + 1 :]:
+                whole = (each > whole).where(each, whole)
+            scales[own:] = [whole] * (height - own)
+        least = []
+        for i, each in enumerate(scales):
+            most = (each > 1.0).where(each, 1.0) if angles[i] else each
+            share = VALUES_OF_NOISE * float(self.slopes.noise[i]) if i < own else 0.0
+            least.append(OF_LARGEST * most + share)
+        doubtful = code.variable(False)
+        with code.loop(rows) as k:
+            for i in range(height):
+                value, answer = due.load(k * height + i), told.load(k * height + i)
+                known = abs(value) < inf
+                error = abs(_wrapped(answer - value) if angles[i] else answer - value)
+                fine = known & (error <= least[i] + OF_VALUE * abs(value))
+                fine = fine | (~known & ~(abs(answer) < inf))
+                doubtful.set(doubtful.get() | ~fine)
+        if self.differs:
+            with code.loop(even) as e:
+                k = code.variable(e)
+                with code.when(count > EVEN):
+                    k.set(e * (count - 1) // (EVEN - 1))
+                wrong = self._differs_at(code, told, slope, moves, due, k.get(), count, e, even)
+                doubtful.set(doubtful.get() | wrong)
+        code.give(_flag(code, doubtful.get()))
+
+    def _differs_at(
+        self,
+        code: Code,
+        told: Memory,
+        slope: Memory,
+        moves: Memory,
+        due: Memory,
+        k: Whole,
+        count: Whole,
+        e: Whole,
+        even: Whole,
+    ) -> Number:
+        """Whether a slope is unlike differences of the function; see `Differed.fault`."""
+        height, own, size = len(self.trace.value), len(self.program.value), len(self.columns)
+        found = code.constant(False)
+        for s, scale in enumerate(SCALES):
+            for i in range(own):
+                changes, slopes, moving = [], [], []
+                for m in range(self.moves):
+                    place = (even * s + e) * self.moves + m
+                    value = [due.load((count * 2 + place * 4 + q) * height + i) for q in range(4)]
+                    near, far = value[0] - value[1], value[2] - value[3]
+                    if self._angles[i]:
+                        near, far = _wrapped(near), _wrapped(far)
+                    changes.append((8.0 * near - far) / (12.0 * scale))
+                    move = [moves.load(place * size + j) for j in range(size)]
+                    steep = [slope.load((k * own + i) * size + j) for j in range(size)]
+                    total, moved = code.constant(0.0), code.constant(False)
+                    for a, b in zip(steep, move, strict=True):
+                        total, moved = total + a * b, moved | (b != 0.0)
+                    slopes.append(total / scale)
+                    moving.append(moved)
+                square = code.constant(0.0)
+                for change in changes:
+                    square = square + change * change
+                size_ = OF_PREDICTION * square.apply("sqrt")
+                noise = OF_NOISE * float(self.slopes.noise[i])
+                least = (size_ > noise).where(size_, noise)
+                least = least + ROUNDING / scale * abs(told.load(k * height + i))
+                for change, answer, moved in zip(changes, slopes, moving, strict=True):
+                    error, one, other = abs(answer - change), abs(change), abs(answer)
+                    itself = OF_ITSELF * (one > other).where(one, other)
+                    found = found | ((error > least) & (error > itself) & moved)
+        return found
+
+    @property
+    def _angles(self) -> list[bool]:
+        """Which components of the value are angles; no derivative is."""
+        own = self.slopes.angles.tolist()
+        return [*own, *[False] * (len(self.trace.value) - len(own))]
+
+
+def _keep(memory: Memory, row: Whole, numbers: Sequence[Any]) -> None:
+    """Write numbers to a row."""
+    for i, number in enumerate(numbers):
+        memory.store(row * len(numbers) + i, number)
+
+
+def _told(deviation: Number) -> Number:
+    """A deviation to judge by, as of `slopes.told`."""
+    return ((deviation > 0.0) & (deviation < math.inf)).where(deviation, UNTOLD)
+
+
+def _wrapped(angle: Number) -> Number:
+    """An angle less the nearest whole number of turns."""
+    return angle - _TURN * (angle / _TURN).apply("rint")
+
+
+def _flag(code: Code, truth: Number) -> Whole:
+    return code.rounded(truth.where(1.0, 0.0))
+
+
+@lru_cache(maxsize=16)
+def _shares(count: int, size: int) -> Array:
+    """The shares of a deviation by which points lie beside others, (k, n)."""
+    return shares((count, size))
