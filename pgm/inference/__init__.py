@@ -2,9 +2,10 @@
 
 A *schedule* says which messages are sent in which order, and how often nonlinear CPDs are
 linearised. `infer`, `filter` and `smooth` run one on evidence and return a posterior: marginals,
-joints, log-evidence and status; `prepare` has it run many times, with other values. `query` and `most_probable` answer single questions about discrete
-networks, `audit` estimates how far a Gaussian posterior is from the exact one, and an
-`OnlineFilter` takes one step at a time in a robot's loop.
+joints, log-evidence and status; `prepare` has it run many times, with other values. `query` and
+`most_probable` answer single questions about discrete networks, `audit` estimates how far a
+Gaussian posterior is from the exact one, and an `OnlineFilter` takes one step at a time in a
+robot's loop.
 """
 
 from typing import TYPE_CHECKING, Any

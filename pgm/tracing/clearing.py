@@ -70,6 +70,12 @@ class Clearing:
         self.differs = self.beside and not self.program.smooth
         size = len(self.columns)
         self.moves = size + (size > 1) if self.differs else 0
+        # Loops read these: scales, steps to both sides, and the directions of moves.
+        together = [[near * sign**j for j in range(size)] for near, sign in NEAR]
+        directions = np.eye(size)
+        if size > 1:
+            directions = np.concatenate([directions, [slopes.shares]])
+        self._constants = np.array(SCALES), np.array(together), directions
 
     @property
     def able(self) -> bool:
@@ -78,7 +84,7 @@ class Clearing:
         return len(self.program.graph.operations) <= _OPERATIONS and entries <= _ENTRIES
 
     def clears(self, flat: Array, std: Array | None) -> bool:
-        """Whether all is surely right at points (k, widths), of deviations (k, n) of the columns."""
+        """Whether all is surely right at points (k, widths), with deviations `std` (k, n)."""
         count = len(flat)
         even = min(EVEN, count) if self.differs else 0
         rows = count * (1 + self.beside) + len(SCALES) * even * self.moves * 4
@@ -89,7 +95,7 @@ class Clearing:
         slope = np.empty((count if self.differs else 0, height, size))
         moves = np.empty((len(SCALES), even, self.moves, size))
         spread = asked if std is None else np.ascontiguousarray(std)
-        known = asked, told, slope, moves, spread, _shares(count, size)
+        known = asked, told, slope, moves, spread, _shares(count, size), *self._constants
         places = [each.__array_interface__["data"][0] for each in known]
         before, after = self._code
         if before(*places, count, even):
@@ -98,7 +104,7 @@ class Clearing:
         if due is None or due.shape != (rows, len(self.trace.value)):
             return False
         due = np.ascontiguousarray(due)
-        return not after(*places[1:4], due.__array_interface__["data"][0], count, even)
+        return not after(*places[1:4], due.__array_interface__["data"][0], places[6], count, even)
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != "_code"}
@@ -111,11 +117,11 @@ class Clearing:
 
         module = Module(contract=False)
         counts = WHOLE, WHOLE
-        before = module.function("before", (*(ADDRESS,) * 6, *counts), WHOLE)
+        before = module.function("before", (*(ADDRESS,) * 9, *counts), WHOLE)
         self._lay_out(before)
-        after = module.function("after", (*(ADDRESS,) * 4, *counts), WHOLE)
+        after = module.function("after", (*(ADDRESS,) * 5, *counts), WHOLE)
         self._compare(after)
-        compiled = module.compile(1)
+        compiled = module.compile(0)
         return compiled.callable("before"), compiled.callable("after")
 
     # Before the function is asked
@@ -123,7 +129,8 @@ class Clearing:
     def _lay_out(self, code: Code) -> None:
         """Write the trace's values at points and beside them, and where else it is to be asked."""
         *addresses, count, even = code.arguments
-        asked, told, slope, moves, std, share = (code.memory(each) for each in addresses)
+        asked, told, slope, moves, std, share, *constants = map(code.memory, addresses)
+        scales, near, directions = constants
         doubtful = code.variable(False)
         width, size = self.widths, len(self.columns)
         with code.loop(count) as k:
@@ -139,14 +146,15 @@ class Clearing:
                 _keep(told, count + k, self._evaluated(code, y)[0])
                 if self.differs:
                     _keep(slope, k, steep)
-                    doubt = self._in_doubt(code, x, steep, spread, own)
+                    doubt = self._in_doubt(code, x, steep, spread, own, near)
                     doubtful.set(doubtful.get() | doubt)
         if self.differs:
             with code.loop(even) as e:
                 k = code.variable(e)
                 with code.when(count > EVEN):
                     k.set(e * (count - 1) // (EVEN - 1))
-                doubt = self._laid_around(code, asked, moves, std, k.get(), count, e, even)
+                where = k.get(), count, e, even
+                doubt = self._laid_around(code, asked, moves, std, scales, directions, where)
                 doubtful.set(doubtful.get() | doubt)
         code.give(_flag(code, doubtful.get()))
 
@@ -181,25 +189,26 @@ class Clearing:
         slope: Sequence[Any],
         spread: Sequence[Any],
         own: Sequence[Any],
+        near: Memory,
     ) -> Number:
         """Whether a slope is unlike those to both sides; see `Slopes.doubts`."""
-        found, size = code.constant(False), len(self.columns)
-        for near, sign in NEAR:
-            steps = [
-                near * sign**j * a * b for j, (a, b) in enumerate(zip(own, spread, strict=True))
-            ]
+        found, size = code.variable(False), len(self.columns)
+        with code.loop(len(NEAR)) as at:
+            steps = [near.load(at * size + j) * own[j] * spread[j] for j in range(size)]
+            back = [-step for step in steps]
             above = self._evaluated(code, self._moved(x, steps), slope=True, alone=True)[1]
-            steps = [-step for step in steps]
-            below = self._evaluated(code, self._moved(x, steps), slope=True, alone=True)[1]
+            below = self._evaluated(code, self._moved(x, back), slope=True, alone=True)[1]
+            doubtful = found.get()
             for k, (here, one, other) in enumerate(zip(slope, above, below, strict=True)):
                 if all(isinstance(each, float) for each in (here, one, other)):
                     continue
-                deviation = spread[k % size]
-                middle = 0.5 * (code.constant(0.0) + one + other)
-                off = (abs(here - middle) - abs(code.constant(0.0) + one - other)) * deviation
+                one, deviation = code.constant(0.0) + one, spread[k % size]
+                middle = 0.5 * (one + other)
+                off = (abs(here - middle) - abs(one - other)) * deviation
                 unit = abs(middle) * deviation + float(self.slopes.noise[k // size])
-                found = found | (off > DOUBT * (unit > 0.0).where(unit, 1.0))
-        return found
+                doubtful = doubtful | (off > DOUBT * (unit > 0.0).where(unit, 1.0))
+            found.set(doubtful)
+        return found.get()
 
     def _laid_around(
         self,
@@ -207,46 +216,43 @@ class Clearing:
         asked: Memory,
         moves: Memory,
         std: Memory,
-        k: Whole,
-        count: Whole,
-        e: Whole,
-        even: Whole,
+        scales: Memory,
+        directions: Memory,
+        where: tuple[Whole, Whole, Whole, Whole],
     ) -> Number:
         """Write the points of differences about one, and the moves to them; see `Differed`.
 
-        The result is whether it is in doubt that a step is large enough.
+        The result is whether it is in doubt that a step is large enough. `where` are the number of
+        the point, how many points there are, and both of those at even distances.
         """
-        size, doubtful = len(self.columns), code.constant(False)
+        k, count, e, even = where
+        size, doubtful = len(self.columns), code.variable(False)
         x = [asked.load(k * self.widths + i) for i in range(self.widths)]
         spread = [_told(std.load(k * size + j)) for j in range(size)]
-        for s, scale in enumerate(SCALES):
-            steps = []
+        with code.loop(len(SCALES)) as s:
+            scale, steps = scales.load(s), []
             for column, deviation in zip(self.columns, spread, strict=True):
                 step, least, most = scale * deviation, *(u * APART * abs(x[column]) for u in _UNIT)
-                doubtful = doubtful | ((step >= least) & (step < most))
+                doubtful.set(doubtful.get() | ((step >= least) & (step < most)))
                 steps.append((step >= most).where(step, 0.0))
-            for m in range(self.moves):
-                along = [
-                    step * (self.slopes.shares[j] if m == size else float(j == m))
-                    for j, step in enumerate(steps)
-                ]
-                move = [
-                    (x[column] + step) - x[column]
-                    for column, step in zip(self.columns, along, strict=True)
-                ]
+            with code.loop(self.moves) as m:
                 place = (even * s + e) * self.moves + m
+                move = []
+                for j, (column, step) in enumerate(zip(self.columns, steps, strict=True)):
+                    moved = x[column] + step * directions.load(m * size + j)
+                    move.append(moved - x[column])
                 _keep(moves, place, move)
                 for q, times in enumerate((1.0, -1.0, 2.0, -2.0)):
                     point = self._moved(x, [times * each for each in move])
                     _keep(asked, count * 2 + place * 4 + q, point)
-        return doubtful
+        return doubtful.get()
 
     # After
 
     def _compare(self, code: Code) -> None:
         """Write whether some value, or some slope, is not surely right."""
         *addresses, count, even = code.arguments
-        told, slope, moves, due = (code.memory(each) for each in addresses)
+        told, slope, moves, due, scales = map(code.memory, addresses)
         height, angles = len(self.trace.value), self._angles
         own = len(self.program.value)
         rows, inf = count * (1 + self.beside), math.inf
@@ -255,14 +261,14 @@ class Clearing:
             for i, most in enumerate(largest):
                 size = abs(due.load(k * height + i))
                 most.set(((size > most.get()) & (size < inf)).where(size, most.get()))
-        scales = [each.get() for each in largest]
+        sizes = [each.get() for each in largest]
         if height > own:  # derivatives that were given have one
-            whole = scales[own]
-            for each in scales[own + 1 :]:
+            whole = sizes[own]
+            for each in sizes[own + 1 :]:
                 whole = (each > whole).where(each, whole)
-            scales[own:] = [whole] * (height - own)
+            sizes[own:] = [whole] * (height - own)
         least = []
-        for i, each in enumerate(scales):
+        for i, each in enumerate(sizes):
             most = (each > 1.0).where(each, 1.0) if angles[i] else each
             share = VALUES_OF_NOISE * float(self.slopes.noise[i]) if i < own else 0.0
             least.append(OF_LARGEST * most + share)
@@ -280,7 +286,8 @@ class Clearing:
                 k = code.variable(e)
                 with code.when(count > EVEN):
                     k.set(e * (count - 1) // (EVEN - 1))
-                wrong = self._differs_at(code, told, slope, moves, due, k.get(), count, e, even)
+                where = k.get(), count, e, even
+                wrong = self._differs_at(code, told, slope, moves, due, scales, where)
                 doubtful.set(doubtful.get() | wrong)
         code.give(_flag(code, doubtful.get()))
 
@@ -291,43 +298,51 @@ class Clearing:
         slope: Memory,
         moves: Memory,
         due: Memory,
-        k: Whole,
-        count: Whole,
-        e: Whole,
-        even: Whole,
+        scales: Memory,
+        where: tuple[Whole, Whole, Whole, Whole],
     ) -> Number:
-        """Whether a slope is unlike differences of the function; see `Differed.fault`."""
+        """Whether a slope is unlike differences of the function; see `Differed.fault`.
+
+        `where` is as of `_laid_around`.
+        """
+        k, count, e, even = where
         height, own, size = len(self.trace.value), len(self.program.value), len(self.columns)
-        found = code.constant(False)
-        for s, scale in enumerate(SCALES):
-            for i in range(own):
-                changes, slopes, moving = [], [], []
-                for m in range(self.moves):
-                    place = (even * s + e) * self.moves + m
-                    value = [due.load((count * 2 + place * 4 + q) * height + i) for q in range(4)]
-                    near, far = value[0] - value[1], value[2] - value[3]
-                    if self._angles[i]:
-                        near, far = _wrapped(near), _wrapped(far)
-                    changes.append((8.0 * near - far) / (12.0 * scale))
-                    move = [moves.load(place * size + j) for j in range(size)]
-                    steep = [slope.load((k * own + i) * size + j) for j in range(size)]
-                    total, moved = code.constant(0.0), code.constant(False)
-                    for a, b in zip(steep, move, strict=True):
-                        total, moved = total + a * b, moved | (b != 0.0)
-                    slopes.append(total / scale)
-                    moving.append(moved)
-                square = code.constant(0.0)
-                for change in changes:
-                    square = square + change * change
-                size_ = OF_PREDICTION * square.apply("sqrt")
-                noise = OF_NOISE * float(self.slopes.noise[i])
-                least = (size_ > noise).where(size_, noise)
-                least = least + ROUNDING / scale * abs(told.load(k * height + i))
-                for change, answer, moved in zip(changes, slopes, moving, strict=True):
-                    error, one, other = abs(answer - change), abs(change), abs(answer)
-                    itself = OF_ITSELF * (one > other).where(one, other)
-                    found = found | ((error > least) & (error > itself) & moved)
-        return found
+        found = code.variable(False)
+
+        def change(i: int, place: Whole, scale: Number) -> Number:
+            value = [due.load((count * 2 + place * 4 + q) * height + i) for q in range(4)]
+            near, far = value[0] - value[1], value[2] - value[3]
+            if self._angles[i]:
+                near, far = _wrapped(near), _wrapped(far)
+            return (8.0 * near - far) / (12.0 * scale)
+
+        with code.loop(len(SCALES)) as s:
+            scale, squares = scales.load(s), [code.variable(0.0) for _ in range(own)]
+            first = (even * s + e) * self.moves
+            with code.loop(self.moves) as m:
+                for i, square in enumerate(squares):
+                    one = change(i, first + m, scale)
+                    square.set(square.get() + one * one)
+            least = []
+            for i, square in enumerate(squares):
+                size_, noise = OF_PREDICTION * square.get().apply("sqrt"), self.slopes.noise[i]
+                most = OF_NOISE * float(noise)
+                rounding = ROUNDING / scale * abs(told.load(k * height + i))
+                least.append((size_ > most).where(size_, most) + rounding)
+            with code.loop(self.moves) as m:
+                move = [moves.load((first + m) * size + j) for j in range(size)]
+                wrong = found.get()
+                for i in range(own):
+                    answer, moved = code.constant(0.0), code.constant(False)
+                    for j, each in enumerate(move):
+                        answer = answer + slope.load((k * own + i) * size + j) * each
+                        moved = moved | (each != 0.0)
+                    answer, one = answer / scale, change(i, first + m, scale)
+                    error, large = abs(answer - one), abs(one)
+                    large = (large > abs(answer)).where(large, abs(answer))
+                    wrong = wrong | ((error > least[i]) & (error > OF_ITSELF * large) & moved)
+                found.set(wrong)
+        return found.get()
 
     @property
     def _angles(self) -> list[bool]:

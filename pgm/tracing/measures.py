@@ -1,4 +1,4 @@
-"""The measures by which traces are judged: how far apart points are, and which differences count."""
+"""The measures by which traces are judged: how far apart points are, and what counts."""
 
 from __future__ import annotations
 
