@@ -16,7 +16,6 @@ from pgm.errors import EvidenceError
 from pgm.evidence.dynamic import BoundEvidence, Reading, by_row
 from pgm.evidence.rows import Rows, complete, rows_of, taken_of
 from pgm.evidence.values import Constant, Evidence, Sightings
-from pgm.factors.scope import listed
 from pgm.kernels.arrays import Integers
 from pgm.variables import Variable
 
@@ -137,8 +136,8 @@ class Form:
         """The error for evidence of other variables."""
         lacking = [_name(key) for key in self.shapes if key not in given]
         strange = [_name(key) for key in given if key not in self.shapes]
-        found = [f"lacks {listed(lacking)}"] * bool(lacking)
-        found += [f"has {listed(strange)} beside"] * bool(strange)
+        found = [f"lacks {', '.join(lacking)}"] * bool(lacking)
+        found += [f"has {', '.join(strange)} beside"] * bool(strange)
         return EvidenceError(f"evidence {' and '.join(found)} of what was prepared for; {_ANEW}")
 
 
