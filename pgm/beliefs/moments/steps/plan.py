@@ -262,6 +262,8 @@ class ChainPlan:
             if isinstance(cpd, AffineCPD)
         }
         for made in plan.families:
+            if made.exact:
+                continue
             # A graph is probed once; what comes back is checked in every call.
             if probe and made.cpd not in layout.probed:
                 made.probe(means)
