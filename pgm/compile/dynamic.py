@@ -18,7 +18,7 @@ from pgm.display import InCode
 from pgm.errors import GraphError
 from pgm.factors.scope import Scope, dimension, positions
 from pgm.kernels import roots
-from pgm.kernels.arrays import Index, Integers
+from pgm.kernels.arrays import Array, Index, Integers
 from pgm.linearisers import FunctionTemplate
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
@@ -56,9 +56,10 @@ class SliceLayout:
     @classmethod
     def of(cls, model: DynamicBayesianNetwork, compiled: Choice = None) -> SliceLayout:
         """The layout of a network, one for all graphs with the same choice of machine code."""
-        found = model.layouts.get(compiled)
+        found: SliceLayout | None = model.layouts.get(compiled)
         if found is None:
-            found = model.layouts.setdefault(compiled, cls(model, compiled))
+            found = cls(model, compiled)
+            model.layouts[compiled] = found
         return found
 
     @cached_property
@@ -118,7 +119,7 @@ class SliceLayout:
         return {}
 
     @cached_property
-    def begun(self) -> list[Any]:
+    def begun(self) -> list[tuple[Array, Array]]:
         """The belief that machine code begins with, once it is found, where none has evidence."""
         return []
 

@@ -150,10 +150,7 @@ class Clearing:
                     doubtful.set(doubtful.get() | doubt)
         if self.differs:
             with code.loop(even) as e:
-                k = code.variable(e)
-                with code.when(count > EVEN):
-                    k.set(e * (count - 1) // (EVEN - 1))
-                where = k.get(), count, e, even
+                where = _even(code, e, count), count, e, even
                 doubt = self._laid_around(code, asked, moves, std, scales, directions, where)
                 doubtful.set(doubtful.get() | doubt)
         code.give(_flag(code, doubtful.get()))
@@ -166,14 +163,17 @@ class Clearing:
 
         starts = np.cumsum([0, *self.trace.widths]).tolist()
 
-        def of(argument: int, component: int) -> Number:
+        def of(argument: int, component: int) -> Any:
             return x[starts[argument] + component]
 
-        value = [] if alone else written(code, self.trace.graph, self.trace.value, of)
+        trace: Any = self.trace.graph
+        program: Any = self.program.graph
+
+        value = [] if alone else written(code, trace, self.trace.value, of)
         if not slope:
             return value, []
         due = [k for k in self.program.slope if k is not None]
-        found = dict(zip(due, written(code, self.program.graph, due, of), strict=True))
+        found = dict(zip(due, written(code, program, due, of), strict=True))
         return value, [0.0 if k is None else found[k] for k in self.program.slope]
 
     def _moved(self, x: Sequence[Any], steps: Sequence[Any]) -> list[Any]:
@@ -258,9 +258,9 @@ class Clearing:
         rows, inf = count * (1 + self.beside), math.inf
         largest = [code.variable(0.0) for _ in range(height)]
         with code.loop(rows) as k:
-            for i, most in enumerate(largest):
+            for i, held in enumerate(largest):
                 size = abs(due.load(k * height + i))
-                most.set(((size > most.get()) & (size < inf)).where(size, most.get()))
+                held.set(((size > held.get()) & (size < inf)).where(size, held.get()))
         sizes = [each.get() for each in largest]
         if height > own:  # derivatives that were given have one
             whole = sizes[own]
@@ -283,10 +283,7 @@ class Clearing:
                 doubtful.set(doubtful.get() | ~fine)
         if self.differs:
             with code.loop(even) as e:
-                k = code.variable(e)
-                with code.when(count > EVEN):
-                    k.set(e * (count - 1) // (EVEN - 1))
-                where = k.get(), count, e, even
+                where = _even(code, e, count), count, e, even
                 wrong = self._differs_at(code, told, slope, moves, due, scales, where)
                 doubtful.set(doubtful.get() | wrong)
         code.give(_flag(code, doubtful.get()))
@@ -349,6 +346,14 @@ class Clearing:
         """Which components of the value are angles; no derivative is."""
         own = self.slopes.angles.tolist()
         return [*own, *[False] * (len(self.trace.value) - len(own))]
+
+
+def _even(code: Code, e: Whole, count: Whole) -> Whole:
+    """The number of a point at even distances, of the first and the last, and those between."""
+    place = code.variable(e)
+    with code.when(count > EVEN):
+        place.set(e * (count - 1) // (EVEN - 1))
+    return place.get()
 
 
 def _keep(memory: Memory, row: Whole, numbers: Sequence[Any]) -> None:

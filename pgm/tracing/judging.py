@@ -153,12 +153,12 @@ class Answers:
         if last and self._is_cleared():
             self.used = True
             return
-        parts, alone = self._batches, []
+        parts, alone = self._batches, list[Array]()
         if self._asked:
             told, height = np.array(self._told, dtype=float), len(self.program.value)
             slope = told[:, height:].reshape(len(told), height, -1)
-            std = np.array([self._deviations(cov) for cov in self._covs])
-            parts.append(Points(np.array(self._asked), told[:, :height], slope, std))
+            deviations = np.array([self._deviations(cov) for cov in self._covs])
+            parts.append(Points(np.array(self._asked), told[:, :height], slope, deviations))
         for flat, std in self._swept:
             if std is None:
                 alone.append(flat)
@@ -191,7 +191,8 @@ class Answers:
         """Points at which machine code evaluated the trace, as it evaluates here."""
         shape = (len(flat),)
         if self.program.smooth:  # whose slopes are not looked at
-            return Points(flat, self._values(flat), np.empty((*shape, len(self._noise), 0)), std)
+            steep = np.broadcast_to(0.0, (*shape, len(self._noise), len(self._places)))
+            return Points(flat, self._values(flat), steep, std)
         value, slope = self.program.batch(self.slopes.apart(flat), shape)
         told = (
             self._values(flat) if len(self.trace.value) > len(value) else components_last(value, 1)
@@ -236,10 +237,10 @@ class Answers:
             asked.append(differed.points)
         due = self.slopes.functions(asked)
         self.used = self.used or first > 0
-        for k, (flat, answers) in enumerate(zip(asked, told, strict=False)):
+        for k, (where, answers) in enumerate(zip(asked, told, strict=False)):
             values = due[k]
             if values is not None and values.shape == answers.shape:
-                self._hold(flat, answers, values)
+                self._hold(where, answers, values)
             elif k < first:
                 self.fault = (
                     "its function fails on a batch of the points at which its trace was used"

@@ -88,6 +88,8 @@ class Points(NamedTuple):
     @classmethod
     def joined(cls, parts: Sequence[Points]) -> Points:
         """The points of several parts, one after another."""
+        if len(parts) == 1:
+            return parts[0]
         return cls(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
     @classmethod
@@ -352,7 +354,8 @@ class Differed:
         near = (move[:, None] @ steep)[:, 0] / _SCALES[scale, 0]
         found: Mask = np.abs(near - due[:, None]).max(axis=1) < ALIKE * error
         mean = near.mean(axis=1)
-        return found & (np.abs(mean - due) < ALIKE * np.maximum(np.abs(due), least))
+        found &= np.abs(mean - due) < ALIKE * np.maximum(np.abs(due), least)
+        return found
 
 
 def choice(doubts: Array) -> Integers:

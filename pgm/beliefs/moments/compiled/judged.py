@@ -83,7 +83,7 @@ class _Points(NamedTuple):
         where = step[self.row], self.run
         return mean[where], cov[where]
 
-    def inputs(self, values: Array, shape: tuple[int, int]) -> Array:
+    def inputs(self, values: Array, shape: tuple[int, ...]) -> Array:
         """Values (rows or 1, runs or 1, d) at the points, (k, d), by rows and runs."""
         if self.row is not None:
             assert self.run is not None

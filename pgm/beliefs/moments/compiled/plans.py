@@ -52,12 +52,12 @@ def unknown(plan: ChainPlan) -> str | None:
     return None
 
 
-def decisive(plan: ChainPlan, *, stored: bool, keep: bool, gate: gates.Asked | None) -> Hashable:
+def decisive(plan: ChainPlan, *, stored: bool, keep: bool, gate: gates.Asked | None) -> tuple[Hashable, ...]:
     """What decides the code of a plan's forward sweep, beside the places of its CPDs.
 
     Functions are traced, if they were not, and CPDs made ready to keep errors of linearisations.
     """
-    rows = [
+    rows: list[Hashable] = [
         (_function(link.family, stored=stored, keep=keep), len(link.turning))
         for link in plan.transition
     ]
@@ -117,7 +117,8 @@ def motion_of(
 ) -> told.Motion:
     """A CPD of the transition."""
     layout, family = plan.layout, link.family
-    size, turning = layout.state_size + layout.slice_size, ()
+    size = layout.state_size + layout.slice_size
+    turning: tuple[tuple[int, int, int], ...] = ()
     if link.turning and not stored:
         own = places(link.parents, size)
         if any(before not in own for before in link.before.tolist()):
@@ -177,9 +178,10 @@ def _loss_of(owner: int, sensor: Sensor, table: Table, missing: bool, *, found: 
         if isinstance(each, str):
             raise Uncompiled(f"{family.cpd!r}: its noise: {each}")
     weight, surplus = zip(*functions, strict=True)
-    names = "weights.weight", "weights.square"
-    kept = [table.array(owner, attrgetter(name)) for name in names]
-    return told.Loss(weight, surplus, *kept, expects=family.expects, found=found)
+    kept, squares = (
+        table.array(owner, attrgetter(f"weights.{name}")) for name in ("weight", "square")
+    )
+    return told.Loss(weight, surplus, kept, squares, expects=family.expects, found=found)
 
 
 def rejected_by(sensor: Sensor) -> str:

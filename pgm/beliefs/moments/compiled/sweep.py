@@ -229,8 +229,8 @@ def backward(
     smoothed, controls = beliefs or (), (slices or ()) if smooth else ()
 
     def tell(table: Table) -> told.Backward:
-        def arrays(owner: int, names: Sequence[str]) -> tuple[told.Array, ...]:
-            return tuple(table.array(owner, attrgetter(name)) for name in names)
+        def pair(owner: int, one: str, other: str) -> tuple[told.Array, told.Array]:
+            return table.array(owner, attrgetter(one)), table.array(owner, attrgetter(other))
 
         def members(owner: int, parts: Sequence[Array]) -> tuple[told.Array, ...]:
             return tuple(table.array(owner, itemgetter(k)) for k in range(len(parts)))
@@ -238,9 +238,9 @@ def backward(
         return told.Backward(
             size=width,
             states=places(layout.state_places, width),
-            known=arrays(0, ("mean", "cov")),
-            predicted=arrays(0, ("predicted_mean", "predicted_cov")),
-            motion=arrays(1, ("matrix", "cov")),
+            known=pair(0, "mean", "cov"),
+            predicted=pair(0, "predicted_mean", "predicted_cov"),
+            motion=pair(1, "matrix", "cov"),
             reversed=members(2, states),
             smoothed=members(3, smoothed),
             controls=members(4, controls),
