@@ -230,10 +230,9 @@ class Answers:
                 self._chosen.append((points.at(chosen), doubts[chosen]))
         differed = None
         if last and self._chosen:
-            found, doubts = map(list, zip(*self._chosen, strict=True))
-            differed = self.slopes.differed(
-                Points.joined(found).at(_chosen(np.concatenate(doubts)))
-            )
+            every = Points.joined([each for each, _ in self._chosen])
+            chosen = _chosen(np.concatenate([doubts for _, doubts in self._chosen]))
+            differed = self.slopes.differed(every.at(chosen))
             asked.append(differed.points)
         due = self.slopes.functions(asked)
         self.used = self.used or first > 0

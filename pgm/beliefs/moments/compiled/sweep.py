@@ -235,13 +235,14 @@ def backward(
         def members(owner: int, parts: Sequence[Array]) -> tuple[told.Array, ...]:
             return tuple(table.array(owner, itemgetter(k)) for k in range(len(parts)))
 
+        gain, shift, cov = members(2, states)
         return told.Backward(
             size=width,
             states=places(layout.state_places, width),
             known=pair(0, "mean", "cov"),
             predicted=pair(0, "predicted_mean", "predicted_cov"),
             motion=pair(1, "matrix", "cov"),
-            reversed=members(2, states),
+            reversed=(gain, shift, cov),
             smoothed=members(3, smoothed),
             controls=members(4, controls),
         )
