@@ -87,6 +87,7 @@ def prepare(
     return Prepared(graph, call, Form.of(evidence, bound))
 
 
+@public
 class Prepared(InCode, Generic[B]):
     """Inference on a graph, prepared for evidence of one form; made by `prepare`.
 
@@ -98,6 +99,15 @@ class Prepared(InCode, Generic[B]):
     ----------
     graph : DynamicGraph
     schedule : Schedule or None
+
+    Examples
+    --------
+    >>> from pgm.examples import walk, x, z
+    >>> run = pgm.prepare(pgm.compile(walk, steps=2), {z: np.zeros((2, 1))})
+    >>> run({z: [[4.0], [5.0]]})[x].mean.ravel()
+    array([1.375, 2.75 , 3.5  ])
+    >>> run({z: [[4.0], [np.nan]]})[x].mean.ravel()
+    array([1., 2., 2.])
     """
 
     def __init__(self, graph: DynamicGraph, call: Call, form: Form) -> None:
