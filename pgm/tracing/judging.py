@@ -172,10 +172,10 @@ class Answers:
     def _is_cleared(self) -> bool:
         """Whether machine code clears all that has been kept.
 
-        It is made for a trace that a call has found right before, as there may be more of them.
+        It is made for a trace that calls have often found right, as there may be many more.
         """
         swept, fresh = self._swept, not (self._batches or self._asked or self._chosen)
-        if not swept or not fresh or self.fault is not None or not self.tracer.proven:
+        if not swept or not fresh or self.fault is not None or not self.tracer.often:
             return False
         flats, stds = zip(*swept, strict=True)
         alone = stds[0] is None

@@ -84,6 +84,8 @@ _SPREAD = np.array([[0.0, 0.01, 1.0], [1.0, 10.0, 100.0]])
 _EQUAL = 1e-12
 # A trace that fails for the n-th time in a row is left out of 2^n − 1 calls, at most so.
 _MOST_FAILURES = 6
+# A trace has been right often after so many calls.
+_OFTEN = 5
 
 
 class Tracer:
@@ -115,7 +117,7 @@ class Tracer:
         self.reason: str | None = None
         # Whether a call has found it right; how often it failed since, and calls to leave out.
         self._proven, self._failures, self._waits = False, 0, 0
-        self._stale = False
+        self._stale, self._calls = False, 0
         self._slopes: tuple[Program, tuple[float, ...], Slopes] | None = None
 
     def confirm(self, centres: Sequence[Array], *, anew: bool = False) -> bool:
@@ -137,7 +139,7 @@ class Tracer:
             self._fail(_DIFFERS)
             return False
         if repr(found) != repr(self.trace):  # else what was made of it is still good
-            self.trace, self._proven = found, False
+            self.trace, self._proven, self._calls = found, False, 0
         return True
 
     def renew(self) -> None:
@@ -148,6 +150,7 @@ class Tracer:
         """Take a trace for right, since a call has found it so."""
         if self.trace is proven:
             self._proven, self._failures, self.reason = True, 0, None
+            self._calls += 1
 
     def doubt(self, doubted: Program, reason: str, *, moved: bool) -> None:
         """Give up a wrong trace; if the function's values have changed, trace it once more.
@@ -161,9 +164,9 @@ class Tracer:
                 self._fail(reason)
 
     @property
-    def proven(self) -> bool:
-        """Whether a call has found the trace right."""
-        return self._proven
+    def often(self) -> bool:
+        """Whether calls have found the trace right so often that there may be many more."""
+        return self._calls >= _OFTEN
 
     def slopes(self, program: Program, variances: tuple[float, ...]) -> Slopes:
         """The derivatives of a program of the trace, with the least variances of noise, (d,)."""
@@ -180,7 +183,7 @@ class Tracer:
         return str(self.reason) if self.trace is None else self.trace
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_proven": False, "_slopes": None}
+        return self.__dict__ | {"_proven": False, "_calls": 0, "_slopes": None}
 
     def _fail(self, reason: str) -> None:
         self.trace, self.reason, self._proven = None, reason, False

@@ -169,7 +169,7 @@ def test_a_function_that_changes_is_seen_as_it_is(compiled):
     blank = {z: np.full((5, 1), np.nan)}
     graph = pgm.compile(model, 5, compiled=compiled)
     run = pgm.prepare(graph, blank, schedule=pgm.Filtering())
-    for each in (0.5, 0.5, 0.5, 3.0, 3.0, 3.0, 0.5):
+    for each in (*[0.5] * 9, *[3.0] * 9, 0.5):
         gain[0] = each
         due = 0.0
         for _ in range(5):
