@@ -182,7 +182,7 @@ class Family(Rows):
         while the whole stays as it is.
         """
         rows, part = slice(first, last), copy(self)
-        for name in ("shape", "_known", "_by_row", "_steps", "joined_inputs"):
+        for name in ("shape", "_known", "_by_row", "_steps"):
             part.__dict__.pop(name, None)
         part.step = self.step[rows]
         part.inputs = {parent: values[rows] for parent, values in self.inputs.items()}
@@ -248,18 +248,6 @@ class Family(Rows):
     def needs_cov(self) -> bool:
         """Whether the linearisation depends on the belief's covariance, not on its mean alone."""
         return self.template is not None and needs_cov(self.lineariser, self.template)
-
-    @cached_property
-    def joined_inputs(self) -> Array | None:
-        """The function's arguments with evidence, one after another, (rows, runs or 1, m)."""
-        assert self.template is not None
-        pairs = zip(self.template.given, self.template.places, strict=True)
-        inputs = [self.inputs[parent] for parent, place in pairs if place is None]
-        if len(inputs) < 2:
-            return inputs[0] if inputs else None
-        lead = np.broadcast_shapes(*(values.shape[:2] for values in inputs))
-        wide = [np.broadcast_to(values, (*lead, values.shape[2])) for values in inputs]
-        return np.concatenate(wide, axis=-1)
 
     @cached_property
     def prepared(self) -> Prepared:

@@ -65,12 +65,26 @@ class Module:
             self._exported.append(code)
         return code
 
-    def helper(self, name: str, arguments: Sequence[Kind], lanes: int) -> Helper:
-        """The function of this name that others share, giving a pack; fresh at its first call."""
+    def helper(
+        self,
+        name: str,
+        arguments: Sequence[Kind],
+        lanes: int,
+        result: Kind | None = PACK,
+        *,
+        disjoint: bool = False,
+    ) -> Helper:
+        """The function of this name that others share; fresh at its first call."""
         fresh = name not in self._helpers
         if fresh:
             self._helpers[name] = self.function(
-                name, arguments, PACK, lanes=lanes, internal=True, inline=False
+                name,
+                arguments,
+                result,
+                lanes=lanes,
+                internal=True,
+                inline=False,
+                disjoint=disjoint,
             )
         return Helper(self._helpers[name], fresh)
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from pgm.kernels.machine.cpd import traced
+from pgm.kernels.machine.lines import held
+from pgm.kernels.machine.matrices import Belief
 from pgm.kernels.machine.numbers import Number
 from pgm.kernels.machine.told import Function, Loss, Sensor
+from pgm.kernels.machine.traces import written
 from pgm.kernels.machine.wholes import Whole
-from pgm.kernels.machine.writer import Carried, Writer, held
-from pgm.kernels.numbers import Matrix, most, where
+from pgm.kernels.machine.writer import Writer
+from pgm.kernels.numbers import most, where
+from pgm.kernels.step import AnyMatrix
 
 # As of `weights` and `iterated_update`: weights that move by no more have settled; how often
 # sightings are weighed at most; and by how much weights may still move at a fixed point.
@@ -49,10 +52,10 @@ def gated(
 class Weighing:
     """Robust sightings of a step, weighed and taken in again until their weights settle."""
 
-    def __init__(self, w: Writer, mean: Matrix, cov: Matrix) -> None:
+    def __init__(self, w: Writer, mean: AnyMatrix, cov: AnyMatrix) -> None:
         self._w = w
         # The belief that was found last, by whose residuals sightings are weighed.
-        self.belief = Carried(w.code, mean, cov)
+        self.belief = w.matrices.carried(mean, cov)
         self._active, self._moved = w.code.variable(True), w.code.variable(0.0)
         self._left = w.code.variable(float("inf"))
         self.again = w.code.constant(False).lane(0)
@@ -67,7 +70,7 @@ class Weighing:
         self.again = count > 0
         self._moved.set(0.0)
 
-    def turned(self, found: Carried) -> Number:
+    def turned(self, found: Belief) -> Number:
         """End a turn that has found a belief; whether another is due."""
         code = self._w.code
         with code.when(self.again):
@@ -81,7 +84,9 @@ class Weighing:
         """Whether no weight moves any more."""
         return self._left.get() <= TOLERANCE
 
-    def weigh(self, loss: Loss, at: Whole, square: Any, count: Any, begins: Number) -> tuple[Any, Any]:
+    def weigh(
+        self, loss: Loss, at: Whole, square: Any, count: Any, begins: Number
+    ) -> tuple[Any, Any]:
         """A sighting's weight, and the square that it is of, given its square at the last belief.
 
         The weight is one when all `begins`.
@@ -118,10 +123,10 @@ def kept_surplus(w: Writer, loss: Loss, at: Whole, count: Any) -> Any:
 def _by_count(w: Writer, functions: Sequence[Function], count: Any, given: list[Any]) -> Any:
     """The value of a trace that depends on how many components were measured."""
     values = [
-        traced(w, function, lambda k, _: given[k], slope=False)[0][0] for function in functions
+        written(w.code, function, function.value, lambda k, _: given[k])[0]
+        for function in functions
     ]
     found = values[-1]
     for k, value in enumerate(values[:-1]):
         found = where(count == float(k), value, found)
     return found
-

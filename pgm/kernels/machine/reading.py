@@ -8,12 +8,14 @@ from pgm.kernels import step
 from pgm.kernels.arrays import LAST_PLACES, LOG_2PI
 from pgm.kernels.gaussian import NEARLY_SINGULAR
 from pgm.kernels.machine.cpd import Line, keep, linearised
+from pgm.kernels.machine.matrices import Belief
 from pgm.kernels.machine.numbers import Number
 from pgm.kernels.machine.outliers import REWEIGHINGS, Weighing, gated, kept_surplus, surplus
 from pgm.kernels.machine.told import Forward, Sensor
 from pgm.kernels.machine.wholes import Whole
-from pgm.kernels.machine.writer import Carried, Writer
-from pgm.kernels.numbers import Matrix, least, most, sqrt, where
+from pgm.kernels.machine.writer import Writer
+from pgm.kernels.numbers import least, most, sqrt, where
+from pgm.kernels.step import AnyMatrix
 
 # The part of S (10 + rᵀ S⁻¹ r) that noise has to exceed in all directions. Below, a belief that is
 # linearised again, or any, is not known to a billionth of a deviation: an order of sums shows. A
@@ -24,10 +26,10 @@ _FARTHEST = 1e12
 
 
 class Taken:
-    """A belief that takes in measurements: its moments, their log-density, and whether it is sure."""
+    """A belief that takes in measurements: moments, their log-density, and whether it is sure."""
 
-    def __init__(self, w: Writer, mean: Matrix, cov: Matrix) -> None:
-        self.moments = Carried(w.code, mean, cov)
+    def __init__(self, w: Writer, mean: AnyMatrix, cov: AnyMatrix) -> None:
+        self.moments = w.matrices.carried(mean, cov)
         self._density, self._sure = w.code.variable(0.0), w.code.variable(True)
         self._settled = w.code.variable(True)
 
@@ -46,13 +48,13 @@ class Taken:
         """Whether the weights of robust noise have settled."""
         return self._settled.get()
 
-    def begin(self, mean: Matrix, cov: Matrix) -> None:
+    def begin(self, mean: AnyMatrix, cov: AnyMatrix) -> None:
         """Begin again, at a predicted belief."""
         self.moments.set(mean, cov)
         self._density.set(0.0)
         self._sure.set(True)
 
-    def take(self, mean: Matrix, cov: Matrix, density: Any, sure: Number) -> None:
+    def take(self, mean: AnyMatrix, cov: AnyMatrix, density: Any, sure: Number) -> None:
         """Go on to a belief that knows one measurement more."""
         self.moments.set(mean, cov)
         self._density.set(self.density + density)
@@ -70,14 +72,14 @@ class Point(NamedTuple):
     is whether this is the first linearisation, None if there is one alone.
     """
 
-    mean: Matrix
-    cov: Matrix
-    at: Matrix
-    about: Matrix
+    mean: AnyMatrix
+    cov: AnyMatrix
+    at: AnyMatrix
+    about: AnyMatrix
     first: Number | None
 
 
-def taken(w: Writer, chain: Forward, at: Whole, mean: Matrix, cov: Matrix) -> Taken:
+def taken(w: Writer, chain: Forward, at: Whole, mean: AnyMatrix, cov: AnyMatrix) -> Taken:
     """The belief given the measurements of a step, whose predicted moments are N(mean, cov)."""
     found = Taken(w, mean, cov)
     weighing = None
@@ -95,25 +97,25 @@ def _iterated(
     chain: Forward,
     at: Whole,
     found: Taken,
-    mean: Matrix,
-    cov: Matrix,
+    mean: AnyMatrix,
+    cov: AnyMatrix,
     weighing: Weighing | None,
 ) -> None:
     """Linearise again at what was found, until a belief settles."""
     code, record = w.code, w.residuals
-    point = Carried(code, mean, cov)
+    point = w.matrices.carried(mean, cov)
     tolerance, damping = w.settings.load(0), w.settings.load(1)
     most_often, last = code.variable(code.whole(1)), code.variable(code.whole(0))
     with code.when(_are_curved(w, chain, at)):
         most_often.set(w.iterations)
     settled, made, residual = code.variable(False), code.variable(0.0), code.variable(0.0)
     with code.loop(most_often.get()) as k:
-        with code.when(k > 0):
-            _move(point, found.moments, damping, settled.get())
+        with code.when(k > 0), w.matrices.scratch():
+            _move(w, point, found.moments, damping, settled.get())
         here = Point(mean, cov, point.mean, point.cov, k == 0)
         _solved(w, chain, at, found, here, weighing)
-        with code.when(k > 0):
-            moved = _moved(found.moments, point.mean)
+        with code.when(k > 0), w.matrices.scratch():
+            moved = _moved(w, found.moments, point.mean)
             residual.set(moved)
             made.set(where(settled.get(), made.get(), k.number()))
             settled.set(settled.get() | ((moved <= tolerance) & found.settled))
@@ -159,32 +161,29 @@ def _are_curved(w: Writer, chain: Forward, at: Whole) -> Number:
     return found
 
 
-def _move(point: Carried, found: Carried, damping: Number, settled: Number) -> None:
+def _move(w: Writer, point: Belief, found: Belief, damping: Number, settled: Number) -> None:
     """Move the point of linearisation to the belief that was found, where it has not settled."""
-    def mixed(a: Any, b: Any) -> Any:
-        return where(settled, a, damping * a + (1.0 - damping) * b)
 
-    def mix(a: Matrix, b: Matrix) -> Matrix:
-        return Matrix(
-            [mixed(x, y) for x, y in zip(*rows, strict=True)]
-            for rows in zip(a.rows, b.rows, strict=True)
-        )
+    def mixed(a: AnyMatrix, b: AnyMatrix) -> AnyMatrix:
+        between = a.scaled(damping) + b.scaled(1.0 - damping)
+        return w.matrices.chosen(settled, a, between)
 
-    point.set(mix(point.mean, found.mean), mix(point.cov, found.cov))
+    point.set(mixed(point.mean, found.mean), mixed(point.cov, found.cov))
 
 
-def _moved(found: Carried, point: Matrix) -> Any:
+def _moved(w: Writer, found: Belief, point: AnyMatrix) -> Any:
     """How far a mean is from where it was linearised, in deviations, as `moments.moved`."""
     residual: Any = 0.0
-    for (new,), (old,), variance in zip(
-        found.mean.rows, point.rows, found.cov.diagonal, strict=True
+    m = w.matrices
+    for new, old, variance in zip(
+        m.beside(found.mean), m.beside(point), m.diagonal(found.cov), strict=True
     ):
         size, other = abs(new), abs(old)
         unit = where(variance > 0.0, sqrt(variance), most(size, 1.0))
         left = abs(new - old) - LAST_PLACES * most(size, other)
         left = where(left < 0.0, 0.0, left) / unit  # NaN stays
         residual = where(residual > left, residual, left)
-    return residual
+    return w.together(lambda a, b: where(a > b, a, b), [residual])
 
 
 def _at_most(record: Any, place: Whole, value: Any) -> None:
@@ -200,10 +199,11 @@ def _once(
     fresh = point.first is None  # no measurement has moved the belief from the point yet
     for sensor in chain.sensors:
         if sensor.bounds is None:
-            _read(w, sensor, at, found, point, weighing, fresh=fresh)
+            with w.matrices.scratch():
+                _read(w, sensor, at, found, point, weighing, fresh=fresh)
         else:
             first, last = w.sightings(sensor, at)
-            with w.code.loop(last, first) as row:
+            with w.code.loop(last, first) as row, w.matrices.scratch():
                 _read(w, sensor, row, found, point, weighing)
         fresh = False
 
@@ -223,11 +223,11 @@ def _read(
     x = point.at.part(parents, (0,))
     line = linearised(w, sensor, at, x, point.about.part(parents, parents))
     keep(w, sensor, at, x, line)
-    values = [number for (number,) in w.column(sensor.readings, at).rows]
-    for k in sensor.angles:
-        values[k] = step.nearest(values[k], line.value[k, 0])
-    w.keep(sensor.moved, Matrix.column(values), at)
-    left = Matrix.column(values) - line.value
+    values = w.column(sensor.readings, at)
+    near = {k: step.nearest(values[k, 0], line.value[k, 0]) for k in sensor.angles}
+    values = w.matrices.replaced(values, near)
+    w.keep(sensor.moved, values, at)
+    left = values - line.value
     sighting = _Sighting.of(w, sensor, line, left, point.at.shape[0], values)
     noise = sighting.noise
     begins = point.first
@@ -262,7 +262,7 @@ def _read(
     limit = _STRAIGHT if sensor.function is None else _CURVED
     part = least(limit * (10.0 + after.square), w.code.constant(_MILD))
     whole = step.predict(point.cov, sighting.matrix, noise)
-    sharp = (after.square < _FARTHEST) & _is_positive(noise - whole.scaled(part))
+    sharp = (after.square < _FARTHEST) & _is_positive(w, noise - whole.scaled(part))
     density = -0.5 * (after.square + LOG_2PI * sighting.count) - after.volume + surplus_of
     if sensor.gate is None:
         sure = line.sure & (after.share > NEARLY_SINGULAR) & sharp
@@ -276,17 +276,11 @@ def _read(
     rejected = gated(w, sensor, at, square, sighting.count, begins)
     sure = line.sure & (share > NEARLY_SINGULAR) & (rejected | sharp)
     found.take(
-        _chosen(rejected, mean, after.mean),
-        _chosen(rejected, cov, after.cov),
+        w.matrices.chosen(rejected, mean, after.mean),
+        w.matrices.chosen(rejected, cov, after.cov),
         where(rejected, 0.0, density),
         sure,
     )
-
-
-def _chosen(truth: Any, a: Matrix, b: Matrix) -> Matrix:
-    """One matrix or another, by a truth."""
-    rows = zip(a.rows, b.rows, strict=True)
-    return Matrix([where(truth, x, y) for x, y in zip(*both, strict=True)] for both in rows)
 
 
 class _Sighting(NamedTuple):
@@ -296,46 +290,34 @@ class _Sighting(NamedTuple):
     None for zero, and `count` is how many components were measured; others say nothing.
     """
 
-    left: Matrix
-    matrix: Matrix
-    own: Matrix
-    error: Matrix | None
+    left: AnyMatrix
+    matrix: AnyMatrix
+    own: AnyMatrix
+    error: AnyMatrix | None
     count: Any
 
     @classmethod
     def of(
-        cls, w: Writer, sensor: Sensor, line: Line, left: Matrix, size: int, values: list[Any]
+        cls, w: Writer, sensor: Sensor, line: Line, left: AnyMatrix, size: int, values: AnyMatrix
     ) -> _Sighting:
         """A sighting of some values, as linearised over a slice of so many components."""
-        matrix = _widened(line, sensor, size)
+        m = w.matrices
+        matrix = m.widened(line.matrix, sensor.parents, size)
         if not sensor.missing:
             return cls(left, matrix, line.own, line.error, float(sensor.height))
-        known = [value == value for value in values]
-        left, matrix, own = step.seen(known, left, matrix, line.own)
-        error = line.error
-        if error is not None:
-            every = range(len(known))
-            error = Matrix(
-                [where(known[i] & known[j], error[i, j], 0.0) for j in every] for i in every
-            )
-        return cls(left, matrix, own, error, w.sum([truth.number() for truth in known]))
+        known = [value == value for value in m.beside(values)]
+        left, matrix, own = m.seen(known, left, matrix, line.own)
+        error = None if line.error is None else m.kept(known, line.error)
+        missing = w.sum([1.0 - truth.number() for truth in known])
+        return cls(left, matrix, own, error, float(sensor.height) - missing)
 
     @property
-    def noise(self) -> Matrix:
+    def noise(self) -> AnyMatrix:
         """The covariance of e."""
         return self.own if self.error is None else self.own + self.error
 
 
-def _is_positive(matrix: Matrix) -> Number:
+def _is_positive(w: Writer, matrix: AnyMatrix) -> Any:
     """Whether a matrix is positive definite."""
-    return (matrix[0, 0] > 0.0) & (step.open_share(matrix) > 0.0)
-
-
-def _widened(line: Line, sensor: Sensor, size: int) -> Matrix:
-    """The matrix of a linearisation over the whole slice."""
-    if sensor.parents == tuple(range(size)):
-        return line.matrix
-    place = {parent: k for k, parent in enumerate(sensor.parents)}
-    return Matrix(
-        [row[place[j]] if j in place else 0.0 for j in range(size)] for row in line.matrix.rows
-    )
+    positive: Number = (matrix[0, 0] > 0.0) & (w.matrices.open_share(matrix) > 0.0)
+    return positive

@@ -138,8 +138,11 @@ class Row:
         None of an affine CPD.
     points : Points or None
         Of the rule by which it is linearised; None of `Taylor`.
-    inputs : Array or None
-        What is observed of the arguments, (m,).
+    inputs : tuple of Array
+        The observed arguments, (m,) each, in the order of the function's.
+    shifts : tuple of Array
+        Of an affine CPD whose inputs come later, their matrices B (d, m): b + B u + ... is its
+        offset.
     kept : Array or None
         Where the covariance of e with the error is kept.
     angles : tuple of int
@@ -153,7 +156,8 @@ class Row:
     offset: Array | None = None
     function: Function | None = None
     points: Points | None = None
-    inputs: Array | None = None
+    inputs: tuple[Array, ...] = ()
+    shifts: tuple[Array, ...] = ()
     kept: Array | None = None
     angles: tuple[int, ...] = ()
 
@@ -194,10 +198,10 @@ class Gate:
 class Loss:
     """A robust noise: sightings count with R / w, and the weight w is a function of a square.
 
-    `weight(s)` and `surplus(s, w)`, the log-density less that of N(0, R / w), are traces by how many
-    components were measured; of just the last where none may be missing. Weights and the squares
-    that they are of are kept by row. `expects` says that squares are expected under the belief;
-    `found` that weights are as kept, and only the surplus is due.
+    `weight(s)` and `surplus(s, w)`, the log-density less that of N(0, R / w), are traces by how
+    many components were measured; of just the last where none may be missing. Weights and the
+    squares that they are of are kept by row. `expects` says that squares are expected under the
+    belief; `found` that weights are as kept, and only the surplus is due.
     """
 
     weight: tuple[Function, ...]
@@ -297,3 +301,62 @@ class Backward:
     reversed: tuple[Array, Array, Array]
     smoothed: tuple[Array, ...] = ()
     controls: tuple[Array, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Squares(Row):
+    """A CPD as squares of a least-squares problem, of which some rows are linearised together.
+
+    Rows take the place of runs in its arrays, and runs that of rows. `noise` is the inverse of the
+    covariance, zero where nothing is measured, and `parents` are places in a slice, those of the
+    next one behind.
+
+    Attributes
+    ----------
+    child : tuple of int
+        The places of a transition's child in the slices; empty of a measurement.
+    lanes : int
+        How many rows are linearised together; there are as many at least.
+    count : int
+        The place in the table of the number of rows.
+    readings, moved, missing, bounds
+        As of `Sensor`.
+    steps : int or None
+        The place in the table of the address of each row's step; None if each step has one row.
+    """
+
+    child: tuple[int, ...]
+    lanes: int
+    count: int
+    readings: Array | None = None
+    moved: Array | None = None
+    missing: bool = False
+    bounds: int | None = None
+    steps: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Newton:
+    """A Gauss–Newton step of all steps of a chain.
+
+    Attributes
+    ----------
+    size : int
+        The components of a slice.
+    rows : tuple of Squares
+    active : Array
+        Whether a run is worked on, (1,).
+    begin : Array
+        The first slice's equations by the prior, as a `newton.Layout` has them.
+    reference, found, variance : Array
+        The trajectory at which CPDs are linearised, the one that is found, and the variances of its
+        components.
+    """
+
+    size: int
+    rows: tuple[Squares, ...]
+    active: Array
+    begin: Array
+    reference: Array
+    found: Array
+    variance: Array

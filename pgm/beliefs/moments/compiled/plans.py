@@ -1,35 +1,111 @@
-"""Plans of chains, as machine code is told of them: what decides their code, and their arrays.
-
-An *owner* is a CPD of the transition, a sensor, or the record of a sweep, by its number: owners
-stand in this order. Arrays are told of by how their owner is asked for them.
-"""
+"""Plans of chains, as machine code is told of them: what decides their code, and their table."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
+from itertools import pairwise
 from operator import attrgetter, itemgetter
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from pgm.beliefs.moments.compiled.functions import function_of, loss_of, points_of
-from pgm.beliefs.moments.compiled.table import Table
 from pgm.beliefs.moments.steps import gate as gates
 from pgm.beliefs.moments.steps.plan import ChainPlan, Link
 from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.compile.machine import MOST, RULES
 from pgm.kernels.arrays import Array, Index
 from pgm.kernels.machine import told
+from pgm.kernels.machine.memory import Runs
 from pgm.linearisation.family import Family
 from pgm.linearisers import Taylor
 from pgm.schedules.gates import gate_of
+from pgm.variables import Variable
 
+Integers64 = npt.NDArray[np.int64]
 # By name the arrays that a sweep fills or reads beside those of CPDs and sensors.
 Record = dict[str, Array]
+# How an array's owner, a CPD, a sensor or a record, is asked for it.
+Get = Callable[[Any], Any]
 
 
 class Uncompiled(Exception):
     """A plan that machine code cannot sweep, and why."""
+
+
+def address(array: npt.NDArray[Any]) -> int:
+    """Where an array's memory begins."""
+    found: int = array.__array_interface__["data"][0]
+    return found
+
+
+class Table:
+    """A table that is filled, and the arrays that it tells of, which stay in memory as it does.
+
+    `lanes` is how many runs are swept together, `record` the arrays that no CPD and no sensor owns.
+    """
+
+    def __init__(self, plan: ChainPlan, lanes: int) -> None:
+        self.lanes = lanes
+        self.numbers = [0] * told.FIRST
+        self.numbers[told.LAST], self.numbers[told.RUNS] = plan.steps, plan.runs
+        self.record: Record = {}
+        self._kept: list[object] = []
+
+    def put(self, place: int, array: npt.NDArray[Any]) -> None:
+        """Put the address of an array into the table."""
+        self._kept.append(array)
+        self.numbers[place] = address(array)
+
+    def at(self, array: npt.NDArray[Any]) -> int:
+        """The place in the table of the address of an array."""
+        self.numbers.append(0)
+        self.put(len(self.numbers) - 1, array)
+        return len(self.numbers) - 1
+
+    def array(self, array: Array) -> told.Array:
+        """An array (rows or 1, runs or 1, own axes), told."""
+        array = readable(array)
+        inner = [(k, n) for k, n in zip(array.strides[2:], array.shape[2:], strict=True) if n > 1]
+        down, across = (
+            0 if n == 1 else k // 8 for k, n in zip(array.strides, array.shape[:2], strict=False)
+        )
+        cell = inner[-1][0] // 8 if inner else 1
+        place = self.at(array)
+        self.numbers += [down, across, cell]
+        runs = Runs.BESIDE
+        if self.lanes > 1 and across != 1:
+            runs = Runs.APART if across else Runs.SAME
+        return told.Array(place, array.shape[2:], runs, cell == 1)
+
+    def of(self, owner: Any, get: Get) -> told.Array:
+        """An array that an owner has, told."""
+        return self.array(get(owner))
+
+    def at_of(self, owner: Any, get: Get) -> int:
+        """The place in the table of the address of an array that an owner has."""
+        return self.at(get(owner))
+
+    def count(self, number: int) -> int:
+        """The place in the table of a number."""
+        self.numbers.append(number)
+        return len(self.numbers) - 1
+
+    @property
+    def whole(self) -> Integers64:
+        """The table."""
+        return np.array(self.numbers, dtype=np.int64)
+
+
+def readable(array: Array) -> Array:
+    """The array, or a copy, in which components of a row are at even distances."""
+    if not array.size:  # which is never read, and has no distances
+        return np.zeros((1, *array.shape[1:]))
+    inner = [(k, n) for k, n in zip(array.strides[2:], array.shape[2:], strict=True) if n > 1]
+    if any(outer != stride * size for (outer, _), (stride, size) in pairwise(inner)):
+        return np.ascontiguousarray(array)
+    return array
 
 
 def places(index: Index, size: int) -> tuple[int, ...]:
@@ -52,7 +128,9 @@ def unknown(plan: ChainPlan) -> str | None:
     return None
 
 
-def decisive(plan: ChainPlan, *, stored: bool, keep: bool, gate: gates.Asked | None) -> tuple[Hashable, ...]:
+def decisive(
+    plan: ChainPlan, *, stored: bool, keep: bool, gate: gates.Asked | None
+) -> tuple[Hashable, ...]:
     """What decides the code of a plan's forward sweep, beside the places of its CPDs.
 
     Functions are traced, if they were not, and CPDs made ready to keep errors of linearisations.
@@ -113,7 +191,7 @@ def _single(sensor: Sensor, steps: int) -> bool:
 
 
 def motion_of(
-    plan: ChainPlan, owner: int, link: Link, table: Table, *, stored: bool, keep: bool
+    plan: ChainPlan, link: Link, table: Table, *, stored: bool, keep: bool
 ) -> told.Motion:
     """A CPD of the transition."""
     layout, family = plan.layout, link.family
@@ -125,7 +203,7 @@ def motion_of(
             raise Uncompiled(f"{family.cpd!r} turns an angle of which its function does not know")
         turning = tuple((new, before, own.index(before)) for new, before in link.turning)
     return told.Motion(
-        **_row(owner, family, places(link.parents, size), table, stored=stored, keep=keep),
+        **row_of(family, places(link.parents, size), table, stored=stored, keep=keep),
         bare=family.bare,
         unsure=not family.semidefinite,
         turning=turning,
@@ -134,7 +212,6 @@ def motion_of(
 
 def sensor_of(
     plan: ChainPlan,
-    owner: int,
     sensor: Sensor,
     table: Table,
     *,
@@ -149,27 +226,27 @@ def sensor_of(
     readings = "moved_marked" if stored else "marked" if probability is None else "given_marked"
     kept = keep and not stored and bool(sensor.variable.angles)
     return told.Sensor(
-        **_row(owner, family, places(sensor.parents, size), table, stored=stored, keep=keep),
-        readings=table.array(owner, attrgetter(readings)),
-        moved=table.array(owner, attrgetter("moved")) if kept else None,
+        **row_of(family, places(sensor.parents, size), table, stored=stored, keep=keep),
+        readings=table.of(sensor, attrgetter(readings)),
+        moved=table.of(sensor, attrgetter("moved")) if kept else None,
         missing=missing,
-        bounds=None if _single(sensor, plan.steps) else table.at(owner, attrgetter("edges")),
-        gate=None if probability is None else _gate_of(probability, owner, sensor, table),
-        loss=_loss_of(owner, sensor, table, missing, found=stored) if sensor.robust else None,
+        bounds=None if _single(sensor, plan.steps) else table.at_of(sensor, attrgetter("edges")),
+        gate=None if probability is None else _gate_of(probability, sensor, table),
+        loss=_loss_of(sensor, table, missing, found=stored) if sensor.robust else None,
     )
 
 
-def _gate_of(probability: float, owner: int, sensor: Sensor, table: Table) -> told.Gate:
+def _gate_of(probability: float, sensor: Sensor, table: Table) -> told.Gate:
     """A sensor's gate, whose decisions are gathered in the record; see `decided`."""
     limits = gates.limits(probability, sensor.height)[None, None]
     return told.Gate(
-        table.array(owner, lambda _: limits),
-        table.array(owner, attrgetter("gated.square")),
-        table.array(-1, itemgetter(rejected_by(sensor))),
+        table.of(sensor, lambda _: limits),
+        table.of(sensor, attrgetter("gated.square")),
+        table.of(table.record, itemgetter(rejected_by(sensor))),
     )
 
 
-def _loss_of(owner: int, sensor: Sensor, table: Table, missing: bool, *, found: bool) -> told.Loss:
+def _loss_of(sensor: Sensor, table: Table, missing: bool, *, found: bool) -> told.Loss:
     """A sensor's robust noise, with the weights of its sightings; `found` as of `told.Loss`."""
     family, weights = sensor.family, sensor.weights
     counts = range(0 if missing else sensor.height, sensor.height + 1)
@@ -179,7 +256,7 @@ def _loss_of(owner: int, sensor: Sensor, table: Table, missing: bool, *, found: 
             raise Uncompiled(f"{family.cpd!r}: its noise: {each}")
     weight, surplus = zip(*functions, strict=True)
     kept, squares = (
-        table.array(owner, attrgetter(f"weights.{name}")) for name in ("weight", "square")
+        table.of(sensor, attrgetter(f"weights.{name}")) for name in ("weight", "square")
     )
     return told.Loss(weight, surplus, kept, squares, expects=family.expects, found=found)
 
@@ -209,37 +286,45 @@ def decided(plan: ChainPlan, record: Record) -> None:
             sensor.taken[...] = sensor.gated.given & ~sensor.gated.rejected[..., None]
 
 
-def _row(
-    owner: int,
-    family: Family,
-    parents: tuple[int, ...],
-    table: Table,
-    *,
-    stored: bool,
-    keep: bool,
+def row_of(
+    family: Family, parents: tuple[int, ...], table: Table, *, stored: bool, keep: bool
 ) -> dict[str, Any]:
-    def array(name: str) -> told.Array:
-        return table.array(owner, attrgetter(f"family.{name}"))
+    """What is told of a CPD of any kind; see `told.Row`."""
 
+    def array(name: str) -> told.Array:
+        return table.of(family, attrgetter(name))
+
+    weighed = family.cpd.noise is not None and not stored
     found: dict[str, Any] = {"parents": parents, "height": family.shape[2]}
     if not stored:
         found["angles"] = tuple(np.flatnonzero(family.cpd.child.angle_mask).tolist())
     if stored or family.template is None:
         found["matrix"], found["offset"] = array("matrix"), array("offset")
-        weighed = family.cpd.noise is not None and not stored
         found["noise"] = array("own_noise" if weighed else "noise")
         if weighed and keep:
+            family.keep_errors()
             found["kept"] = array("noise")
         return found
-    answers, rule = family.compiled, points_of(family)
-    assert answers is not None
+    answers, template = family.compiled or family.trace_whole(), family.template
+    if isinstance(answers, str):
+        raise Uncompiled(f"{family.cpd!r}: {answers}")
+    rule = points_of(family)
     if isinstance(rule, str):
         raise Uncompiled(f"{family.cpd!r}: {rule}")
-    found |= {"function": function_of(family.template, answers.trace), "points": rule}
+    found |= {"function": function_of(template, answers.trace), "points": rule}
     found["noise"] = array("own_noise")
-    found["inputs"] = None if family.joined_inputs is None else array("joined_inputs")
+    found["inputs"] = tuple(
+        table.of(family, _input(parent))
+        for parent, place in zip(template.given, template.places, strict=True)
+        if place is None
+    )
     if keep:
         found["matrix"], found["offset"] = array("matrix"), array("offset")
-        if rule is not None or family.cpd.noise is not None:
+        if rule is not None or weighed:
+            family.keep_errors()
             found["kept"] = array("noise")
     return found
+
+
+def _input(parent: Variable) -> Get:
+    return lambda family: family.inputs[parent]

@@ -14,6 +14,7 @@ from pgm.beliefs.moments.compiled.judged import judge
 from pgm.beliefs.moments.compiled.plans import (
     Record,
     Uncompiled,
+    address,
     decided,
     decisive,
     motion_of,
@@ -22,7 +23,7 @@ from pgm.beliefs.moments.compiled.plans import (
     undecided,
     unknown,
 )
-from pgm.beliefs.moments.compiled.table import Filled, Table, address
+from pgm.beliefs.moments.compiled.table import Filled, NamedTable
 from pgm.beliefs.moments.steps.chain import MomentChain
 from pgm.beliefs.moments.steps.gate import Asked
 from pgm.beliefs.moments.steps.plan import ChainPlan
@@ -34,8 +35,8 @@ from pgm.resources import in_threads
 from pgm.schedules.damping import LevenbergMarquardt
 from pgm.schedules.schedule import ONCE, Filtering
 
-# Machine code repays its making from a tenth of a second of the general kernels on: a step of theirs
-# takes as long as the arithmetic of so many runs, and these so many of half a microsecond each.
+# Machine code repays its making from a tenth of a second of the general kernels on: a step of
+# theirs takes as long as the arithmetic of so many runs, of half a microsecond each.
 _STEP, _LONG = 100, 250_000
 # Why runs are left to the general kernels, going forward and back.
 _FAR = "readings are too sharp, a covariance is singular, or numbers are too far apart"
@@ -45,6 +46,9 @@ _TOLD = 64
 # The names in a record of the belief to begin with, of beliefs, and of densities.
 _BEGIN, _PREDICTED = ("begin mean", "begin cov"), ("predicted mean", "predicted cov")
 _KNOWN = "known mean", "known cov", "density"
+# And those of a sweep back.
+_REVERSED, _SMOOTHED = ("gain", "shift", "cov"), ("smoothed mean", "smoothed cov")
+_CONTROLS = "control matrix", "control offset", "control cov"
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,11 +125,17 @@ def forward(
             settings = np.array([asked.tolerance, asked.damping])
             record |= {"settings": settings, "residuals": residuals}
 
-        def tell(table: Table) -> told.Forward:
-            return _told(plan, table, record, stored=stored, keep=keep, gate=asked.gate)
+        def tell(table: NamedTable) -> told.Forward:
+            return _told(plan, table, stored=stored, keep=keep, gate=asked.gate)
 
-        owners = (*plan.transition, *plan.read, record)
-        ended = _run(plan, (*key, *record), tell, owners, (*known, *predicted), asked.iterations)
+        owners = (
+            *(link.family for link in plan.transition),
+            *(sensor.family for sensor in plan.read),
+            *plan.read,
+            record,
+        )
+        out = (*known, *predicted)
+        ended = _run(plan, (*key, *record), tell, owners, out, record, asked.iterations)
     except Uncompiled as error:
         plan.account.leave(str(error))
         return None
@@ -146,31 +156,25 @@ def forward(
 
 def _told(
     plan: ChainPlan,
-    table: Table,
-    record: Record,
+    table: NamedTable,
     *,
     stored: bool,
     keep: bool,
     gate: Asked | None,
 ) -> told.Forward:
     """A forward sweep, told; see `forward`."""
-    layout, first = plan.layout, len(plan.transition)
+    layout, record = plan.layout, table.record
 
     def array(name: str) -> told.Array:
-        return table.array(-1, itemgetter(name))
+        return table.of(record, itemgetter(name))
 
     cpds = {"stored": stored, "keep": keep}
-    motions = tuple(
-        motion_of(plan, k, link, table, **cpds) for k, link in enumerate(plan.transition)
-    )
-    sensors = tuple(
-        sensor_of(plan, k, sensor, table, **cpds, gate=gate)
-        for k, sensor in enumerate(plan.read, first)
-    )
+    motions = tuple(motion_of(plan, link, table, **cpds) for link in plan.transition)
+    sensors = tuple(sensor_of(plan, sensor, table, **cpds, gate=gate) for sensor in plan.read)
     iterated = "residuals" in record
     if iterated:
-        table.put(told.SETTINGS, -1, itemgetter("settings"))
-        table.put(told.RESIDUALS, -1, itemgetter("residuals"))
+        table.put_of(told.SETTINGS, record, itemgetter("settings"))
+        table.put_of(told.RESIDUALS, record, itemgetter("residuals"))
     return told.Forward(
         size=layout.slice_size,
         states=places(layout.state_places, layout.slice_size),
@@ -226,30 +230,31 @@ def backward(
     if smooth:
         every = plan.steps + 1, plan.runs
         beliefs = vacant(every, (width,)), vacant(every, (width, width))
-    smoothed, controls = beliefs or (), (slices or ()) if smooth else ()
+    record = dict(zip(_REVERSED, states, strict=True))
+    record |= zip(_SMOOTHED, beliefs or (), strict=False)
+    record |= zip(_CONTROLS, (slices or ()) if smooth else (), strict=False)
 
-    def tell(table: Table) -> told.Backward:
-        def pair(owner: int, one: str, other: str) -> tuple[told.Array, told.Array]:
-            return table.array(owner, attrgetter(one)), table.array(owner, attrgetter(other))
+    def tell(table: NamedTable) -> told.Backward:
+        def of(name: str) -> told.Array:
+            return table.of(record, itemgetter(name))
 
-        def members(owner: int, parts: Sequence[Array]) -> tuple[told.Array, ...]:
-            return tuple(table.array(owner, itemgetter(k)) for k in range(len(parts)))
+        def pair(owner: Any, one: str, other: str) -> tuple[told.Array, told.Array]:
+            return table.of(owner, attrgetter(one)), table.of(owner, attrgetter(other))
 
-        gain, shift, cov = members(2, states)
+        gain, shift, cov = map(of, _REVERSED)
         return told.Backward(
             size=width,
             states=places(layout.state_places, width),
-            known=pair(0, "mean", "cov"),
-            predicted=pair(0, "predicted_mean", "predicted_cov"),
-            motion=pair(1, "matrix", "cov"),
+            known=pair(ahead, "mean", "cov"),
+            predicted=pair(ahead, "predicted_mean", "predicted_cov"),
+            motion=pair(transition, "matrix", "cov"),
             reversed=(gain, shift, cov),
-            smoothed=members(3, smoothed),
-            controls=members(4, controls),
+            smoothed=tuple(of(name) for name in _SMOOTHED if name in record),
+            controls=tuple(of(name) for name in _CONTROLS if name in record),
         )
 
-    owners = ahead, transition, states, smoothed, controls
-    key = "back", len(smoothed), len(controls)
-    ended = _run(plan, key, tell, owners, (*states, *smoothed))
+    owners = ahead, transition, record
+    ended = _run(plan, ("back", *record), tell, owners, (*states, *(beliefs or ())))
     left = bool(ended[sweeps.LEFT].any())
     _count(plan, [slice(0, plan.runs)] if left else [], _SINGULAR)
     return None if left else (states, beliefs)
@@ -258,9 +263,10 @@ def backward(
 def _run(
     plan: ChainPlan,
     key: Hashable,
-    tell: Callable[[Table], told.Forward | told.Backward],
+    tell: Callable[[NamedTable], told.Forward | told.Backward],
     owners: Sequence[Any],
     out: Sequence[Array],
+    record: Record | None = None,
     iterations: int = 1,
 ) -> Array:
     """Run a sweep on all runs of a plan; what it tells of each, (`sweeps.TOLD`, runs).
@@ -271,16 +277,16 @@ def _run(
     choice, lanes = plan.layout.compiled, sweeps.LANES if plan.runs >= sweeps.LANES else 1
     ended = np.zeros((sweeps.TOLD, plan.runs))
     first, before = (plan.steps, plan.runs, iterations), plan.layout.told
-    sweep, table = before.get((key, lanes), (None, None))
-    filled: Filled | None = None if table is None else table.filled(owners, *first)
+    sweep, form = before.get((key, lanes), (None, None))
+    filled: Filled | None = None if form is None else form.filled(owners, *first)
     if filled is None:
-        table = Table(owners, lanes)
-        sweep = sweeps.made(tell(table), lanes)
-        filled = table.filled(owners, *first)
+        table = NamedTable(plan, lanes, owners, record)
+        sweep, form = sweeps.made(tell(table), lanes), table.form
+        filled = form.filled(owners, *first)
         assert filled is not None
         if len(before) >= _TOLD:
             before.clear()
-        before[key, lanes] = sweep, table.closed()
+        before[key, lanes] = sweep, form
     numbers = filled.numbers
     numbers[told.ENDED] = address(ended)
     threads = choice.threads if isinstance(choice, Compiled) else 1

@@ -1,35 +1,32 @@
-"""The table of a sweep: by name the arrays of a plan that machine code is told of.
+"""Tables whose arrays have names, by which they are found again for other plans of the same form.
 
 What machine code is told of a chain has two parts (`kernels.machine.told`): what decides the code,
 and where numbers stand. The first is found once for plans of one form. The second is found for each
-sweep: a table keeps the names of its arrays, and looks them up in the plan at hand.
+sweep: a form keeps how the owners of arrays are asked for them, and asks those of the plan at hand.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from itertools import pairwise
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from pgm.beliefs.moments.compiled.plans import (
+    Get,
+    Integers64,
+    Record,
+    Table,
+    address,
+    readable,
+)
+from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.kernels.arrays import Array
 from pgm.kernels.machine import told
-from pgm.kernels.machine.memory import Runs
-
-Integers64 = npt.NDArray[np.int64]
-Get = Callable[[Any], Any]
-
-
-def address(array: npt.NDArray[Any]) -> int:
-    """Where an array's memory begins."""
-    found: int = array.__array_interface__["data"][0]
-    return found
 
 
 class Named(NamedTuple):
-    """An array of a plan: its place in the table, its owner's number, and how that is asked for it.
+    """An array of a plan: its place in a table, its owner's number, and how that is asked for it.
 
     `lies` is how it lay when the code was made, as it has to lie again; None where that is no
     matter. `copied` says that machine code cannot read it as it lies.
@@ -49,81 +46,67 @@ class Filled(NamedTuple):
     kept: Sequence[object]
 
 
-class Table:
-    """The names of a sweep's arrays, in the order of their places.
+class Form(NamedTuple):
+    """The table of a sweep for plans of one form: its numbers, and the names of its arrays."""
 
-    Parameters
-    ----------
-    owners : sequence
-        What has the arrays: CPDs of a plan, sensors, and the record that is filled.
-    lanes : int
-        How many runs are swept together.
-    """
-
-    def __init__(self, owners: Sequence[Any], lanes: int) -> None:
-        self.lanes, self._owners = lanes, owners
-        self._numbers = [0] * told.FIRST
-        self._named: list[Named] = []
-
-    def put(self, place: int, owner: int, get: Get) -> None:
-        """Have the address of an array at a place."""
-        self._named.append(Named(place, owner, get))
-
-    def at(self, owner: int, get: Get) -> int:
-        """A new place, of the address of an array."""
-        self._numbers.append(0)
-        self.put(len(self._numbers) - 1, owner, get)
-        return len(self._numbers) - 1
-
-    def array(self, owner: int, get: Get) -> told.Array:
-        """An array (rows or 1, runs or 1, own axes), told."""
-        given = get(self._owners[owner])
-        array = _readable(given)
-        inner = [(k, n) for k, n in zip(array.strides[2:], array.shape[2:], strict=True) if n > 1]
-        down, across = (
-            0 if n == 1 else k // 8 for k, n in zip(array.strides, array.shape[:2], strict=False)
-        )
-        cell = inner[-1][0] // 8 if inner else 1
-        place = len(self._numbers)
-        self._numbers += [0, down, across, cell]
-        self._named.append(Named(place, owner, get, _lies(given), array is not given))
-        runs = Runs.BESIDE
-        if self.lanes > 1 and across != 1:
-            runs = Runs.APART if across else Runs.SAME
-        return told.Array(place, array.shape[2:], runs, cell == 1)
-
-    def closed(self) -> Table:
-        """The table, which keeps the names of arrays and none of their owners."""
-        self._owners = ()
-        return self
+    numbers: Sequence[int]
+    named: Sequence[Named]
 
     def filled(self, owners: Sequence[Any], *first: int) -> Filled | None:
         """The table of arrays of these owners; None where they do not lie as the code has them.
 
         It begins with the numbers `first`.
         """
-        numbers, kept = [*first, *self._numbers[len(first) :]], []
-        for place, owner, get, lies, copied in self._named:
+        numbers, kept = [*first, *self.numbers[len(first) :]], []
+        for place, owner, get, lies, copied in self.named:
             array = get(owners[owner])
             if lies is not None and lies != _lies(array):
                 return None
             if copied:
-                array = _readable(array)
+                array = readable(array)
             kept.append(array)
             numbers[place] = address(array)
         return Filled(np.array(numbers, dtype=np.int64), kept)
 
 
+class NamedTable(Table):
+    """A table that notes how the owners of its arrays, by their number, are asked for them."""
+
+    def __init__(
+        self, plan: ChainPlan, lanes: int, owners: Sequence[Any], record: Record | None = None
+    ) -> None:
+        super().__init__(plan, lanes)
+        self.record = {} if record is None else record
+        self._owners = {id(owner): k for k, owner in enumerate(owners)}
+        self._named: list[Named] = []
+
+    def of(self, owner: Any, get: Get) -> told.Array:
+        """An array that an owner has, told."""
+        given = get(owner)
+        found = self.array(given)
+        copied = readable(given) is not given
+        self._note(Named(found.place, self._owners[id(owner)], get, _lies(given), copied))
+        return found
+
+    def at_of(self, owner: Any, get: Get) -> int:
+        """The place in the table of the address of an array that an owner has."""
+        place = self.at(get(owner))
+        self._note(Named(place, self._owners[id(owner)], get))
+        return place
+
+    def put_of(self, place: int, owner: Any, get: Get) -> None:
+        """Have the address of an array that an owner has at a place."""
+        self._note(Named(place, self._owners[id(owner)], get))
+
+    @property
+    def form(self) -> Form:
+        """The table without arrays."""
+        return Form(self.numbers, self._named)
+
+    def _note(self, named: Named) -> None:
+        self._named.append(named)
+
+
 def _lies(array: Array) -> tuple[Any, ...]:
     """How an array (rows, runs, own axes) lies, but for its number of rows."""
     return array.strides, array.shape[0] == 1, array.size == 0, array.shape[1:]
-
-
-def _readable(array: Array) -> Array:
-    """The array, or a copy, in which components of a row are at even distances."""
-    if not array.size:  # which is never read, and has no distances
-        return np.zeros((1, *array.shape[1:]))
-    inner = [(k, n) for k, n in zip(array.strides[2:], array.shape[2:], strict=True) if n > 1]
-    if any(outer != stride * size for (outer, _), (stride, size) in pairwise(inner)):
-        return np.ascontiguousarray(array)
-    return array

@@ -26,7 +26,7 @@ import numpy as np
 
 from pgm.beliefs.moments.compiled import sweep as compiled
 from pgm.beliefs.moments.compiled.judged import judge_at
-from pgm.beliefs.moments.compiled.numba_table import Uncompiled, unknown
+from pgm.beliefs.moments.compiled.plans import Uncompiled, unknown
 from pgm.beliefs.moments.digits import careful
 from pgm.beliefs.moments.digits.adjoint import CarefulSmoothed
 from pgm.beliefs.moments.passes import backward, forward, newton
