@@ -157,6 +157,10 @@ class DenseRoot:
         return Dense(_lapack().dtrtrs(self.lower, right.array, 1, 1)[0])
 
 
+# The numbers of a step beyond which memory is not kept for the next.
+_KEPT = 1 << 22
+
+
 class _Scratch(local):
     """Memory for the products of a step, which the next step uses again, by thread.
 
@@ -168,9 +172,10 @@ class _Scratch(local):
 
     def empty(self, *shape: int) -> Array:
         """An uninitialised array."""
-        size = prod(shape)
-        first, self.used = self.used, self.used + size
-        if not self.active or self.used > self.memory.size:
+        if not self.active:
+            return np.empty(shape)
+        first, self.used = self.used, self.used + prod(shape)
+        if self.used > self.memory.size:
             return np.empty(shape)
         return self.memory[first : self.used].reshape(shape)
 
@@ -184,7 +189,7 @@ def scratch() -> Iterator[None]:
 
     Sums and differences do not, and can leave it.
     """
-    if _scratch.memory.size < _scratch.used:
+    if _scratch.memory.size < _scratch.used <= _KEPT:
         _scratch.memory = np.empty(_scratch.used)
     _scratch.used, _scratch.active = 0, True
     try:
@@ -229,7 +234,7 @@ class Runs(_ArrayMatrix):
         a, b = self.array, other.array
         size = len(a)
         out = _scratch.empty(size, size, *_batch(a, b))
-        if b.shape[2:] == (1,) < a.shape[2:]:
+        if b.shape[2:] == (1,) != a.shape[2:]:
             np.matmul(b[..., 0], a, out=out)
         elif size < _LARGE:
             np.einsum(_TIMES, a, b, out=out)

@@ -26,6 +26,7 @@ from pgm.kernels.arrays import (
     Index,
     components_first,
     components_last,
+    quiet,
     symmetric,
 )
 from pgm.kernels.dense import Dense, DenseRoot, Runs, RunsRoot, scratch
@@ -41,6 +42,8 @@ _REGULAR = 1e-11
 _MOST = 90
 # The largest factor by which a mild measurement shrinks a variance.
 _MILD = 1e3
+# Of a batch lines of Python are quicker than products of arrays up to n d (n + d) of this size.
+_FEW = 6
 
 
 def deviations(cov: Array) -> Array:
@@ -275,6 +278,11 @@ def _update_many(
 
     None if a pivot of S is at most `least` times its diagonal entry, in any run.
     """
+    quick = _updating_rows(len(mean), len(residual), least)
+    if quick is not None:
+        with quiet():  # of what is not regular
+            found: tuple[Array, Array, Array] | None = quick(mean, cov, matrix, residual, noise)
+        return found
     belief, slope, error = Runs(cov, True), Runs(matrix), Runs(noise, True)
     before, off = Runs(mean[:, None]), Runs(residual[:, None])
     with scratch():
@@ -327,8 +335,28 @@ def _updating(size: int, height: int) -> Callable[..., Any] | None:
         arrays = written.array(after.mean, size), written.array(after.cov, size, size)
         return [*arrays, _log_density(after, height)], after.share > NEARLY_SINGULAR
 
+    return written.function(_shapes(size, height), body)
+
+
+@lru_cache(maxsize=64)
+def _updating_rows(size: int, height: int, least: float) -> Callable[..., Any] | None:
+    """The function `_update_many` of n components and d measurements; None where they are many."""
+    if not 0 < size * height * (size + height) <= _FEW:
+        return None
+
+    def body(*moments: Matrix) -> tuple[list[Any], Any]:
+        after = step.update(*moments)
+        arrays = written.rows(after.mean, size), written.rows(after.cov, size, size)
+        truth = written.Written("({}).all()", after.share > least)
+        return [*arrays, _log_density(after, height)], truth
+
+    return written.function(_shapes(size, height), body, along_runs=True)
+
+
+def _shapes(size: int, height: int) -> dict[str, tuple[int, ...]]:
+    """The shapes of what `update` takes, of n components and d measurements."""
     shapes = {"mean": (size,), "cov": (size, size), "matrix": (height, size)}
-    return written.function({**shapes, "residual": (height,), "noise": (height, height)}, body)
+    return {**shapes, "residual": (height,), "noise": (height, height)}
 
 
 @lru_cache(maxsize=64)

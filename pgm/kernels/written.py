@@ -1,8 +1,9 @@
 """Straight lines of Python, written by running a function over numbers that write themselves.
 
 For one small matrix a call of NumPy takes longer than its arithmetic: a function of `step`, run
-once over matrices of `Written` numbers, leaves the operations on single floats of which it is made,
-and these are compiled as a function of arrays.
+once over matrices of `Written` numbers, leaves the operations on numbers of which it is made, and
+these are compiled as a function of arrays. The numbers are floats, or rows of runs where the arrays
+have the runs last.
 """
 
 from __future__ import annotations
@@ -17,6 +18,14 @@ import numpy as np
 
 from pgm.kernels.numbers import Matrix
 
+# Patterns for floats, and those for rows of runs in their place.
+_ALONG_RUNS = {
+    "({1} if {0} else {2})": "where({0}, {1}, {2})",
+    "({} and {})": "(({}) & ({}))",
+    "({} or {})": "(({}) | ({}))",
+}
+_OF_FLOATS = {"array": np.ndarray, "pack": pack, "sqrt": sqrt, "log": log, "rint": round}
+_OF_RUNS = {"stack": np.array, "sqrt": np.sqrt, "log": np.log, "rint": np.rint, "where": np.where}
 # From matrices of arguments, what a function returns, and the truth unless which it is None.
 Body = Callable[..., tuple[Sequence[Any], Any]]
 
@@ -99,8 +108,19 @@ def array(found: Matrix, *shape: int) -> Written:
     return Written(f"array({shape}, float, pack('{prod(shape)}d', {places}))", *numbers)
 
 
-def function(shapes: Mapping[str, tuple[int, ...]], body: Body) -> Callable[..., Any]:
+def rows(found: Matrix, *shape: int) -> Written:
+    """An array of rows of runs, (*shape, runs), each a number of the matrix, row by row."""
+    numbers = [number for row in found.rows for number in row]
+    places = ", ".join(["{}"] * len(numbers))
+    return Written(f"stack([{places}]).reshape({shape} + (-1,))", *numbers)
+
+
+def function(
+    shapes: Mapping[str, tuple[int, ...]], body: Body, *, along_runs: bool = False
+) -> Callable[..., Any]:
     """The function of arrays of these shapes, by name, that the body describes.
+
+    With `along_runs` the arrays have the runs as a further axis, the last.
 
     The body gets a matrix of numbers for each array, of one column for a vector. It returns what is
     to be returned, as a tuple if several, and a truth unless which the function returns None. None
@@ -110,21 +130,15 @@ def function(shapes: Mapping[str, tuple[int, ...]], body: Body) -> Callable[...,
     found, truth = body(*arguments)
     lines = []
     for argument, (name, shape) in zip(arguments, shapes.items(), strict=True):
-        rows = [[number.pattern for number in row] for row in argument.rows]
-        places = [_tuple(row) if len(shape) > 1 else row[0] for row in rows]
-        lines.append(f"{_tuple(places)} = {name}.tolist()")
-    program = _Program([truth, *found], lines)
+        names = [[number.pattern for number in row] for row in argument.rows]
+        places = [_tuple(row) if len(shape) > 1 else row[0] for row in names]
+        lines.append(f"{_tuple(places)} = {name}{'' if along_runs else '.tolist()'}")
+    program = _Program([truth, *found], lines, _ALONG_RUNS if along_runs else {})
     lines.append(f"if not {program.text(truth)}: return None")
     lines.append(f"return {', '.join([program.text(number) for number in found])}")
     source = f"def function({', '.join(shapes)}):\n try:\n  " + "\n  ".join(lines)
     source += "\n except (ValueError, ZeroDivisionError):\n  return None"
-    scope: dict[str, Any] = {
-        "array": np.ndarray,
-        "pack": pack,
-        "sqrt": sqrt,
-        "log": log,
-        "rint": round,
-    }
+    scope: dict[str, Any] = dict(_OF_RUNS if along_runs else _OF_FLOATS)
     exec(source, scope)
     compiled: Callable[..., Any] = scope["function"]
     return compiled
@@ -141,7 +155,10 @@ def _tuple(texts: Iterable[str]) -> str:
 class _Program:
     """The lines of a function, of which each names a number that is used more than once."""
 
-    def __init__(self, results: Sequence[Any], lines: list[str]) -> None:
+    def __init__(
+        self, results: Sequence[Any], lines: list[str], patterns: Mapping[str, str]
+    ) -> None:
+        self._patterns = patterns
         self.lines, self._uses = lines, Counter[Written]()
         self._names: dict[Written, str] = {}
         left = list(results)
@@ -158,7 +175,8 @@ class _Program:
             return repr(number)
         if number in self._names:
             return self._names[number]
-        text = number.pattern.format(*[self.text(each) for each in number.numbers])
+        pattern = self._patterns.get(number.pattern, number.pattern)
+        text = pattern.format(*[self.text(each) for each in number.numbers])
         if not number.numbers or self._uses[number] == 1:
             return text
         name = self._names[number] = f"_{len(self._names)}"

@@ -112,7 +112,7 @@ class Lines(Floats):
         for k, each in enumerate(flat):
             shapes[f"a{k}_"] = each.shape
             values[f"a{k}_"] = np.array(each.rows)
-        kept = []
+        kept, along = [], isinstance(self, LinesOfRuns)
 
         def body(*matrices):
             left = iter(matrices)
@@ -121,8 +121,14 @@ class Lines(Floats):
             every = [x for part in kept for row in rows_of(part) for x in row]
             return every, True
 
-        numbers = written.function(shapes, body)(**values)
+        numbers = written.function(shapes, body, along_runs=along)(**values)
         return back(kept, iter(numbers if isinstance(numbers, tuple) else (numbers,)))
+
+
+class LinesOfRuns(RowsOfRuns):
+    """Lines of Python over rows of runs."""
+
+    run = Lines.run
 
 
 class Traced(Floats):
@@ -200,7 +206,7 @@ def evaluated(graph, values):
     return known
 
 
-SINGLE = [Floats(), RowsOfRuns(), Lines(), Traced(), Pairs()]
+SINGLE = [Floats(), RowsOfRuns(), Lines(), LinesOfRuns(), Traced(), Pairs()]
 ARRAYS = [OneDense(), DenseRuns(), Stacks()]
 KINDS = pytest.mark.parametrize("kind", [*SINGLE, *ARRAYS], ids=lambda kind: type(kind).__name__)
 ONE_BY_ONE = pytest.mark.parametrize("kind", SINGLE, ids=lambda kind: type(kind).__name__)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from functools import reduce
 from math import pi
 from operator import or_
 from typing import NamedTuple
 
 from pgm.kernels import step
+from pgm.kernels.machine.called import tangent, values_at
 from pgm.kernels.machine.lines import held
 from pgm.kernels.machine.numbers import Number
 from pgm.kernels.machine.told import Points, Row
@@ -51,9 +53,29 @@ def inputs(w: Writer, row: Row, at: Whole) -> Inputs:
     return {column: (cells[column[0]], column[1]) for column in row.function.observed}
 
 
-def linearised(w: Writer, row: Row, at: Whole, mean: AnyMatrix, cov: AnyMatrix) -> Line:
-    """A CPD linearised at a belief over its parents, a mean (n × 1) and a covariance (n × n)."""
+def value_at(w: Writer, row: Row, at: Whole, mean: AnyMatrix) -> AnyMatrix:
+    """The value of a CPD's function at its row."""
+    if row.called is not None:
+        return values_at(w, row.called, at, mean.T).T
+    assert row.function is not None
+    return w.matrices.value(row.function, mean, inputs(w, row, at))
+
+
+def linearised(
+    w: Writer,
+    row: Row,
+    at: Whole,
+    mean: AnyMatrix,
+    cov: AnyMatrix,
+    again: Number | None = None,
+) -> Line:
+    """A CPD linearised at a belief over its parents, a mean (n × 1) and a covariance (n × n).
+
+    `again` says that it has been, in this step and at this belief; None that it has not.
+    """
     noise = w.symmetric(row.noise, at)
+    if row.called is not None:
+        return _called(w, row, at, mean, cov, noise, again)
     if row.function is None:
         assert row.matrix is not None
         assert row.offset is not None
@@ -68,9 +90,41 @@ def linearised(w: Writer, row: Row, at: Whole, mean: AnyMatrix, cov: AnyMatrix) 
     return Line(matrix, value, noise, None, w.true)
 
 
+def _called(
+    w: Writer,
+    row: Row,
+    at: Whole,
+    mean: AnyMatrix,
+    cov: AnyMatrix,
+    noise: AnyMatrix,
+    again: Number | None,
+) -> Line:
+    called = row.called
+    assert called is not None
+    lines = called.lines
+    place = at % lines.rows
+    with nullcontext() if again is None else w.code.when(~again), w.matrices.scratch():
+        if lines.cov is not None:
+            w.keep(called.points, mean)
+            w.keep(lines.cov, cov)
+            w.ask(called.number, 0, at)
+        elif row.points is not None and mean.shape[0]:
+            line = _regressed(w, row, at, mean, cov, noise)
+            w.keep(lines.value, line.value, place)
+            w.keep(lines.matrix, line.matrix, place)
+            w.keep(lines.error, line.error, place)
+            w.at(lines.sure, place).store(0, line.sure.number())
+        else:
+            tangent(w, row, at, mean, cov)
+            w.at(lines.sure, place).store(0, 1.0)
+    error = None if lines.error is None else w.symmetric(lines.error, place)
+    matrix, value = w.matrix(lines.matrix, place), w.column(lines.value, place)
+    return Line(matrix, value, noise, error, w.at(lines.sure, place).load(0) > 0.0)
+
+
 def keep(w: Writer, row: Row, at: Whole, mean: AnyMatrix, line: Line) -> None:
     """Keep a linearisation, where that is asked for; its noise is kept by whoever weighs it."""
-    if row.function is not None and row.matrix is not None:
+    if row.curved and row.matrix is not None:
         assert row.offset is not None
         w.keep(row.matrix, line.matrix, at)
         w.keep(row.offset, line.value - line.matrix @ mean, at)
@@ -79,19 +133,23 @@ def keep(w: Writer, row: Row, at: Whole, mean: AnyMatrix, line: Line) -> None:
 def _regressed(
     w: Writer, row: Row, at: Whole, mean: AnyMatrix, cov: AnyMatrix, noise: AnyMatrix
 ) -> Line:
-    rule, function, m = row.points, row.function, w.matrices
+    rule, m = row.points, w.matrices
     assert rule is not None
-    assert function is not None
-    root, given = cov.root(), inputs(w, row, at)
+    root = cov.root()
     moves = m.constant(rule.points) @ root.matrix.T
-    values = m.values(function, m.shifted(moves, mean), given)
+    points = m.shifted(moves, mean)
+    if row.called is not None:
+        values = values_at(w, row.called, at, points)
+    else:
+        assert row.function is not None
+        values = m.values(row.function, points, inputs(w, row, at))
     if rule.centred or not row.angles:
         reference = values.part((0,), range(row.height)).T
     else:
-        reference = m.value(function, mean, given)
+        reference = value_at(w, row, at, mean)
     off = m.shifted(values, reference.scaled(-1.0))
     if row.angles:
-        off = _about(w, row, at, mean, moves, off)
+        off = _about(w, row, at, mean, cov, moves, off)
     found = step.regress(root, _constant(w, rule), off)
     error = _told_from_rounding(w, row, mean, reference, off, found)
     return Line(found.matrix, reference + found.value, noise, error, root.share > REGULAR)
@@ -106,16 +164,25 @@ def _constant(w: Writer, rule: Points) -> step.Rule:
 
 
 def _about(
-    w: Writer, row: Row, at: Whole, mean: AnyMatrix, moves: AnyMatrix, off: AnyMatrix
+    w: Writer,
+    row: Row,
+    at: Whole,
+    mean: AnyMatrix,
+    cov: AnyMatrix,
+    moves: AnyMatrix,
+    off: AnyMatrix,
 ) -> AnyMatrix:
     """Offsets of angles about their tangent, where some of them exceed half a turn."""
-    m, function = w.matrices, row.function
-    assert function is not None
+    m = w.matrices
     columns = {i: m.beside(off.part(range(off.shape[0]), (i,))) for i in row.angles}
     far = {i: w.together(or_, [abs(x) > pi for x in columns[i]]) for i in row.angles}
     wrapped = {i: [held(w.code, x) for x in columns[i]] for i in row.angles}
     with w.code.when(w.code.some(reduce(or_, far.values()))):
-        slope = m.slope(function, mean, inputs(w, row, at))[1]
+        if row.called is not None:
+            slope = tangent(w, row, at, mean, cov)
+        else:
+            assert row.function is not None
+            slope = m.slope(row.function, mean, inputs(w, row, at))[1]
         for i in row.angles:
             lines = m.beside(moves @ slope.part((i,), range(mean.shape[0])).T)
             for variable, x, line in zip(wrapped[i], columns[i], lines, strict=True):

@@ -33,9 +33,11 @@ def operations(chain: Forward | Backward) -> int:
 
 def _of(row: Row) -> int:
     """The operations of a linearisation."""
-    if row.function is None:
+    if not row.curved:
         return 0
-    count, n, d = len(row.function.operations), len(row.parents), row.height
+    n, d = len(row.parents), row.height
+    # Of a function that is called there are differences.
+    count = 16 * n * (n + d) if row.function is None else len(row.function.operations)
     if row.points is None:
         return count
     points = len(row.points.points)

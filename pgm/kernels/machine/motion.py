@@ -7,7 +7,7 @@ from operator import add
 from typing import NamedTuple
 
 from pgm.kernels import step
-from pgm.kernels.machine.cpd import Line, inputs, keep, linearised
+from pgm.kernels.machine.cpd import Line, keep, linearised, value_at
 from pgm.kernels.machine.lines import held
 from pgm.kernels.machine.numbers import Number
 from pgm.kernels.machine.told import Forward, Motion
@@ -69,18 +69,16 @@ def _on_chart(
     They are counted from the step before. A function that wraps gives the same for angles a whole
     turn on; another turns too.
     """
-    m, function = w.matrices, motion.function
-    assert function is not None
+    m = w.matrices
     found = {new: value[new, 0] for new, _, _ in motion.turning}
     near = w.true
     for new, old, _ in motion.turning:
         near = near & (abs(found[new] - before[old, 0]) <= pi)
     charted = {new: held(w.code, x) for new, x in found.items()}
     with w.code.when(~w.code.every(near)):
-        given = inputs(w, motion, at)
         turned = {own: mean[own, 0] + step.TURN for _, _, own in motion.turning}
-        here = m.value(function, mean, given)
-        further = m.value(function, m.replaced(mean, turned), given)
+        here = value_at(w, motion, at, mean)
+        further = value_at(w, motion, at, m.replaced(mean, turned))
         for new, old, _ in motion.turning:
             turns = nearest_whole((found[new] - before[old, 0]) / step.TURN)
             wraps = abs(further[new, 0] - here[new, 0]) < pi

@@ -152,7 +152,7 @@ def _are_curved(w: Writer, chain: Forward, at: Whole) -> Number:
     """Whether some measurement of a step has to be linearised."""
     found = w.code.constant(False).lane(0)
     for sensor in chain.sensors:
-        if sensor.function is None:
+        if not sensor.curved:
             continue
         if sensor.bounds is None:
             return w.code.constant(True).lane(0)
@@ -221,7 +221,8 @@ def _read(
     """Take in a sighting; `fresh` says that no other of its step is taken in yet."""
     parents = sensor.parents
     x = point.at.part(parents, (0,))
-    line = linearised(w, sensor, at, x, point.about.part(parents, parents))
+    again = None if weighing is None else weighing.again
+    line = linearised(w, sensor, at, x, point.about.part(parents, parents), again)
     keep(w, sensor, at, x, line)
     values = w.column(sensor.readings, at)
     near = {k: step.nearest(values[k, 0], line.value[k, 0]) for k in sensor.angles}
@@ -246,7 +247,7 @@ def _read(
                 residual, sighting.own, sighting.matrix, cov, sighting.error
             )
             weight, of = weighing.weigh(sensor.loss, at, square, count, begins)
-            noise = sighting.own.scaled(1.0 / weight)
+            noise = sighting.weighed(weight)
             noise = noise if sighting.error is None else noise + sighting.error
             w.keep(sensor.kept, noise, at)
             surplus_of = surplus(w, sensor.loss, of, count, weight)
@@ -259,7 +260,7 @@ def _read(
     if not fresh:
         residual = residual - sighting.matrix @ (mean - point.at)
     after = step.update(mean, cov, sighting.matrix, residual, noise)
-    limit = _STRAIGHT if sensor.function is None else _CURVED
+    limit = _CURVED if sensor.curved else _STRAIGHT
     part = least(limit * (10.0 + after.square), w.code.constant(_MILD))
     whole = step.predict(point.cov, sighting.matrix, noise)
     sharp = (after.square < _FARTHEST) & _is_positive(w, noise - whole.scaled(part))
@@ -287,7 +288,8 @@ class _Sighting(NamedTuple):
     """A sighting as linearised: z = value + H (x − m) + e over the whole slice.
 
     `left` is z − value, `own` and `error` are the covariances of the noise and of the line's error,
-    None for zero, and `count` is how many components were measured; others say nothing.
+    None for zero, and `count` is how many components were measured; others say nothing. `stands` is
+    the part of `own` that stands for these, None where there are none.
     """
 
     left: AnyMatrix
@@ -295,6 +297,7 @@ class _Sighting(NamedTuple):
     own: AnyMatrix
     error: AnyMatrix | None
     count: Any
+    stands: AnyMatrix | None = None
 
     @classmethod
     def of(
@@ -309,7 +312,14 @@ class _Sighting(NamedTuple):
         left, matrix, own = m.seen(known, left, matrix, line.own)
         error = None if line.error is None else m.kept(known, line.error)
         missing = w.sum([1.0 - truth.number() for truth in known])
-        return cls(left, matrix, own, error, float(sensor.height) - missing)
+        stands = own - m.kept(known, own) if sensor.weighs else None
+        return cls(left, matrix, own, error, float(sensor.height) - missing, stands)
+
+    def weighed(self, weight: Any) -> AnyMatrix:
+        """The covariance of the noise by a weight, which is not of what was not measured."""
+        if self.stands is None:
+            return self.own.scaled(1.0 / weight)
+        return (self.own - self.stands).scaled(1.0 / weight) + self.stands
 
     @property
     def noise(self) -> AnyMatrix:

@@ -51,10 +51,11 @@ def made(chain: Forward | Backward, lanes: int, loops: bool | None = None) -> Sw
     w = Writer(code, table, chain, Loops(code, frame) if looped else Lines(code))
     with _runs(w, first, last):
         if isinstance(chain, Forward):
-            _forward(w, chain)
+            forward(w, chain)
         else:
             _backward(w, chain)
-    function = module.compile(1).callable("sweep")
+    # Of straight lines all of LLVM's passes make faster code; of loops they only take longer.
+    function = module.compile(1 if looped else 2).callable("sweep")
     return frame.with_room(function) if looped else partial(_without_room, function)
 
 
@@ -74,7 +75,7 @@ def _runs(w: Writer, first: Whole, last: Whole) -> Iterator[None]:
         yield
 
 
-def _forward(w: Writer, chain: Forward) -> None:
+def forward(w: Writer, chain: Forward) -> None:
     """Write the forward sweep of the runs at hand."""
     code, last = w.code, w.last
     begin = w.column(chain.begin[0]), w.symmetric(chain.begin[1])
@@ -82,10 +83,12 @@ def _forward(w: Writer, chain: Forward) -> None:
     sure, settled = code.variable(True), code.variable(True)
     watch = Watch(w, chain.size)
     with code.loop(last + 1) as at, w.matrices.scratch():
+        w.reach(at.number(), sure.get())
         with code.when(at > 0), w.matrices.scratch():
             moved = predicted(w, chain, at - 1, belief.mean, belief.cov)
             belief.set(moved.mean, moved.cov)
             sure.set(sure.get() & moved.sure)
+            w.reach(at.number(), sure.get())
         mean, cov = belief.mean, belief.cov
         for array, part in zip(chain.predicted, (mean, cov), strict=False):
             w.keep(array, part, at)
@@ -102,6 +105,7 @@ def _forward(w: Writer, chain: Forward) -> None:
         watch.look(at, last, known, cov, spread)
         belief.set(known, spread)
         code.leave_unless(code.some(sure.get()))
+    w.reach(float("inf"), sure.get())
     _tell(w, LEFT, where(sure.get(), 0.0, 1.0))
     _tell(w, CLOSEST, watch.closest)
     _tell(w, FAR, where(watch.far, 1.0, 0.0))

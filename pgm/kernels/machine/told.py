@@ -24,6 +24,10 @@ from pgm.kernels.machine.memory import Runs
 LAST, RUNS, ITERATIONS, SETTINGS, RESIDUALS, ENDED, FIRST = range(7)
 # Of an array: its address, and the distances in floats between rows, runs, and its own cells.
 ADDRESS, DOWN, ACROSS, CELL = range(4)
+# What a program is asked for: the number of a function, at how many points, or zero for a
+# linearisation, and the row; the step at hand, infinite at the end; and whether a run is right
+# so far.
+WHAT, COUNT, ROW, STEP, SURE = range(5)
 
 
 @dataclass(frozen=True)
@@ -120,6 +124,53 @@ class Points:
     variances: tuple[float, ...]
 
 
+@dataclass(frozen=True)
+class Lines:
+    """Linearisations that are read from memory, of so many `rows` at a time.
+
+    Attributes
+    ----------
+    rows : int
+        A row's linearisation stands at its number modulo `rows`.
+    cov : Array or None
+        Where the program, which linearises, finds the belief's covariance (n, n), its mean being
+        the first of the points; None where machine code linearises, by values at points.
+    value, matrix : Array
+        The value at the mean, (d,), and F (d, n).
+    error : Array or None
+        The covariance (d, d) of the linearisation's error; None where there is none.
+    sure : Array
+        Whether all of it is right, (1,).
+    """
+
+    rows: int
+    cov: Array | None
+    value: Array
+    matrix: Array
+    error: Array | None
+    sure: Array
+
+
+@dataclass(frozen=True)
+class Called:
+    """A function that cannot be compiled: machine code waits until its program has called it.
+
+    Attributes
+    ----------
+    number : int
+        Of the function, among those of the chain that are called.
+    points, values : Array
+        Where it is called, (N, n), and what it gives there, (N, d).
+    lines : Lines
+        Its linearisations.
+    """
+
+    number: int
+    points: Array
+    values: Array
+    lines: Lines
+
+
 @dataclass(frozen=True, kw_only=True)
 class Row:
     """A CPD at its rows: y = F x + b + e of its parents x, or a function that is linearised.
@@ -135,7 +186,9 @@ class Row:
     matrix, offset : Array or None
         F (d, n) and b (d,) of an affine CPD, and else where they are kept, if they are.
     function : Function or None
-        None of an affine CPD.
+        Of a CPD that is linearised in machine code.
+    called : Called or None
+        Of one whose function the program calls.
     points : Points or None
         Of the rule by which it is linearised; None of `Taylor`.
     inputs : tuple of Array
@@ -155,11 +208,17 @@ class Row:
     matrix: Array | None = None
     offset: Array | None = None
     function: Function | None = None
+    called: Called | None = None
     points: Points | None = None
     inputs: tuple[Array, ...] = ()
     shifts: tuple[Array, ...] = ()
     kept: Array | None = None
     angles: tuple[int, ...] = ()
+
+    @property
+    def curved(self) -> bool:
+        """Whether it has to be linearised."""
+        return self.function is not None or self.called is not None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -261,6 +320,8 @@ class Forward:
         is kept, and given them.
     density : Array
         The log-densities of each step's measurements.
+    asked : Array or None
+        For what a sweep waits whose functions are called, (5,): see `WHAT`.
     """
 
     size: int
@@ -273,6 +334,7 @@ class Forward:
     known: tuple[Array, Array]
     density: Array
     iterated: bool
+    asked: Array | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,6 +13,7 @@ from pgm.kernels.machine.code import Code
 from pgm.kernels.machine.matrices import Matrices
 from pgm.kernels.machine.memory import Cells, Memory, Runs
 from pgm.kernels.machine.numbers import Number
+from pgm.kernels.machine.waiting import Waiting
 from pgm.kernels.machine.wholes import Address, Whole
 from pgm.kernels.step import AnyMatrix
 
@@ -24,8 +25,16 @@ class Writer:
     that is known, be the table.
     """
 
-    def __init__(self, code: Code, table: Address, chain: Any, matrices: Matrices) -> None:
-        self.code, self.matrices = code, matrices
+    def __init__(
+        self,
+        code: Code,
+        table: Address,
+        chain: Any,
+        matrices: Matrices,
+        waiting: Waiting | None = None,
+    ) -> None:
+        self.code, self.matrices, self._waiting = code, matrices, waiting
+        self._asked = chain.asked if isinstance(chain, told.Forward) else None
         wholes, addresses = Cells(code, table, Whole), Cells(code, table, Address)
         self.last, self._count = wholes.load(told.LAST), wholes.load(told.RUNS)
         self.iterations = wholes.load(told.ITERATIONS)
@@ -66,6 +75,26 @@ class Writer:
     def ended(self, what: int) -> Memory:
         """Where something is told of the runs at hand."""
         return Memory(self.code, self._ended + (self.run + self._count * what))
+
+    def ask(self, what: int, count: int, row: Whole) -> None:
+        """Wait until the program has called a function at a row, at so many points; see `told`."""
+        assert self._waiting is not None
+        assert self._asked is not None
+        cells = self.at(self._asked)
+        cells.store(told.WHAT, float(what))
+        cells.store(told.COUNT, float(count))
+        cells.store(told.ROW, row.number())
+        self._waiting.wait()
+
+    def reach(self, step: Number | float, sure: Number) -> None:
+        """Tell the program how far the runs at hand are, and whether all was right so far.
+
+        It is told where it is asked for anything.
+        """
+        if self._asked is not None:
+            cells = self.at(self._asked)
+            cells.store(told.STEP, step)
+            cells.store(told.SURE, sure.number())
 
     def sightings(self, sensor: told.Sensor, at: Whole) -> tuple[Whole, Whole]:
         """The first sighting of a step, and the one after its last."""

@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.beliefs.moments.compiled.called import Call, Calls, Lines
 from pgm.beliefs.moments.compiled.functions import function_of, loss_of, points_of
+from pgm.beliefs.moments.compiled.memory import address
 from pgm.beliefs.moments.steps import gate as gates
 from pgm.beliefs.moments.steps.plan import ChainPlan, Link
 from pgm.beliefs.moments.steps.sensor import Sensor
-from pgm.compile.machine import MOST, RULES
+from pgm.compile.machine import MOST
 from pgm.kernels.arrays import Array, Index
 from pgm.kernels.machine import told
 from pgm.kernels.machine.memory import Runs
@@ -23,9 +25,14 @@ from pgm.linearisers import Taylor
 from pgm.schedules.gates import gate_of
 from pgm.variables import Variable
 
+# Components of which differences are worth their code.
+_FEW = 12
+
 Integers64 = npt.NDArray[np.int64]
 # By name the arrays that a sweep fills or reads beside those of CPDs and sensors.
 Record = dict[str, Array]
+# What decides how a CPD is linearised whose function is called.
+CALLED = "called"
 # How an array's owner, a CPD, a sensor or a record, is asked for it.
 Get = Callable[[Any], Any]
 
@@ -34,20 +41,15 @@ class Uncompiled(Exception):
     """A plan that machine code cannot sweep, and why."""
 
 
-def address(array: npt.NDArray[Any]) -> int:
-    """Where an array's memory begins."""
-    found: int = array.__array_interface__["data"][0]
-    return found
-
-
 class Table:
     """A table that is filled, and the arrays that it tells of, which stay in memory as it does.
 
-    `lanes` is how many runs are swept together, `record` the arrays that no CPD and no sensor owns.
+    `lanes` is how many runs are swept together, `record` the arrays that no CPD and no sensor owns;
+    `calls` are the functions that are called, None where none may be.
     """
 
-    def __init__(self, plan: ChainPlan, lanes: int) -> None:
-        self.lanes = lanes
+    def __init__(self, plan: ChainPlan, lanes: int, calls: Calls | None = None) -> None:
+        self.lanes, self.calls, self._account = lanes, calls, plan.account
         self.numbers = [0] * told.FIRST
         self.numbers[told.LAST], self.numbers[told.RUNS] = plan.steps, plan.runs
         self.record: Record = {}
@@ -87,6 +89,19 @@ class Table:
         """The place in the table of the address of an array that an owner has."""
         return self.at(get(owner))
 
+    def by_runs(self, cells: Array) -> told.Array:
+        """An array (rows, own axes, runs), told."""
+        return self.array(np.moveaxis(cells, -1, 1))
+
+    def called(self, call: Call, lines: told.Lines, why: str) -> told.Called:
+        """A function that is called, and why."""
+        if self.calls is None:
+            raise Uncompiled(f"{call.family.cpd!r}: {why}")
+        self._account.call_back(call.family.cpd.child.name, why)
+        self.calls.each.append(call)
+        places = self.by_runs(call.points[None]), self.by_runs(call.values[None])
+        return told.Called(len(self.calls.each) - 1, *places, lines)
+
     def count(self, number: int) -> int:
         """The place in the table of a number."""
         self.numbers.append(number)
@@ -120,6 +135,9 @@ def unknown(plan: ChainPlan) -> str | None:
             return f"{sensor.family.cpd!r} has graduated noise"
         if sensor.exact:
             return f"{sensor.family.cpd!r} has a singular noise"
+        rule = sensor.family.lineariser
+        if getattr(rule, "fresh_per_run", False) and max(np.diff(sensor.bounds)) > 1:
+            return f"{sensor.family.cpd!r} draws points anew for each of several sightings"
         if sensor.grouped and max(np.diff(sensor.bounds)) > 1:
             return f"{sensor.family.cpd!r} has several sightings in a group"
     for family in plan.families:
@@ -160,11 +178,12 @@ def _function(family: Family, *, stored: bool, keep: bool) -> Hashable:
         if keep and weighed and not stored:
             family.keep_errors()
         return bare
-    answers, rule = family.trace_whole(), family.lineariser
+    rule = family.lineariser
+    if _has_points(family) and isinstance(points_of(family), str):
+        return CALLED
+    answers = family.trace_whole()
     if isinstance(answers, str):
-        raise Uncompiled(f"{family.cpd!r}: {answers}")
-    if family.hidden and type(rule) is not Taylor and type(rule) not in RULES:
-        raise Uncompiled(f"{family.cpd!r}: {points_of(family)}")
+        return CALLED
     if keep and (weighed or _has_points(family)):
         family.keep_errors()
     return answers.trace, rule, bare
@@ -225,14 +244,17 @@ def sensor_of(
     missing = _missing(sensor, gate, stored=stored)
     readings = "moved_marked" if stored else "marked" if probability is None else "given_marked"
     kept = keep and not stored and bool(sensor.variable.angles)
+    loss = _loss_of(sensor, table, missing, found=stored) if sensor.robust else None
+    # Robust sightings of a step are weighed several times, as they were linearised.
+    held = 1 if loss is None else max(1, *np.diff(sensor.bounds).tolist())
     return told.Sensor(
-        **row_of(family, places(sensor.parents, size), table, stored=stored, keep=keep),
+        **row_of(family, places(sensor.parents, size), table, stored=stored, keep=keep, held=held),
         readings=table.of(sensor, attrgetter(readings)),
         moved=table.of(sensor, attrgetter("moved")) if kept else None,
         missing=missing,
         bounds=None if _single(sensor, plan.steps) else table.at_of(sensor, attrgetter("edges")),
         gate=None if probability is None else _gate_of(probability, sensor, table),
-        loss=_loss_of(sensor, table, missing, found=stored) if sensor.robust else None,
+        loss=loss,
     )
 
 
@@ -287,9 +309,18 @@ def decided(plan: ChainPlan, record: Record) -> None:
 
 
 def row_of(
-    family: Family, parents: tuple[int, ...], table: Table, *, stored: bool, keep: bool
+    family: Family,
+    parents: tuple[int, ...],
+    table: Table,
+    *,
+    stored: bool,
+    keep: bool,
+    held: int = 1,
 ) -> dict[str, Any]:
-    """What is told of a CPD of any kind; see `told.Row`."""
+    """What is told of a CPD of any kind; see `told.Row`.
+
+    Of a function that is called, `held` rows are linearised before the first is done with.
+    """
 
     def array(name: str) -> told.Array:
         return table.of(family, attrgetter(name))
@@ -305,25 +336,61 @@ def row_of(
             family.keep_errors()
             found["kept"] = array("noise")
         return found
-    answers, template = family.compiled or family.trace_whole(), family.template
-    if isinstance(answers, str):
-        raise Uncompiled(f"{family.cpd!r}: {answers}")
-    rule = points_of(family)
-    if isinstance(rule, str):
-        raise Uncompiled(f"{family.cpd!r}: {rule}")
-    found |= {"function": function_of(template, answers.trace), "points": rule}
     found["noise"] = array("own_noise")
-    found["inputs"] = tuple(
-        table.of(family, _input(parent))
-        for parent, place in zip(template.given, template.places, strict=True)
-        if place is None
-    )
+    curve = _curve(family, table, held)
+    found |= curve
     if keep:
         found["matrix"], found["offset"] = array("matrix"), array("offset")
-        if rule is not None or weighed:
+        called, rule = curve.get("called"), curve.get("points")
+        exact = rule is None if called is None else called.lines.error is None
+        if not exact or weighed:
             family.keep_errors()
             found["kept"] = array("noise")
     return found
+
+
+def _curve(family: Family, table: Table, held: int) -> dict[str, Any]:
+    """How a CPD is linearised: by its traced function, by values at points, or by NumPy."""
+    rule, template = points_of(family), family.template
+    assert template is not None
+    if isinstance(rule, str):
+        return {"called": _by_numpy(family, table, held, rule)}
+    answers = family.compiled or family.trace_whole()
+    if not isinstance(answers, str):
+        inputs = tuple(
+            table.of(family, _input(parent))
+            for parent, place in zip(template.given, template.places, strict=True)
+            if place is None
+        )
+        function = function_of(template, answers.trace)
+        return {"function": function, "points": rule, "inputs": inputs}
+    few = template.size <= _FEW and (rule is not None or len(template.numerical) == template.size)
+    if not few:
+        return {"called": _by_numpy(family, table, held, answers)}
+    return {"called": _by_values(family, rule, table, held, answers), "points": rule}
+
+
+def _by_numpy(family: Family, table: Table, held: int, why: str) -> told.Called:
+    """A CPD that is linearised by NumPy, and why."""
+    call = Lines(family, held)
+    cov, value, matrix = map(table.by_runs, (call.cov, call.value, call.matrix))
+    error = None if call.error is None else table.by_runs(call.error)
+    lines = told.Lines(held, cov, value, matrix, error, table.array(np.ones((1, 1, 1))))
+    return table.called(call, lines, why)
+
+
+def _by_values(
+    family: Family, rule: told.Points | None, table: Table, held: int, why: str
+) -> told.Called:
+    """A CPD that is linearised by values of its function at points, and why."""
+    _, runs, height, size = family.shape
+    # Differences are of four points for each component, beside the mean.
+    count = max(4 * size + 1, 0 if rule is None else len(rule.points))
+    own = (height,), (height, size), (height, height), (1,)
+    cells = [table.by_runs(np.zeros((held, *each, runs))) for each in own]
+    value, matrix, error, sure = cells
+    lines = told.Lines(held, None, value, matrix, None if rule is None else error, sure)
+    return table.called(Call(family, count), lines, why)
 
 
 def _input(parent: Variable) -> Get:

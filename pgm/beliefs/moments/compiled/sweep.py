@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
+from contextvars import copy_context
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from operator import attrgetter, itemgetter
@@ -10,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from pgm.beliefs.moments.compiled.called import Calls, Failed
 from pgm.beliefs.moments.compiled.judged import judge
+from pgm.beliefs.moments.compiled.memory import address
 from pgm.beliefs.moments.compiled.plans import (
     Record,
     Uncompiled,
-    address,
     decided,
     decisive,
     motion_of,
@@ -30,6 +32,7 @@ from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.compile.machine import CONTROL, Compiled
 from pgm.kernels.arrays import Array, Mask, vacant
 from pgm.kernels.machine import sweeps, told
+from pgm.kernels.machine.asking import asking
 from pgm.kernels.moments import Conditional
 from pgm.resources import in_threads
 from pgm.schedules.damping import LevenbergMarquardt
@@ -104,7 +107,7 @@ def forward(
     if not is_used(plan):
         return None
     asked = schedule or ONCE
-    stored = schedule is None
+    stored, calls = schedule is None, Calls(plan.runs)
     try:
         if isinstance(asked.damping, LevenbergMarquardt):
             raise Uncompiled(CONTROL)
@@ -135,10 +138,16 @@ def forward(
             record,
         )
         out = (*known, *predicted)
-        ended = _run(plan, (*key, *record), tell, owners, out, record, asked.iterations)
+        rest = record, calls, asked.iterations
+        ended = _run(plan, (*key, *record), tell, owners, out, *rest)
     except Uncompiled as error:
         plan.account.leave(str(error))
         return None
+    if isinstance(calls.failure, Failed):
+        plan.account.leave(str(calls.failure))
+        return None
+    if calls.failure is not None:
+        raise calls.failure
     decided(plan, record)
     left = stretches(ended[sweeps.LEFT] != 0.0)
     _count(plan, left, _FAR)
@@ -163,7 +172,7 @@ def _told(
     gate: Asked | None,
 ) -> told.Forward:
     """A forward sweep, told; see `forward`."""
-    layout, record = plan.layout, table.record
+    layout, record, calls = plan.layout, table.record, table.calls
 
     def array(name: str) -> told.Array:
         return table.of(record, itemgetter(name))
@@ -186,6 +195,7 @@ def _told(
         known=(array(_KNOWN[0]), array(_KNOWN[1])),
         density=array(_KNOWN[2]),
         iterated=iterated,
+        asked=table.array(calls.asked.T[None]) if calls is not None and calls.each else None,
     )
 
 
@@ -267,6 +277,7 @@ def _run(
     owners: Sequence[Any],
     out: Sequence[Array],
     record: Record | None = None,
+    calls: Calls | None = None,
     iterations: int = 1,
 ) -> Array:
     """Run a sweep on all runs of a plan; what it tells of each, (`sweeps.TOLD`, runs).
@@ -280,13 +291,16 @@ def _run(
     sweep, form = before.get((key, lanes), (None, None))
     filled: Filled | None = None if form is None else form.filled(owners, *first)
     if filled is None:
-        table = NamedTable(plan, lanes, owners, record)
-        sweep, form = sweeps.made(tell(table), lanes), table.form
-        filled = form.filled(owners, *first)
-        assert filled is not None
-        if len(before) >= _TOLD:
-            before.clear()
-        before[key, lanes] = sweep, form
+        table = NamedTable(plan, lanes, owners, record, calls)
+        chain = tell(table)
+        filled = table.filled(*first)
+        if calls is not None and calls.each:  # which are of this sweep alone
+            sweep = _asking(chain, lanes, calls)
+        else:
+            sweep = sweeps.made(chain, lanes)
+            if len(before) >= _TOLD:
+                before.clear()
+            before[key, lanes] = sweep, table.form
     numbers = filled.numbers
     numbers[told.ENDED] = address(ended)
     threads = choice.threads if isinstance(choice, Compiled) else 1
@@ -301,6 +315,18 @@ def _run(
 
     in_threads(work, plan.runs, threads)
     return ended
+
+
+def _asking(chain: told.Forward | told.Backward, lanes: int, calls: Calls) -> sweeps.Sweep:
+    """The sweep of a chain which calls the functions that are to be called."""
+    assert isinstance(chain, told.Forward)
+    made, context = asking(chain, lanes), copy_context()
+
+    def sweep(where: int, first: int, last: int) -> None:
+        # As the thread of the program that has begun it, of which NumPy's handling of errors is.
+        context.copy().run(calls.sweep, made, where, first, last, lanes)
+
+    return sweep
 
 
 def _count(plan: ChainPlan, left: list[slice], why: str) -> None:

@@ -12,14 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pgm.beliefs.moments.compiled.plans import (
-    Get,
-    Integers64,
-    Record,
-    Table,
-    address,
-    readable,
-)
+from pgm.beliefs.moments.compiled.called import Calls
+from pgm.beliefs.moments.compiled.memory import address
+from pgm.beliefs.moments.compiled.plans import Get, Integers64, Record, Table, readable
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.kernels.arrays import Array
 from pgm.kernels.machine import told
@@ -73,9 +68,14 @@ class NamedTable(Table):
     """A table that notes how the owners of its arrays, by their number, are asked for them."""
 
     def __init__(
-        self, plan: ChainPlan, lanes: int, owners: Sequence[Any], record: Record | None = None
+        self,
+        plan: ChainPlan,
+        lanes: int,
+        owners: Sequence[Any],
+        record: Record | None = None,
+        calls: Calls | None = None,
     ) -> None:
-        super().__init__(plan, lanes)
+        super().__init__(plan, lanes, calls)
         self.record = {} if record is None else record
         self._owners = {id(owner): k for k, owner in enumerate(owners)}
         self._named: list[Named] = []
@@ -95,13 +95,18 @@ class NamedTable(Table):
         return place
 
     def put_of(self, place: int, owner: Any, get: Get) -> None:
-        """Have the address of an array that an owner has at a place."""
+        """Put the address of an array that an owner has into the table."""
+        self.put(place, get(owner))
         self._note(Named(place, self._owners[id(owner)], get))
 
     @property
     def form(self) -> Form:
-        """The table without arrays."""
+        """The names of the arrays, of which others may be of the same form."""
         return Form(self.numbers, self._named)
+
+    def filled(self, *first: int) -> Filled:
+        """The table of the arrays that were told of, which begins with the numbers `first`."""
+        return Filled(np.array([*first, *self.numbers[len(first) :]], dtype=np.int64), self._kept)
 
     def _note(self, named: Named) -> None:
         self._named.append(named)

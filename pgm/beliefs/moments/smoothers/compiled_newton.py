@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from pgm.beliefs.moments.compiled.plans import Table, Uncompiled, address, places, row_of, unknown
+from pgm.beliefs.moments.compiled.memory import address
+from pgm.beliefs.moments.compiled.plans import Table, Uncompiled, places, row_of, unknown
 from pgm.beliefs.moments.passes.newton import Means, precision
 from pgm.beliefs.moments.steps.chain import MomentChain
 from pgm.beliefs.moments.steps.plan import ChainPlan, Link
