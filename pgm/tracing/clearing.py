@@ -37,10 +37,10 @@ from pgm.tracing.measures import (
 from pgm.tracing.program import Program
 
 if TYPE_CHECKING:
-    from pgm.kernels.machine.code import Code
-    from pgm.kernels.machine.memory import Memory
-    from pgm.kernels.machine.numbers import Number
-    from pgm.kernels.machine.wholes import Whole
+    from pgm.kernels.machine.emitter.code import Code
+    from pgm.kernels.machine.emitter.memory import Memory
+    from pgm.kernels.machine.emitter.numbers import Number
+    from pgm.kernels.machine.emitter.wholes import Whole
     from pgm.tracing.slopes import Slopes
 
 # Longer traces and larger derivatives are judged by NumPy alone, whose time they take up.
@@ -112,8 +112,8 @@ class Clearing:
     @cached_property
     def _code(self) -> tuple[Any, Any]:
         """Two functions, of addresses and counts, which give 1 if something is in doubt."""
-        from pgm.kernels.machine.kinds import ADDRESS, WHOLE
-        from pgm.kernels.machine.module import Module
+        from pgm.kernels.machine.emitter.module import Module
+        from pgm.kernels.machine.emitter.kinds import ADDRESS, WHOLE
 
         module = Module(contract=False)
         counts = WHOLE, WHOLE
@@ -159,7 +159,7 @@ class Clearing:
         self, code: Code, x: Sequence[Number], *, slope: bool = False, alone: bool = False
     ) -> tuple[list[Any], list[Any]]:
         """The trace's value, and its slope, row by row, if asked; `alone` the slope of a part."""
-        from pgm.kernels.machine.traces import written
+        from pgm.kernels.machine.emitter.traces import written
 
         starts = np.cumsum([0, *self.trace.widths]).tolist()
 

@@ -17,7 +17,7 @@ from pgm.beliefs.moments.compiled.memory import address
 from pgm.beliefs.moments.compiled.plans import Get, Integers64, Record, Table, readable
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.kernels.arrays import Array
-from pgm.kernels.machine import told
+from pgm.kernels.machine.sweeps import told
 
 
 class Named(NamedTuple):
