@@ -112,8 +112,8 @@ class Clearing:
     @cached_property
     def _code(self) -> tuple[Any, Any]:
         """Two functions, of addresses and counts, which give 1 if something is in doubt."""
-        from pgm.kernels.machine.emitter.module import Module
         from pgm.kernels.machine.emitter.kinds import ADDRESS, WHOLE
+        from pgm.kernels.machine.emitter.module import Module
 
         module = Module(contract=False)
         counts = WHOLE, WHOLE
