@@ -105,7 +105,9 @@ def test_the_account_of_a_call_is_that_of_its_cpds(name):
     graph = pgm.compile(MODELS[name], 8, compiled=True)
     status = pgm.infer(graph, recording(name), schedule=pgm.Filtering()).status
     whole = set(graph.compilation.values()) == {"compiled"}
-    assert status.compilation.startswith("compiled" if whole else "not compiled: ")
+    assert whole == (status.compilation == "compiled")
+    if not whole:  # a pass in twice the digits may yet be compiled
+        assert status.compilation.startswith(("not compiled: ", "compiled, but for: "))
 
 
 def test_runs_that_are_left_are_counted():

@@ -84,6 +84,7 @@ OPERATIONS: dict[str, Callable[..., Number]] = {
     "logical_or": lambda a, b: a | b,
     "logical_not": lambda a: ~a,
     "where": lambda truth, yes, no: truth.where(yes, no),
+    "fma": lambda a, b, c: a.intrinsic("fma", b, c),
     "negative": lambda a: -a,
     "absolute": abs,
     "sign": _sign,

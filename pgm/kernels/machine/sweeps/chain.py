@@ -49,7 +49,7 @@ def made(chain: Forward | Backward, lanes: int, loops: bool | None = None) -> Sw
     frame = Frame(code, room)
     looped = is_long(chain, lanes) if loops is None else loops
     w = Writer(code, table, chain, Loops(code, frame) if looped else Lines(code))
-    with _runs(w, first, last):
+    with each_run(w, first, last):
         if isinstance(chain, Forward):
             forward(w, chain)
         else:
@@ -64,7 +64,7 @@ def _without_room(function: Callable[..., None], table: int, first: int, last: i
 
 
 @contextmanager
-def _runs(w: Writer, first: Whole, last: Whole) -> Iterator[None]:
+def each_run(w: Writer, first: Whole, last: Whole) -> Iterator[None]:
     """The runs of a call, one after another, or pack by pack: the last may share runs."""
     code = w.code
     with code.loop((last - first + (code.lanes - 1)) // code.lanes) as k:

@@ -32,7 +32,7 @@ def predicted(w: Writer, chain: Forward, at: Whole, mean: AnyMatrix, cov: AnyMat
     """The slice at a row of the transition, from the moments of the slice before."""
     if chain.single:
         motion = chain.motions[0]
-        line = _line(w, motion, at, mean, mean, cov)
+        line = line_of(w, motion, at, mean, mean, cov)
         after = step.predict(cov, line.matrix, line.noise)
         return Predicted(line.value, after, line.sure & _is_certain(w, motion, line, cov, after))
     front = chain.states
@@ -40,7 +40,7 @@ def predicted(w: Writer, chain: Forward, at: Whole, mean: AnyMatrix, cov: AnyMat
     sure = w.true
     for motion in chain.motions:
         x, block = pair.part(motion.parents, (0,)), joint.part(motion.parents, motion.parents)
-        line = _line(w, motion, at, pair, x, block)
+        line = line_of(w, motion, at, pair, x, block)
         joint = step.extend(joint, motion.parents, line.matrix, line.noise)
         own = joint.part(*([range(pair.shape[0], joint.shape[0])] * 2))
         sure = sure & line.sure & _is_certain(w, motion, line, block, own)
@@ -49,7 +49,7 @@ def predicted(w: Writer, chain: Forward, at: Whole, mean: AnyMatrix, cov: AnyMat
     return Predicted(pair.part(own, (0,)), joint.part(own, own), sure)
 
 
-def _line(
+def line_of(
     w: Writer, motion: Motion, at: Whole, before: AnyMatrix, mean: AnyMatrix, cov: AnyMatrix
 ) -> Line:
     """A CPD linearised, with its angles on the chart of those `before`, and kept."""

@@ -45,7 +45,7 @@ class Writer:
             array: (addresses.load(array.place), *map(wholes.load, _after(array.place)))
             for array in arrays(chain)
         }
-        sensors = chain.sensors if isinstance(chain, told.Forward) else ()
+        sensors = getattr(chain, "sensors", ())
         due = [sensor.bounds for sensor in sensors if sensor.bounds is not None]
         self._bounds = {place: addresses.load(place) for place in due}
         self.run = code.whole(0)
