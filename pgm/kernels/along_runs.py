@@ -2,9 +2,7 @@
 
 Each operation on a component goes along a contiguous row of runs. Symmetric matrices are factorised
 as U D Uᵀ, with U unit lower triangular and D the diagonal of pivots: a pivot is the variance of a
-component given those before it. A measurement z = H x + v, v ~ N(0, R), of a belief of covariance P
-is *mild* where S = H P Hᵀ + R is at most a thousand times R in every direction: then it shrinks no
-variance more than a thousand times.
+component given those before it.
 """
 
 from __future__ import annotations
@@ -12,27 +10,6 @@ from __future__ import annotations
 import numpy as np
 
 from pgm.kernels.arrays import Array
-from pgm.kernels.roots import NEGLIGIBLE
-
-# The largest factor by which a mild measurement shrinks a variance.
-_MILD = 1e3
-# Below this a product of pivots has lost digits.
-_SMALLEST = float(np.finfo(np.float64).tiny)
-
-
-def sharpness(noise: Array, least: float = NEGLIGIBLE) -> Array:
-    """The bound 1000 det R on det S, (runs or 1,): a measurement with a smaller det S is mild.
-
-    `noise` is R, (d, d, runs or 1). Since S ≥ R, a smaller det S leaves S at most 1000 R in every
-    direction: S is then regular, and P − G S Gᵀ loses at most three of sixteen digits. The bound is
-    0, so that no measurement counts as mild, where a pivot of R is at most 1000 · `least` times its
-    diagonal entry, or det R is no more than the smallest normal float64.
-    """
-    pivots = _eliminate(noise.copy())
-    regular = (pivots > _MILD * least * np.einsum("iir->ir", noise)).all(axis=0)
-    det = pivots.prod(axis=0)
-    bound: Array = np.where(regular & (det > _SMALLEST), _MILD * det, 0.0)
-    return bound
 
 
 def open_share(cov: Array) -> float:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from contextvars import copy_context
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
+from operator import attrgetter, itemgetter
 from typing import Any
 
 import numpy as np
@@ -14,15 +15,19 @@ from pgm.beliefs.moments.compiled.called import Calls, Failed
 from pgm.beliefs.moments.compiled.judged import judge
 from pgm.beliefs.moments.compiled.memory import address
 from pgm.beliefs.moments.compiled.plans import (
-    Table,
+    Record,
     Uncompiled,
     decided,
+    decisive,
     motion_of,
     places,
     sensor_of,
+    undecided,
     unknown,
 )
+from pgm.beliefs.moments.compiled.table import Filled, NamedTable
 from pgm.beliefs.moments.steps.chain import MomentChain
+from pgm.beliefs.moments.steps.gate import Asked
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.compile.machine import CONTROL, Compiled
 from pgm.kernels.arrays import Array, Mask, vacant
@@ -40,6 +45,14 @@ _STEP, _LONG = 100, 250_000
 # Why runs are left to the general kernels, going forward and back.
 _FAR = "readings are too sharp, a covariance is singular, or numbers are too far apart"
 _SINGULAR = "a covariance is singular on the way back"
+# Sweeps of so many forms of plans are kept by a network's layout.
+_TOLD = 64
+# The names in a record of the belief to begin with, of beliefs, and of densities.
+_BEGIN, _PREDICTED = ("begin mean", "begin cov"), ("predicted mean", "predicted cov")
+_KNOWN = "known mean", "known cov", "density"
+# And those of a sweep back.
+_REVERSED, _SMOOTHED = ("gain", "shift", "cov"), ("smoothed mean", "smoothed cov")
+_CONTROLS = "control matrix", "control offset", "control cov"
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,72 +111,115 @@ def forward(
     if not is_used(plan):
         return None
     asked = schedule or ONCE
-    stored = schedule is None
-    calls = Calls(plan.runs)
-    table = Table(plan, _lanes(plan), calls)
+    stored, calls = schedule is None, Calls(plan.runs)
     try:
-        why = unknown(plan)
         if isinstance(asked.damping, LevenbergMarquardt):
             raise Uncompiled(CONTROL)
+        why = unknown(plan)
         if why is not None:
             raise Uncompiled(why)
-        cpds = {"stored": stored, "keep": keep}
-        motions = tuple(motion_of(plan, link, table, **cpds) for link in plan.transition)
-        sensors = tuple(
-            sensor_of(plan, sensor, table, **cpds, gate=asked.gate) for sensor in plan.read
+        key = decisive(plan, stored=stored, keep=keep, gate=asked.gate)
+        if not predicted and any(f.compiled for f in plan.families):
+            predicted = tuple(np.empty_like(part) for part in known[:2])  # for the judge alone
+        nonlinear = any(sensor.family.template for sensor in plan.read)
+        iterated = asked.iterations > 1 and not stored and nonlinear
+        record: Record = dict(zip(_BEGIN, _begin(plan, schedule, keep=keep), strict=True))
+        record |= zip(_KNOWN, known, strict=True)
+        record |= zip(_PREDICTED, predicted, strict=False)
+        record |= undecided(plan, asked.gate, stored=stored)
+        residuals = np.zeros((asked.iterations + 1, plan.runs if iterated else 0))
+        if iterated:
+            settings = np.array([asked.tolerance, asked.damping])
+            record |= {"settings": settings, "residuals": residuals}
+
+        def tell(table: NamedTable) -> told.Forward:
+            return _told(plan, table, stored=stored, keep=keep, gate=asked.gate)
+
+        owners = (
+            *(link.family for link in plan.transition),
+            *(sensor.family for sensor in plan.read),
+            *plan.read,
+            record,
         )
+        out = (*known, *predicted)
+        rest = record, calls, asked.iterations
+        ended = _run(plan, (*key, *record), tell, owners, out, *rest)
     except Uncompiled as error:
         plan.account.leave(str(error))
         return None
-    first = replace(plan, transition=[], sensors=[])
-    if plan.batch and plan.begin is None and all(link.family.uniform for link in plan.prior):
-        first = first.of(slice(0, 1))  # which is as all are
-    begin = MomentChain(first, schedule, keep=keep).start()
-    if not predicted and any(f.compiled for f in plan.families):
-        predicted = tuple(np.empty_like(part) for part in known[:2])  # for the judge alone
-    iterated = asked.iterations > 1 and any(sensor.curved for sensor in sensors)
-    record = np.zeros((asked.iterations + 1, plan.runs if iterated else 0))
-    if iterated:
-        table.numbers[told.ITERATIONS] = asked.iterations
-        table.put(told.SETTINGS, np.array([asked.tolerance, asked.damping]))
-        table.put(told.RESIDUALS, record)
-    layout = plan.layout
-    chain = told.Forward(
-        size=layout.slice_size,
-        states=places(layout.state_places, layout.slice_size),
-        single=bool(layout.single),
-        motions=motions,
-        sensors=sensors,
-        begin=(
-            table.array(_by_row(first, begin.mean, 1)),
-            table.array(_by_row(first, begin.cov, 2)),
-        ),
-        predicted=tuple(map(table.array, predicted)),
-        known=(table.array(known[0]), table.array(known[1])),
-        density=table.array(known[2]),
-        iterated=iterated,
-        asked=table.array(calls.asked.T[None]) if calls.each else None,
-    )
-    ended = _run(plan, chain, table, (*known, *predicted))
-    failure = calls.failure
-    if isinstance(failure, Failed):
-        plan.account.leave(str(failure))
+    if isinstance(calls.failure, Failed):
+        plan.account.leave(str(calls.failure))
         return None
-    if failure is not None:
-        raise failure
-    decided(table)
+    if calls.failure is not None:
+        raise calls.failure
+    decided(plan, record)
     left = stretches(ended[sweeps.LEFT] != 0.0)
     _count(plan, left, _FAR)
     if schedule is not None:
         done = ended[sweeps.LEFT] == 0.0
         judge(plan, known, predicted or known, done, again=asked.iterations > 1)
-    longest = int(record[-2].max(initial=0.0))
+    longest = int(residuals[-2].max(initial=0.0))
     converged = np.full(plan.runs, plan.linear)
     if iterated:
-        converged = record[-1] == 0.0
+        converged = residuals[-1] == 0.0
     converged &= ended[sweeps.MOVING] == 0.0
     closest, far = float(ended[sweeps.CLOSEST].min(initial=1.0)), bool(ended[sweeps.FAR].any())
-    return Swept(left, list(record[:longest]), converged, closest, far)
+    return Swept(left, list(residuals[:longest]), converged, closest, far)
+
+
+def _told(
+    plan: ChainPlan,
+    table: NamedTable,
+    *,
+    stored: bool,
+    keep: bool,
+    gate: Asked | None,
+) -> told.Forward:
+    """A forward sweep, told; see `forward`."""
+    layout, record, calls = plan.layout, table.record, table.calls
+
+    def array(name: str) -> told.Array:
+        return table.of(record, itemgetter(name))
+
+    cpds = {"stored": stored, "keep": keep}
+    motions = tuple(motion_of(plan, link, table, **cpds) for link in plan.transition)
+    sensors = tuple(sensor_of(plan, sensor, table, **cpds, gate=gate) for sensor in plan.read)
+    iterated = "residuals" in record
+    if iterated:
+        table.put_of(told.SETTINGS, record, itemgetter("settings"))
+        table.put_of(told.RESIDUALS, record, itemgetter("residuals"))
+    return told.Forward(
+        size=layout.slice_size,
+        states=places(layout.state_places, layout.slice_size),
+        single=bool(layout.single),
+        motions=motions,
+        sensors=sensors,
+        begin=(array(_BEGIN[0]), array(_BEGIN[1])),
+        predicted=tuple(array(name) for name in _PREDICTED if name in record),
+        known=(array(_KNOWN[0]), array(_KNOWN[1])),
+        density=array(_KNOWN[2]),
+        iterated=iterated,
+        asked=table.array(calls.asked.T[None]) if calls is not None and calls.each else None,
+    )
+
+
+def _begin(plan: ChainPlan, schedule: Filtering | None, *, keep: bool) -> tuple[Array, Array]:
+    """The belief that a sweep begins with, (1, runs or 1, ...).
+
+    Without evidence, and with runs that are all alike, it is the model's own, and kept.
+    """
+    alike = plan.begin is None and all(link.family.uniform for link in plan.prior)
+    own = alike and plan.prior and not any(link.family.inputs for link in plan.prior)
+    if own and plan.layout.begun:
+        return plan.layout.begun[0]
+    first = replace(plan, transition=[], sensors=[])
+    if plan.batch and alike:
+        first = first.of(slice(0, 1))  # which is as all are
+    begin = MomentChain(first, schedule, keep=keep).start()
+    found = _by_row(first, begin.mean, 1), _by_row(first, begin.cov, 2)
+    if own:
+        plan.layout.begun.append(found)
+    return found
 
 
 def backward(
@@ -181,44 +237,76 @@ def backward(
     """
     if not is_used(plan):
         return None
-    table, layout = Table(plan, _lanes(plan)), plan.layout
+    layout = plan.layout
     lead, front, width = (plan.steps, plan.runs), layout.state_size, layout.slice_size
     states = Conditional(*(vacant(lead, own) for own in ((front, width), (front,), (front, front))))
     beliefs = None
     if smooth:
         every = plan.steps + 1, plan.runs
         beliefs = vacant(every, (width,)), vacant(every, (width, width))
-    chain = told.Backward(
-        size=width,
-        states=places(layout.state_places, width),
-        known=(table.array(ahead.mean), table.array(ahead.cov)),
-        predicted=(table.array(ahead.predicted_mean), table.array(ahead.predicted_cov)),
-        motion=(table.array(transition.matrix), table.array(transition.cov)),
-        reversed=(table.array(states[0]), table.array(states[1]), table.array(states[2])),
-        smoothed=tuple(map(table.array, beliefs or ())),
-        controls=tuple(map(table.array, slices or ())) if smooth else (),
-    )
-    ended = _run(plan, chain, table, (*states, *(beliefs or ())))
+    record = dict(zip(_REVERSED, states, strict=True))
+    record |= zip(_SMOOTHED, beliefs or (), strict=False)
+    record |= zip(_CONTROLS, (slices or ()) if smooth else (), strict=False)
+
+    def tell(table: NamedTable) -> told.Backward:
+        def of(name: str) -> told.Array:
+            return table.of(record, itemgetter(name))
+
+        def pair(owner: Any, one: str, other: str) -> tuple[told.Array, told.Array]:
+            return table.of(owner, attrgetter(one)), table.of(owner, attrgetter(other))
+
+        gain, shift, cov = map(of, _REVERSED)
+        return told.Backward(
+            size=width,
+            states=places(layout.state_places, width),
+            known=pair(ahead, "mean", "cov"),
+            predicted=pair(ahead, "predicted_mean", "predicted_cov"),
+            motion=pair(transition, "matrix", "cov"),
+            reversed=(gain, shift, cov),
+            smoothed=tuple(of(name) for name in _SMOOTHED if name in record),
+            controls=tuple(of(name) for name in _CONTROLS if name in record),
+        )
+
+    owners = ahead, transition, record
+    ended = _run(plan, ("back", *record), tell, owners, (*states, *(beliefs or ())))
     left = bool(ended[sweeps.LEFT].any())
     _count(plan, [slice(0, plan.runs)] if left else [], _SINGULAR)
     return None if left else (states, beliefs)
 
 
-def _lanes(plan: ChainPlan) -> int:
-    return sweeps.LANES if plan.runs >= sweeps.LANES else 1
-
-
 def _run(
-    plan: ChainPlan, chain: told.Forward | told.Backward, table: Table, out: Sequence[Array]
+    plan: ChainPlan,
+    key: Hashable,
+    tell: Callable[[NamedTable], told.Forward | told.Backward],
+    owners: Sequence[Any],
+    out: Sequence[Array],
+    record: Record | None = None,
+    calls: Calls | None = None,
+    iterations: int = 1,
 ) -> Array:
     """Run a sweep on all runs of a plan; what it tells of each, (`sweeps.TOLD`, runs).
 
-    `out` are the arrays that it fills.
+    `key` is what decides its code, and `tell` tells that, if no such plan was told before. `out`
+    are the arrays that it fills.
     """
-    choice, lanes = plan.layout.compiled, table.lanes
+    choice, lanes = plan.layout.compiled, sweeps.LANES if plan.runs >= sweeps.LANES else 1
     ended = np.zeros((sweeps.TOLD, plan.runs))
-    table.put(told.ENDED, ended)
-    whole, sweep = table.whole, _sweep(chain, table)
+    first, before = (plan.steps, plan.runs, iterations), plan.layout.told
+    sweep, form = before.get((key, lanes), (None, None))
+    filled: Filled | None = None if form is None else form.filled(owners, *first)
+    if filled is None:
+        table = NamedTable(plan, lanes, owners, record, calls)
+        chain = tell(table)
+        filled = table.filled(*first)
+        if calls is not None and calls.each:  # which are of this sweep alone
+            sweep = _asking(chain, lanes, calls)
+        else:
+            sweep = sweeps.made(chain, lanes)
+            if len(before) >= _TOLD:
+                before.clear()
+            before[key, lanes] = sweep, table.form
+    numbers = filled.numbers
+    numbers[told.ENDED] = address(ended)
     threads = choice.threads if isinstance(choice, Compiled) else 1
     threads = max(min(threads, plan.runs // lanes), 1)
 
@@ -227,17 +315,14 @@ def _run(
         for array in out if threads > 1 else ():
             begin, end = (runs * len(array) // plan.runs for runs in (first, last))
             array[begin:end, first:last:512] = 0.0
-        sweep(address(whole), first, last)
+        sweep(address(numbers), first, last)
 
     in_threads(work, plan.runs, threads)
     return ended
 
 
-def _sweep(chain: told.Forward | told.Backward, table: Table) -> sweeps.Sweep:
-    """The sweep of a chain, which calls the functions that are to be called."""
-    calls, lanes = table.calls, table.lanes
-    if calls is None or not calls.each:
-        return sweeps.made(chain, lanes)
+def _asking(chain: told.Forward | told.Backward, lanes: int, calls: Calls) -> sweeps.Sweep:
+    """The sweep of a chain which calls the functions that are to be called."""
     assert isinstance(chain, told.Forward)
     made, context = asking(chain, lanes), copy_context()
 

@@ -30,11 +30,15 @@ def prepare() -> None:
 def target_machine(level: int) -> Any:
     """LLVM's description of this processor; each engine owns one."""
     prepare()
-    return llvm().Target.from_default_triple().create_target_machine(
-        cpu=llvm().get_host_cpu_name(),
-        features=llvm().get_host_cpu_features().flatten(),
-        opt=level,
-        jit=True,
+    return (
+        llvm()
+        .Target.from_default_triple()
+        .create_target_machine(
+            cpu=llvm().get_host_cpu_name(),
+            features=llvm().get_host_cpu_features().flatten(),
+            opt=level,
+            jit=True,
+        )
     )
 
 
