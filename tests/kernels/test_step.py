@@ -458,23 +458,21 @@ def test_regress(kind, rule, size):
     _, cov, _, _, _ = drawn(1, size, 1)
     count = len(points.points)
     values = np.random.default_rng(size).normal(size=(RUNS, count, 2))
-    weights, balance = points.mean_weights[None], np.diag(points.cov_weights)
-    constant = [points.points, weights, balance, np.ones((count, 1))]
-    fixed = [kind.matrix(np.broadcast_to(each, (RUNS, *each.shape)).copy()) for each in constant]
+    fit = points.fit
+    signs = np.diag(np.ones(count - 1 - size) if fit.signs is None else fit.signs)
+    known = [*np.split(fit.rows, [1, 1 + size]), signs]
+    fixed = [kind.matrix(np.broadcast_to(each, (RUNS, *each.shape)).copy()) for each in known]
 
     def line(cov, values, *rule):
-        return tuple(step.regress(cov.root(), step.Rule(*rule), values))
+        return tuple(step.regress(cov.root(), step.Rule(*rule), values))[:3]
 
     found = kind.run(line, kind.matrix(cov), kind.matrix(values), *fixed)
-    s, w, b, ones = (mp.matrix(each.tolist()) for each in constant)
+    mean, slopes, rest, sign = (mp.matrix(each.tolist()) for each in known)
 
     def due(k, place):
-        mean = w * exact(values, k)
-        off = exact(values, k) - ones * mean
-        moment = s.T * b * off
-        slope = moment.T * mp.cholesky(exact(cov, k)) ** -1
-        left = off - s * moment
-        return (slope, mean.T, left.T * b * left)[place]
+        y = exact(values, k)
+        slope = (slopes * y).T * mp.cholesky(exact(cov, k)) ** -1
+        return (slope, (mean * y).T, (rest * y).T * sign * (rest * y))[place]
 
     cost = condition(cov) * max(float(np.abs(points.cov_weights).sum()), 1.0)
     for place in range(3):
