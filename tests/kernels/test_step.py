@@ -461,6 +461,8 @@ def test_regress(kind, rule, size):
     fit = points.fit
     signs = np.diag(np.ones(count - 1 - size) if fit.signs is None else fit.signs)
     known = [*np.split(fit.rows, [1, 1 + size]), signs]
+    if not len(known[2]):  # a line passes through all points
+        known[2:] = np.zeros((1, count)), np.eye(1)
     fixed = [kind.matrix(np.broadcast_to(each, (RUNS, *each.shape)).copy()) for each in known]
 
     def line(cov, values, *rule):
