@@ -26,6 +26,7 @@ from pgm.linearisers import (
 )
 from pgm.linearisers.regression import FEW
 from pgm.resources import optional
+from pgm.schedules.schedule import Smoothing
 
 
 @public
@@ -64,7 +65,7 @@ RULES = Unscented, Cubature, GaussHermite
 MOST = 60
 # Why a schedule, or a filter's settings online, leave machine code.
 GATE = "a gate (gate=) decides at one predicted belief after another"
-CONTROL = "Levenberg–Marquardt (damping=) judges each step by its cost"
+CONTROL = "Levenberg–Marquardt (damping=) judges all steps of a smoother together"
 WINDOWS = "the windows of a lag with iterations slide one after another"
 POINTS = "iterations of rules with points, or of differences, linearise all steps by NumPy"
 COMPILED = "compiled"
@@ -127,8 +128,8 @@ class Compilation(Told[CPD]):
     ['compiled', 'compiled', 'compiled']
     >>> compilation.under(pgm.Filtering(gate=0.99))
     'compiled'
-    >>> compilation.under(pgm.Filtering(damping=pgm.LevenbergMarquardt()))
-    'left to NumPy: Levenberg–Marquardt (damping=) judges each step by its cost'
+    >>> compilation.under(pgm.Smoothing(iterations=9, damping=pgm.LevenbergMarquardt()))
+    'left to NumPy: Levenberg–Marquardt (damping=) judges all steps of a smoother together'
     """
 
     __slots__ = ()
@@ -148,7 +149,7 @@ class Compilation(Told[CPD]):
         """
         several = getattr(schedule, "iterations", 1) > 1
         control = not is_number(getattr(schedule, "damping", 0.0))
-        why = [CONTROL] if control else []
+        why = [CONTROL] if control and isinstance(schedule, Smoothing) else []
         why += [WINDOWS] if several and getattr(schedule, "lag", 0) else []
         why += [f"{cpd!r}: {words}" for cpd, words in self.items() if words != COMPILED]
         return f"left to NumPy: {'; '.join(why)}" if why else COMPILED

@@ -7,12 +7,13 @@ from typing import Any, NamedTuple
 from pgm.kernels import step
 from pgm.kernels.arrays import LAST_PLACES, LOG_2PI
 from pgm.kernels.gaussian import NEARLY_SINGULAR
-from pgm.kernels.machine.cpd import Line, keep, linearised
+from pgm.kernels.machine.control import Anchor, Control, Solve, tried
+from pgm.kernels.machine.cpd import REGULAR, Line, keep, linearised
 from pgm.kernels.machine.numbers import Number
 from pgm.kernels.machine.outliers import REWEIGHINGS, Weighing, gated, kept_surplus, surplus
 from pgm.kernels.machine.told import Forward, Sensor
 from pgm.kernels.machine.wholes import Whole
-from pgm.kernels.machine.writer import Carried, Writer
+from pgm.kernels.machine.writer import Carried, Writer, chosen
 from pgm.kernels.numbers import Matrix, least, most, sqrt, where
 
 # The part of S (10 + rᵀ S⁻¹ r) that noise has to exceed in all directions. Below, a belief that is
@@ -58,6 +59,15 @@ class Taken:
         self._density.set(self.density + density)
         self._sure.set(self.sure & sure)
 
+    def hold(self, anchor: Anchor) -> None:
+        """Take in the measurement of an anchor, which has no density."""
+        after = anchor.hold(self.moments.mean, self.moments.cov)
+        self.take(after.mean, after.cov, 0.0, after.share > REGULAR)
+
+    def doubt(self, sure: Number) -> None:
+        """Note that all of it is right only if this is."""
+        self._sure.set(self.sure & sure)
+
     def settle(self, settled: Any) -> None:
         """Note whether weights have settled."""
         self._settled.set(settled)
@@ -67,7 +77,8 @@ class Point(NamedTuple):
     """Where the measurements of a step are linearised, and what they are taken into.
 
     `mean` and `cov` are the predicted moments, `at` and `about` those of the linearisation. `first`
-    is whether this is the first linearisation, None if there is one alone.
+    is whether this is the first linearisation, None if there is one alone. An `anchor` is taken in
+    as well.
     """
 
     mean: Matrix
@@ -75,6 +86,7 @@ class Point(NamedTuple):
     at: Matrix
     about: Matrix
     first: Number | None
+    anchor: Anchor | None = None
 
 
 def taken(w: Writer, chain: Forward, at: Whole, mean: Matrix, cov: Matrix) -> Taken:
@@ -107,9 +119,13 @@ def _iterated(
     with code.when(_are_curved(w, chain, at)):
         most_often.set(w.iterations)
     settled, made, residual = code.variable(False), code.variable(0.0), code.variable(0.0)
+    control = Control(w, chain, at, mean, cov) if chain.controlled else None
+    active = code.variable(True)
     with code.loop(most_often.get()) as k:
-        with code.when(k > 0):
-            _move(point, found.moments, damping, settled.get())
+        active.set(~settled.get())
+        if control is None:
+            with code.when(k > 0):
+                _move(point, found.moments, damping, settled.get())
         here = Point(mean, cov, point.mean, point.cov, k == 0)
         _solved(w, chain, at, found, here, weighing)
         with code.when(k > 0):
@@ -119,13 +135,34 @@ def _iterated(
             settled.set(settled.get() | ((moved <= tolerance) & found.settled))
             _at_most(record, k - 1, moved)
             last.set(k)
+        if control is not None:
+            with code.when(most_often.get() > 1):
+                parts = point, found.moments, active.get(), settled.get()
+                found.doubt(control.step(*parts, _trial(w, chain, at, mean, cov)))
         code.leave_when(code.every(settled.get()))
         code.leave_unless(code.some(found.sure))
+    if control is not None:
+        with code.when(most_often.get() > 1):  # the means that were accepted last
+            found.moments.set(control.shown, found.moments.cov)
     with code.when(most_often.get() > 1):
         with code.loop(most_often.get() - 1, last.get()) as later:
             _at_most(record, later, residual.get())
         _at_most(record, most_often.get() - 1, made.get())
         _at_most(record, most_often.get(), where(settled.get(), 0.0, 1.0))
+
+
+def _trial(w: Writer, chain: Forward, at: Whole, mean: Matrix, cov: Matrix) -> Solve:
+    """The measurements of a step, as they were linearised last, solved with an anchor."""
+
+    def solve(anchor: Anchor) -> tuple[Matrix, Number]:
+        found, weighing = Taken(w, mean, cov), None
+        if any(sensor.weighs for sensor in chain.sensors):
+            weighing = Weighing(w, mean, cov, trial=True)
+        point = Point(mean, cov, mean, cov, w.code.constant(False).lane(0), anchor)
+        _solved(w, tried(chain), at, found, point, weighing)
+        return found.moments.mean, found.sure
+
+    return solve
 
 
 def _solved(
@@ -206,6 +243,8 @@ def _once(
             with w.code.loop(last, first) as row:
                 _read(w, sensor, row, found, point, weighing)
         fresh = False
+    if point.anchor is not None:
+        found.hold(point.anchor)
 
 
 def _read(
@@ -276,17 +315,11 @@ def _read(
     rejected = gated(w, sensor, at, square, sighting.count, begins)
     sure = line.sure & (share > NEARLY_SINGULAR) & (rejected | sharp)
     found.take(
-        _chosen(rejected, mean, after.mean),
-        _chosen(rejected, cov, after.cov),
+        chosen(rejected, mean, after.mean),
+        chosen(rejected, cov, after.cov),
         where(rejected, 0.0, density),
         sure,
     )
-
-
-def _chosen(truth: Any, a: Matrix, b: Matrix) -> Matrix:
-    """One matrix or another, by a truth."""
-    rows = zip(a.rows, b.rows, strict=True)
-    return Matrix([where(truth, x, y) for x, y in zip(*both, strict=True)] for both in rows)
 
 
 class _Sighting(NamedTuple):

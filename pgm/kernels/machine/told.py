@@ -12,15 +12,16 @@ robots that are swept together.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 from pgm.kernels.machine.memory import Runs
 
 # Of a chain's table: the last step T, how many runs there are, the most linearisations of a step's
-# measurements, the addresses of the tolerance and the damping, of the residuals of iterations
-# (iterations + 1, runs), and of how runs ended and went: (4, runs), see `sweeps`.
+# measurements, the addresses of the settings (the tolerance and the damping; of a control the least
+# weight, its factor and the most tries), of the residuals of iterations (iterations + 1, runs), and
+# of how runs ended and went: (4, runs), see `sweeps`.
 LAST, RUNS, ITERATIONS, SETTINGS, RESIDUALS, ENDED, FIRST = range(7)
 # Of an array: its address, and the distances in floats between rows, runs, and its own cells.
 ADDRESS, DOWN, ACROSS, CELL = range(4)
@@ -196,16 +197,19 @@ class Loss:
 
     `weight(s)` and `surplus(s, w)`, the log-density less that of N(0, R / w), are traces by how many
     components were measured; of just the last where none may be missing. Weights and the squares
-    that they are of are kept by row. `expects` says that squares are expected under the belief;
-    `found` that weights are as kept, and only the surplus is due.
+    that they are of are kept by row, those of a step control's trials in `trial`. `cost(s)` is
+    twice the loss. `expects` says that squares are expected under the belief; `found` that weights
+    are as kept, and only the surplus is due.
     """
 
     weight: tuple[Function, ...]
     surplus: tuple[Function, ...]
+    cost: tuple[Function, ...]
     weights: Array
     squares: Array
     expects: bool
     found: bool
+    trial: tuple[Array, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -240,6 +244,18 @@ class Sensor(Row):
         return self.loss is not None and not self.loss.found
 
 
+def as_kept(sensor: Sensor, *, weighed: bool) -> Sensor:
+    """A sensor as it was linearised last; its noise is `weighed`, or still to be."""
+    readings = sensor.readings if sensor.moved is None else sensor.moved
+    kept = {"readings": readings, "moved": None, "angles": (), "kept": None}
+    loss = sensor.loss
+    if sensor.kept is not None and (weighed or loss is None):
+        kept["noise"] = sensor.kept
+    if loss is not None:
+        kept["loss"] = replace(loss, found=weighed)
+    return replace(sensor, function=None, points=None, inputs=None, **kept)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Forward:
     """A forward sweep: the slices of a chain predicted, and given the measurements of their steps.
@@ -257,6 +273,8 @@ class Forward:
         is kept, and given them.
     density : Array
         The log-densities of each step's measurements.
+    iterated, controlled : bool
+        Whether measurements are linearised again, and whether a cost judges where.
     """
 
     size: int
@@ -269,6 +287,7 @@ class Forward:
     known: tuple[Array, Array]
     density: Array
     iterated: bool
+    controlled: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

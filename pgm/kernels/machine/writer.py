@@ -11,7 +11,7 @@ from pgm.kernels.machine.code import Code, Variable
 from pgm.kernels.machine.memory import Cells, Memory, Runs
 from pgm.kernels.machine.numbers import Number, constant
 from pgm.kernels.machine.wholes import Address, Whole
-from pgm.kernels.numbers import Matrix
+from pgm.kernels.numbers import Matrix, where
 
 
 class Writer:
@@ -137,6 +137,12 @@ class Carried:
 def held(code: Code, number: Number | float) -> Variable[Number]:
     """A variable that begins as a number, of all runs at hand."""
     return code.variable(constant(code, number).spread(code.lanes))
+
+
+def chosen(truth: Any, a: Matrix, b: Matrix) -> Matrix:
+    """One matrix or another, by a truth."""
+    rows = zip(a.rows, b.rows, strict=True)
+    return Matrix([where(truth, x, y) for x, y in zip(*both, strict=True)] for both in rows)
 
 
 def arrays(value: Any) -> Iterator[told.Array]:

@@ -129,9 +129,14 @@ def sensor_of(
     stored: bool,
     keep: bool,
     gate: gates.Asked | None = None,
+    controlled: bool = False,
 ) -> told.Sensor:
-    """A sensor with its measurements, and with its gate if gates decide anew."""
+    """A sensor with its measurements, and with its gate if gates decide anew.
+
+    `controlled` says that a cost judges where it is linearised.
+    """
     family, size = sensor.family, plan.layout.slice_size
+    keep = keep or controlled
     values, taken, gated = sensor.moved if stored else sensor.values, sensor.taken, None
     probability = None if gate is None else gate_of(gate, sensor.variable)
     if probability is not None:
@@ -143,7 +148,9 @@ def sensor_of(
         values = np.where(taken, values, np.nan)
     single = sensor.bounds == list(range(plan.steps + 2))
     kept = keep and not stored and bool(sensor.variable.angles)
-    loss = _loss_of(sensor, table, taken is not None, found=stored) if sensor.robust else None
+    loss = None
+    if sensor.robust:
+        loss = _loss_of(sensor, table, taken is not None, found=stored, controlled=controlled)
     return told.Sensor(
         **_row(family, places(sensor.parents, size), table, stored=stored, keep=keep),
         readings=table.array(values),
@@ -166,7 +173,9 @@ def _gate_of(probability: float, sensor: Sensor, table: Table) -> told.Gate:
     return told.Gate(table.array(limits[None, None]), squares, table.array(rejected))
 
 
-def _loss_of(sensor: Sensor, table: Table, missing: bool, *, found: bool) -> told.Loss:
+def _loss_of(
+    sensor: Sensor, table: Table, missing: bool, *, found: bool, controlled: bool
+) -> told.Loss:
     """A sensor's robust noise, with the weights of its sightings; `found` as of `told.Loss`."""
     family, weights = sensor.family, sensor.weights
     counts = range(0 if missing else sensor.height, sensor.height + 1)
@@ -174,9 +183,12 @@ def _loss_of(sensor: Sensor, table: Table, missing: bool, *, found: bool) -> tol
     for each in functions:
         if isinstance(each, str):
             raise Uncompiled(f"{family.cpd!r}: its noise: {each}")
-    weight, surplus = zip(*functions, strict=True)
+    if controlled and family.expects and family.template is not None:
+        raise Uncompiled(f"{family.cpd!r} has robust noise, whose expected losses judge steps")
     places = table.array(weights.weight), table.array(weights.square)
-    return told.Loss(weight, surplus, *places, expects=family.expects, found=found)
+    trial = [table.array(np.empty_like(weights.weight)) for _ in range(2 if controlled else 0)]
+    losses = zip(*functions, strict=True)
+    return told.Loss(*losses, *places, expects=family.expects, found=found, trial=tuple(trial))
 
 
 def decided(table: Table) -> None:

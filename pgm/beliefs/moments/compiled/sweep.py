@@ -22,7 +22,7 @@ from pgm.beliefs.moments.compiled.plans import (
 )
 from pgm.beliefs.moments.steps.chain import MomentChain
 from pgm.beliefs.moments.steps.plan import ChainPlan
-from pgm.compile.machine import CONTROL, Compiled
+from pgm.compile.machine import Compiled
 from pgm.kernels.arrays import Array, Mask, vacant
 from pgm.kernels.machine import sweeps, told
 from pgm.kernels.moments import Conditional
@@ -93,16 +93,16 @@ def forward(
     asked = schedule or ONCE
     stored = schedule is None
     table = Table(plan, _lanes(plan))
+    controlled = isinstance(asked.damping, LevenbergMarquardt) and asked.iterations > 1
     try:
         why = unknown(plan)
-        if isinstance(asked.damping, LevenbergMarquardt):
-            raise Uncompiled(CONTROL)
         if why is not None:
             raise Uncompiled(why)
         cpds = {"stored": stored, "keep": keep}
         motions = tuple(motion_of(plan, link, table, **cpds) for link in plan.transition)
         sensors = tuple(
-            sensor_of(plan, sensor, table, **cpds, gate=asked.gate) for sensor in plan.read
+            sensor_of(plan, sensor, table, **cpds, gate=asked.gate, controlled=controlled)
+            for sensor in plan.read
         )
     except Uncompiled as error:
         plan.account.leave(str(error))
@@ -117,7 +117,7 @@ def forward(
     record = np.zeros((asked.iterations + 1, plan.runs if iterated else 0))
     if iterated:
         table.numbers[told.ITERATIONS] = asked.iterations
-        table.put(told.SETTINGS, np.array([asked.tolerance, asked.damping]))
+        table.put(told.SETTINGS, _settings(asked))
         table.put(told.RESIDUALS, record)
     layout = plan.layout
     chain = told.Forward(
@@ -131,6 +131,7 @@ def forward(
         known=(table.array(known[0]), table.array(known[1])),
         density=table.array(known[2]),
         iterated=iterated,
+        controlled=iterated and controlled,
     )
     ended = _run(plan, chain, table, (*known, *predicted))
     decided(table)
@@ -146,6 +147,14 @@ def forward(
     converged &= ended[sweeps.MOVING] == 0.0
     closest, far = float(ended[sweeps.CLOSEST].min(initial=1.0)), bool(ended[sweeps.FAR].any())
     return Swept(left, list(record[:longest]), converged, closest, far)
+
+
+def _settings(schedule: Filtering) -> Array:
+    """The settings of iterations, as of `told.SETTINGS`."""
+    damping = schedule.damping
+    if isinstance(damping, LevenbergMarquardt):
+        return np.array([schedule.tolerance, 0.0, damping.start, damping.factor, damping.tries])
+    return np.array([schedule.tolerance, damping])
 
 
 def backward(
