@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 from pgm.kernels import step
 from pgm.kernels.machine.cpd import REGULAR, evaluated, linearised
 from pgm.kernels.machine.numbers import Number
-from pgm.kernels.machine.outliers import cost_of, is_rejected
-from pgm.kernels.machine.told import Forward, Sensor, as_kept
+from pgm.kernels.machine.outliers import cost_of, is_rejected, square_of
+from pgm.kernels.machine.told import Forward, Sensor, kept_sensor
 from pgm.kernels.machine.wholes import Whole
 from pgm.kernels.machine.writer import Carried, Writer, chosen, held
 from pgm.kernels.numbers import Matrix, least, most, sqrt, where
@@ -58,7 +58,7 @@ Solve = Callable[[Anchor], tuple[Matrix, Number]]
 
 def tried(chain: Forward) -> Forward:
     """A chain whose sensors are as they were linearised last."""
-    sensors = tuple(as_kept(sensor, weighed=False) for sensor in chain.sensors)
+    sensors = tuple(kept_sensor(sensor, weighed=False) for sensor in chain.sensors)
     return replace(chain, sensors=sensors, iterated=False, controlled=False)
 
 
@@ -171,17 +171,13 @@ def cost(w: Writer, sensor: Sensor, at: Whole, x: Matrix, cov: Matrix) -> tuple[
     readings = [number for (number,) in w.column(sensor.readings, at).rows]
     for k in sensor.angles:
         readings[k] = step.nearest(readings[k], value[k, 0])
-    kept, left = as_kept(sensor, weighed=False), Matrix.column(readings) - value
-    noise, matrix, spread = w.symmetric(kept.noise, at), Matrix([()] * sensor.height), None
+    kept, left = kept_sensor(sensor, weighed=False), Matrix.column(readings) - value
+    noise, seen = w.symmetric(kept.noise, at), ()
     if sensor.loss is not None and sensor.loss.expects:
         assert kept.matrix is not None
-        matrix, spread = w.matrix(kept.matrix, at), cov.part(parents, parents)
-    count: Any = float(sensor.height)
-    if sensor.missing:
-        known = [reading == reading for reading in readings]
-        left, matrix, noise = step.seen(known, left, matrix, noise)
-        count = w.sum([truth.number() for truth in known])
-    square = step.weighed_square(left, noise, matrix, spread)
+        seen = w.matrix(kept.matrix, at), cov.part(parents, parents)
+    known = [reading == reading for reading in readings] if sensor.missing else None
+    square, count = square_of(w, known, left, noise, *seen)
     if sensor.loss is not None:
         square = cost_of(w, sensor.loss, square, count)
     if sensor.gate is not None:

@@ -46,6 +46,25 @@ def predicted(w: Writer, chain: Forward, at: Whole, mean: Matrix, cov: Matrix) -
     return Predicted(pair.part(own, (0,)), joint.part(own, own), sure)
 
 
+def transition(w: Writer, chain: Forward, at: Whole) -> tuple[Matrix, Matrix]:
+    """The matrix and the noise of p(slice | states before) at a row, of affine CPDs together."""
+    if chain.single:
+        motion = chain.motions[0]
+        assert motion.matrix is not None
+        return w.matrix(motion.matrix, at), w.symmetric(motion.noise, at)
+    front = range(len(chain.states))
+    # Each component as a map of the states before; the noise is what is left without theirs.
+    rows = [[1.0 if i == j else 0.0 for j in front] for i in front]
+    spread = Matrix([[0.0] * len(front) for _ in front])
+    for motion in chain.motions:
+        assert motion.matrix is not None
+        matrix = w.matrix(motion.matrix, at)
+        rows += (matrix @ Matrix([rows[i] for i in motion.parents], len(front))).rows
+        spread = step.extend(spread, motion.parents, matrix, w.symmetric(motion.noise, at))
+    own = range(len(front), len(rows))
+    return Matrix([rows[i] for i in own]), spread.part(own, own)
+
+
 def _line(
     w: Writer, motion: Motion, at: Whole, before: Matrix, mean: Matrix, cov: Matrix
 ) -> Line:

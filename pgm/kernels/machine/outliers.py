@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from pgm.kernels import step
 from pgm.kernels.machine.cpd import traced
 from pgm.kernels.machine.numbers import Number
 from pgm.kernels.machine.told import Function, Gate, Loss, Sensor
@@ -105,7 +106,7 @@ class Weighing:
                 weight.set(kept[0].load(0))
                 of.set(kept[1].load(0))
         with code.when(self.again):
-            new = _by_count(w, loss.weight, count, [square])
+            new = weight_of(w, loss, square, count)
             active, old = self._active.get(), weight.get()
             change = where(active, abs(new - old), 0.0)
             self._moved.set(most(change, self._moved.get()))
@@ -119,6 +120,41 @@ class Weighing:
 def surplus(w: Writer, loss: Loss, square: Any, count: Any, weight: Any) -> Any:
     """The robust log-density of a sighting, less that of N(0, R / w)."""
     return _by_count(w, loss.surplus, count, [square, weight])
+
+
+def square_of(
+    w: Writer,
+    known: Sequence[Number] | None,
+    left: Matrix,
+    own: Matrix,
+    matrix: Matrix | None = None,
+    cov: Matrix | None = None,
+    error: Matrix | None = None,
+) -> tuple[Any, Any]:
+    """The square of a residual by its noise, and how many components it is of.
+
+    Components that are not `known` do not count. The rest is as of `step.weighed_square`.
+    """
+    if known is None:
+        return step.weighed_square(left, own, matrix, cov, error), float(own.shape[0])
+    slope = Matrix([()] * own.shape[0]) if matrix is None else matrix
+    seen = step.seen(known, left, slope, own)
+    if error is not None:
+        error = both_known(known, error)
+    slopes = None if matrix is None else seen.matrix
+    square = step.weighed_square(seen.residual, seen.noise, slopes, cov, error)
+    return square, w.sum([truth.number() for truth in known])
+
+
+def both_known(known: Sequence[Number], error: Matrix) -> Matrix:
+    """The entries of a covariance of which both components are known, and zero elsewhere."""
+    every = range(len(known))
+    return Matrix([where(known[i] & known[j], error[i, j], 0.0) for j in every] for i in every)
+
+
+def weight_of(w: Writer, loss: Loss, square: Any, count: Any) -> Any:
+    """The weight of a sighting whose residual has this square."""
+    return _by_count(w, loss.weight, count, [square])
 
 
 def cost_of(w: Writer, loss: Loss, square: Any, count: Any) -> Any:

@@ -5,16 +5,24 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from pgm.kernels import step
-from pgm.kernels.arrays import LAST_PLACES, LOG_2PI
+from pgm.kernels.arrays import LOG_2PI
 from pgm.kernels.gaussian import NEARLY_SINGULAR
 from pgm.kernels.machine.control import Anchor, Control, Solve, tried
 from pgm.kernels.machine.cpd import REGULAR, Line, keep, linearised
 from pgm.kernels.machine.numbers import Number
-from pgm.kernels.machine.outliers import REWEIGHINGS, Weighing, gated, kept_surplus, surplus
+from pgm.kernels.machine.outliers import (
+    REWEIGHINGS,
+    Weighing,
+    both_known,
+    gated,
+    kept_surplus,
+    surplus,
+)
+from pgm.kernels.machine.settling import Settling, moved
 from pgm.kernels.machine.told import Forward, Sensor
 from pgm.kernels.machine.wholes import Whole
 from pgm.kernels.machine.writer import Carried, Writer, chosen
-from pgm.kernels.numbers import Matrix, least, most, sqrt, where
+from pgm.kernels.numbers import Matrix, least, where
 
 # The part of S (10 + rᵀ S⁻¹ r) that noise has to exceed in all directions. Below, a belief that is
 # linearised again, or any, is not known to a billionth of a deviation: an order of sums shows. A
@@ -89,8 +97,13 @@ class Point(NamedTuple):
     anchor: Anchor | None = None
 
 
-def taken(w: Writer, chain: Forward, at: Whole, mean: Matrix, cov: Matrix) -> Taken:
-    """The belief given the measurements of a step, whose predicted moments are N(mean, cov)."""
+def taken(
+    w: Writer, chain: Forward, at: Whole, mean: Matrix, cov: Matrix, *, decided: bool = False
+) -> Taken:
+    """The belief given the measurements of a step, whose predicted moments are N(mean, cov).
+
+    `decided` says that gates have decided before.
+    """
     found = Taken(w, mean, cov)
     weighing = None
     if any(sensor.weighs for sensor in chain.sensors):
@@ -98,7 +111,8 @@ def taken(w: Writer, chain: Forward, at: Whole, mean: Matrix, cov: Matrix) -> Ta
     if chain.iterated:
         _iterated(w, chain, at, found, mean, cov, weighing)
     else:
-        _solved(w, chain, at, found, Point(mean, cov, mean, cov, None), weighing)
+        first = w.code.constant(False).lane(0) if decided else None
+        _solved(w, chain, at, found, Point(mean, cov, mean, cov, first), weighing)
     return found
 
 
@@ -112,43 +126,34 @@ def _iterated(
     weighing: Weighing | None,
 ) -> None:
     """Linearise again at what was found, until a belief settles."""
-    code, record = w.code, w.residuals
-    point = Carried(code, mean, cov)
-    tolerance, damping = w.settings.load(0), w.settings.load(1)
-    most_often, last = code.variable(code.whole(1)), code.variable(code.whole(0))
+    code = w.code
+    point, damping, settling = Carried(code, mean, cov), w.settings.load(1), Settling(w)
+    most_often = code.variable(code.whole(1))
     with code.when(_are_curved(w, chain, at)):
         most_often.set(w.iterations)
-    settled, made, residual = code.variable(False), code.variable(0.0), code.variable(0.0)
     control = Control(w, chain, at, mean, cov) if chain.controlled else None
     active = code.variable(True)
     with code.loop(most_often.get()) as k:
-        active.set(~settled.get())
+        active.set(~settling.settled)
         if control is None:
             with code.when(k > 0):
-                _move(point, found.moments, damping, settled.get())
+                _move(point, found.moments, damping, settling.settled)
         here = Point(mean, cov, point.mean, point.cov, k == 0)
         _solved(w, chain, at, found, here, weighing)
         with code.when(k > 0):
-            moved = _moved(found.moments, point.mean)
-            residual.set(moved)
-            made.set(where(settled.get(), made.get(), k.number()))
-            settled.set(settled.get() | ((moved <= tolerance) & found.settled))
-            _at_most(record, k - 1, moved)
-            last.set(k)
+            known = found.moments
+            far = moved(known.mean, known.cov.diagonal, point.mean)
+            settling.note(k, far, found.settled)
         if control is not None:
             with code.when(most_often.get() > 1):
-                parts = point, found.moments, active.get(), settled.get()
+                parts = point, found.moments, active.get(), settling.settled
                 found.doubt(control.step(*parts, _trial(w, chain, at, mean, cov)))
-        code.leave_when(code.every(settled.get()))
+        code.leave_when(code.every(settling.settled))
         code.leave_unless(code.some(found.sure))
-    if control is not None:
-        with code.when(most_often.get() > 1):  # the means that were accepted last
-            found.moments.set(control.shown, found.moments.cov)
     with code.when(most_often.get() > 1):
-        with code.loop(most_often.get() - 1, last.get()) as later:
-            _at_most(record, later, residual.get())
-        _at_most(record, most_often.get() - 1, made.get())
-        _at_most(record, most_often.get(), where(settled.get(), 0.0, 1.0))
+        if control is not None:  # the means that were accepted last
+            found.moments.set(control.shown, found.moments.cov)
+        settling.close(most_often.get())
 
 
 def _trial(w: Writer, chain: Forward, at: Whole, mean: Matrix, cov: Matrix) -> Solve:
@@ -208,26 +213,6 @@ def _move(point: Carried, found: Carried, damping: Number, settled: Number) -> N
         )
 
     point.set(mix(point.mean, found.mean), mix(point.cov, found.cov))
-
-
-def _moved(found: Carried, point: Matrix) -> Any:
-    """How far a mean is from where it was linearised, in deviations, as `moments.moved`."""
-    residual: Any = 0.0
-    for (new,), (old,), variance in zip(
-        found.mean.rows, point.rows, found.cov.diagonal, strict=True
-    ):
-        size, other = abs(new), abs(old)
-        unit = where(variance > 0.0, sqrt(variance), most(size, 1.0))
-        left = abs(new - old) - LAST_PLACES * most(size, other)
-        left = where(left < 0.0, 0.0, left) / unit  # NaN stays
-        residual = where(residual > left, residual, left)
-    return residual
-
-
-def _at_most(record: Any, place: Whole, value: Any) -> None:
-    """Let a number of a record be no less than a value."""
-    known = record.load(place)
-    record.store(place, where(known > value, known, value))
 
 
 def _once(
@@ -347,10 +332,7 @@ class _Sighting(NamedTuple):
         left, matrix, own = step.seen(known, left, matrix, line.own)
         error = line.error
         if error is not None:
-            every = range(len(known))
-            error = Matrix(
-                [where(known[i] & known[j], error[i, j], 0.0) for j in every] for i in every
-            )
+            error = both_known(known, error)
         return cls(left, matrix, own, error, w.sum([truth.number() for truth in known]))
 
     @property

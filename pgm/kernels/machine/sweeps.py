@@ -8,11 +8,12 @@ from functools import lru_cache
 from typing import Any
 
 from pgm.kernels import step
+from pgm.kernels.machine import windows
 from pgm.kernels.machine.kinds import ADDRESS, WHOLE
 from pgm.kernels.machine.module import Module
 from pgm.kernels.machine.motion import predicted
 from pgm.kernels.machine.reading import taken
-from pgm.kernels.machine.told import Backward, Forward
+from pgm.kernels.machine.told import Backward, Forward, Windows
 from pgm.kernels.machine.watch import Watch
 from pgm.kernels.machine.wholes import Whole
 from pgm.kernels.machine.writer import Carried, Writer
@@ -33,7 +34,7 @@ Sweep = Callable[[int, int, int], None]
 
 
 @lru_cache(maxsize=128)
-def made(chain: Forward | Backward, lanes: int) -> Sweep:
+def made(chain: Forward | Backward | Windows, lanes: int) -> Sweep:
     """The sweep of a chain, of single runs or of packs: ``sweep(table, first, last)``.
 
     It sweeps the runs from `first` to below `last`, of which there are as many as lanes at least.
@@ -45,6 +46,8 @@ def made(chain: Forward | Backward, lanes: int) -> Sweep:
     with _runs(w, first, last):
         if isinstance(chain, Forward):
             _forward(w, chain)
+        elif isinstance(chain, Windows):
+            _tell(w, LEFT, where(windows.written(w, chain), 0.0, 1.0))
         else:
             _backward(w, chain)
     return module.compile().callable("sweep")

@@ -21,8 +21,8 @@ from pgm.kernels.machine.memory import Runs
 # Of a chain's table: the last step T, how many runs there are, the most linearisations of a step's
 # measurements, the addresses of the settings (the tolerance and the damping; of a control the least
 # weight, its factor and the most tries), of the residuals of iterations (iterations + 1, runs), and
-# of how runs ended and went: (4, runs), see `sweeps`.
-LAST, RUNS, ITERATIONS, SETTINGS, RESIDUALS, ENDED, FIRST = range(7)
+# of how runs ended and went: (4, runs), see `sweeps`; and a lag.
+LAST, RUNS, ITERATIONS, SETTINGS, RESIDUALS, ENDED, LAG, FIRST = range(8)
 # Of an array: its address, and the distances in floats between rows, runs, and its own cells.
 ADDRESS, DOWN, ACROSS, CELL = range(4)
 
@@ -244,18 +244,6 @@ class Sensor(Row):
         return self.loss is not None and not self.loss.found
 
 
-def as_kept(sensor: Sensor, *, weighed: bool) -> Sensor:
-    """A sensor as it was linearised last; its noise is `weighed`, or still to be."""
-    readings = sensor.readings if sensor.moved is None else sensor.moved
-    kept = {"readings": readings, "moved": None, "angles": (), "kept": None}
-    loss = sensor.loss
-    if sensor.kept is not None and (weighed or loss is None):
-        kept["noise"] = sensor.kept
-    if loss is not None:
-        kept["loss"] = replace(loss, found=weighed)
-    return replace(sensor, function=None, points=None, inputs=None, **kept)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Forward:
     """A forward sweep: the slices of a chain predicted, and given the measurements of their steps.
@@ -288,6 +276,76 @@ class Forward:
     density: Array
     iterated: bool
     controlled: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Windows:
+    """The windows of a fixed lag that slide along a chain.
+
+    Attributes
+    ----------
+    ahead : Forward
+        The chain as each step is linearised first; its arrays of beliefs but `begin` are not used.
+    predicted, known, density, smoothed : tuple of Array, or Array
+        By step, means and covariances, and log-densities, of the last window of it.
+    newest, log_evidence : tuple of Array, and Array
+        The last beliefs of the window that ends at a step, and ln p of all measurements up to it.
+    point : tuple of Array
+        By row of a window, where CPDs are linearised: means, covariances and those of pairs of the
+        states and the next slice, so far as CPDs need them.
+    joint : Array or None
+        The covariances of pairs that are found.
+    """
+
+    ahead: Forward
+    predicted: tuple[Array, Array]
+    known: tuple[Array, Array]
+    density: Array
+    smoothed: tuple[Array, Array]
+    newest: tuple[Array, Array]
+    log_evidence: Array
+    point: tuple[Array, ...]
+    joint: Array | None = None
+
+    @property
+    def sensors(self) -> tuple[Sensor, ...]:
+        """The sensors of the chain."""
+        return self.ahead.sensors
+
+
+def kept_motion(motion: Motion) -> Motion:
+    """A CPD of a transition as it was linearised last."""
+    noise = motion.kept or motion.noise
+    return replace(
+        motion, function=None, points=None, inputs=None, noise=noise, kept=None, angles=(), turning=()
+    )
+
+
+def kept_sensor(sensor: Sensor, *, weighed: bool) -> Sensor:
+    """A sensor as it was linearised last; its noise is `weighed`, or still to be."""
+    readings = sensor.moved or sensor.readings
+    noise, loss = sensor.noise, sensor.loss
+    if sensor.kept is not None and (weighed or loss is None):
+        noise = sensor.kept
+    return replace(
+        sensor,
+        function=None,
+        points=None,
+        inputs=None,
+        noise=noise,
+        kept=None,
+        readings=readings,
+        moved=None,
+        angles=(),
+        loss=None if loss is None else replace(loss, found=weighed),
+    )
+
+
+def as_kept(chain: Forward) -> Forward:
+    """A chain as its CPDs were linearised, and sightings weighed, last."""
+    motions = tuple(map(kept_motion, chain.motions))
+    sensors = tuple(kept_sensor(sensor, weighed=True) for sensor in chain.sensors)
+    return replace(chain, motions=motions, sensors=sensors)
 
 
 @dataclass(frozen=True, kw_only=True)

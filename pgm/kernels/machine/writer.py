@@ -32,7 +32,8 @@ class Writer:
             array: (addresses.load(array.place), *map(wholes.load, _after(array.place)))
             for array in arrays(chain)
         }
-        sensors = chain.sensors if isinstance(chain, told.Forward) else ()
+        self.lag = wholes.load(told.LAG)
+        sensors = () if isinstance(chain, told.Backward) else chain.sensors
         due = [sensor.bounds for sensor in sensors if sensor.bounds is not None]
         self._bounds = {place: addresses.load(place) for place in due}
         self.run = code.whole(0)

@@ -28,13 +28,13 @@ from pgm.kernels.machine import sweeps, told
 from pgm.kernels.moments import Conditional
 from pgm.resources import in_threads
 from pgm.schedules.damping import LevenbergMarquardt
-from pgm.schedules.schedule import ONCE, Filtering
+from pgm.schedules.schedule import ONCE, Filtering, FixedLag
 
 # Machine code repays its making from a tenth of a second of the general kernels on: a step of theirs
 # takes as long as the arithmetic of so many runs, and these so many of half a microsecond each.
 _STEP, _LONG = 100, 250_000
 # Why runs are left to the general kernels, going forward and back.
-_FAR = "readings are too sharp, a covariance is singular, or numbers are too far apart"
+FAR = "readings are too sharp, a covariance is singular, or numbers are too far apart"
 _SINGULAR = "a covariance is singular on the way back"
 
 
@@ -92,7 +92,7 @@ def forward(
         return None
     asked = schedule or ONCE
     stored = schedule is None
-    table = Table(plan, _lanes(plan))
+    table = Table(plan, lanes_of(plan))
     controlled = isinstance(asked.damping, LevenbergMarquardt) and asked.iterations > 1
     try:
         why = unknown(plan)
@@ -107,17 +107,13 @@ def forward(
     except Uncompiled as error:
         plan.account.leave(str(error))
         return None
-    first = replace(plan, transition=[], sensors=[])
-    if plan.batch and plan.begin is None and all(link.family.uniform for link in plan.prior):
-        first = first.of(slice(0, 1))  # which is as all are
-    begin = MomentChain(first, schedule, keep=keep).start()
     if not predicted and any(f.compiled for f in plan.families):
         predicted = tuple(np.empty_like(part) for part in known[:2])  # for the judge alone
     iterated = asked.iterations > 1 and any(sensor.function for sensor in sensors)
     record = np.zeros((asked.iterations + 1, plan.runs if iterated else 0))
     if iterated:
         table.numbers[told.ITERATIONS] = asked.iterations
-        table.put(told.SETTINGS, _settings(asked))
+        table.put(told.SETTINGS, settings(asked))
         table.put(told.RESIDUALS, record)
     layout = plan.layout
     chain = told.Forward(
@@ -126,17 +122,17 @@ def forward(
         single=bool(layout.single),
         motions=motions,
         sensors=sensors,
-        begin=(table.array(_by_row(first, begin.mean, 1)), table.array(_by_row(first, begin.cov, 2))),
+        begin=begun(plan, schedule, table, keep=keep),
         predicted=tuple(map(table.array, predicted)),
         known=(table.array(known[0]), table.array(known[1])),
         density=table.array(known[2]),
         iterated=iterated,
         controlled=iterated and controlled,
     )
-    ended = _run(plan, chain, table, (*known, *predicted))
+    ended = run(plan, chain, table, (*known, *predicted))
     decided(table)
     left = stretches(ended[sweeps.LEFT] != 0.0)
-    _count(plan, left, _FAR)
+    count(plan, left, FAR)
     if schedule is not None:
         done = ended[sweeps.LEFT] == 0.0
         judge(plan, known, predicted or known, done, again=asked.iterations > 1)
@@ -149,7 +145,18 @@ def forward(
     return Swept(left, list(record[:longest]), converged, closest, far)
 
 
-def _settings(schedule: Filtering) -> Array:
+def begun(
+    plan: ChainPlan, schedule: Filtering | None, table: Table, *, keep: bool
+) -> tuple[told.Array, told.Array]:
+    """The moments of the belief with which a plan begins, told."""
+    first = replace(plan, transition=[], sensors=[])
+    if plan.batch and plan.begin is None and all(link.family.uniform for link in plan.prior):
+        first = first.of(slice(0, 1))  # which is as all are
+    belief = MomentChain(first, schedule, keep=keep).start()
+    return table.array(_by_row(first, belief.mean, 1)), table.array(_by_row(first, belief.cov, 2))
+
+
+def settings(schedule: Filtering | FixedLag) -> Array:
     """The settings of iterations, as of `told.SETTINGS`."""
     damping = schedule.damping
     if isinstance(damping, LevenbergMarquardt):
@@ -172,7 +179,7 @@ def backward(
     """
     if not is_used(plan):
         return None
-    table, layout = Table(plan, _lanes(plan)), plan.layout
+    table, layout = Table(plan, lanes_of(plan)), plan.layout
     lead, front, width = (plan.steps, plan.runs), layout.state_size, layout.slice_size
     states = Conditional(*(vacant(lead, own) for own in ((front, width), (front,), (front, front))))
     beliefs = None
@@ -189,18 +196,21 @@ def backward(
         smoothed=tuple(map(table.array, beliefs or ())),
         controls=tuple(map(table.array, slices or ())) if smooth else (),
     )
-    ended = _run(plan, chain, table, (*states, *(beliefs or ())))
+    ended = run(plan, chain, table, (*states, *(beliefs or ())))
     left = bool(ended[sweeps.LEFT].any())
-    _count(plan, [slice(0, plan.runs)] if left else [], _SINGULAR)
+    count(plan, [slice(0, plan.runs)] if left else [], _SINGULAR)
     return None if left else (states, beliefs)
 
 
-def _lanes(plan: ChainPlan) -> int:
+def lanes_of(plan: ChainPlan) -> int:
     return sweeps.LANES if plan.runs >= sweeps.LANES else 1
 
 
-def _run(
-    plan: ChainPlan, chain: told.Forward | told.Backward, table: Table, out: Sequence[Array]
+def run(
+    plan: ChainPlan,
+    chain: told.Forward | told.Backward | told.Windows,
+    table: Table,
+    out: Sequence[Array],
 ) -> Array:
     """Run a sweep on all runs of a plan; what it tells of each, (`sweeps.TOLD`, runs).
 
@@ -224,7 +234,7 @@ def _run(
     return ended
 
 
-def _count(plan: ChainPlan, left: list[slice], why: str) -> None:
+def count(plan: ChainPlan, left: list[slice], why: str) -> None:
     """Note in a plan's account how a sweep went: the runs that it left, and why."""
     account, runs = plan.account, sum(each.stop - each.start for each in left)
     account.compiled += runs < plan.runs

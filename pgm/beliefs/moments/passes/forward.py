@@ -368,7 +368,7 @@ class Pass:
             others = None if whole else partial(_stepwise, plan, schedule, *rest, keep=False)
             again = yield from _stepwise(part, schedule, *arrays, keep=keep, others=others)
             closest, converged[runs] = min(closest, again.closest), again.converged
-            residuals = _joined(residuals, again.residuals, runs, plan.runs)
+            residuals = joined(residuals, again.residuals, runs, plan.runs)
             if keep and not whole:
                 plan.put_runs(runs, part)
         return Swept([], residuals, converged, closest)
@@ -443,11 +443,11 @@ def _stepwise(
         chain = MomentChain(part, schedule, keep=keep, room=None if predicted else record.room)
         yield Part(chain, record, others)
         closest, converged[runs] = min(closest, record.watch.closest), chain.converged
-        residuals = _joined(residuals, chain.residuals, runs, plan.runs)
+        residuals = joined(residuals, chain.residuals, runs, plan.runs)
     return Swept([], residuals, converged, closest)
 
 
-def _joined(record: list[Array], part: list[Array], runs: slice, count: int) -> list[Array]:
+def joined(record: list[Array], part: list[Array], runs: slice, count: int) -> list[Array]:
     """The residuals of a sweep's iterations, in which some runs are replaced by those of `part`.
 
     `record` has an array (`count`,) for each iteration, over all `count` runs, and so has the

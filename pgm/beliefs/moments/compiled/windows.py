@@ -1,0 +1,145 @@
+"""The windows of a lag in machine code, which leave what those of the general kernels leave."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgm.beliefs.moments.compiled.judged import judge
+from pgm.beliefs.moments.compiled.plans import (
+    Table,
+    Uncompiled,
+    decided,
+    motion_of,
+    places,
+    sensor_of,
+    unknown,
+)
+from pgm.beliefs.moments.compiled.sweep import (
+    FAR,
+    Swept,
+    begun,
+    count,
+    is_used,
+    lanes_of,
+    run,
+    settings,
+    stretches,
+)
+from pgm.beliefs.moments.steps.plan import ChainPlan
+from pgm.compile.machine import CONTROL
+from pgm.kernels.arrays import Array, stacked
+from pgm.kernels.machine import sweeps, told
+from pgm.schedules.damping import LevenbergMarquardt
+from pgm.schedules.schedule import FixedLag
+
+Moments = tuple[Array, Array]
+# Why a flat prior leaves machine code.
+_FLAT = "a flat prior takes twice the digits"
+
+
+@dataclass(frozen=True, eq=False)
+class Room:
+    """The arrays that windows fill, (T+1, runs, ...), as of `fixed_lag`."""
+
+    predicted: Moments
+    known: Moments
+    density: Array
+    smoothed: Moments
+    newest: Moments
+    log_evidence: Array
+
+
+def slide(plan: ChainPlan, schedule: FixedLag, room: Room) -> Swept | None:
+    """Slide a window along a plan; None if it is not compiled.
+
+    The plan keeps the last linearisation of each CPD.
+    """
+    if not is_used(plan):
+        return None
+    table = Table(plan, lanes_of(plan))
+    try:
+        ahead = _ahead(plan, schedule, room, table)
+    except Uncompiled as error:
+        plan.account.leave(str(error))
+        return None
+    layout, lag = plan.layout, min(schedule.lag, plan.steps)
+    record = np.zeros((schedule.iterations + 1, plan.runs))
+    table.numbers[told.ITERATIONS], table.numbers[told.LAG] = schedule.iterations, lag
+    table.put(told.SETTINGS, settings(schedule))
+    table.put(told.RESIDUALS, record)
+
+    def windowed(rows: int, *own: int) -> told.Array:
+        return table.array(stacked((rows, plan.runs), own))
+
+    size, pair = layout.slice_size, layout.state_size + layout.slice_size
+    spread, joint = _needs(ahead)
+    point = [windowed(lag + 1, size)]
+    point += [windowed(lag + 1, size, size)] if spread else []
+    point += [windowed(lag + 1, pair, pair)] if joint else []
+    told_, arrays = table.array, room
+    chain = told.Windows(
+        ahead=ahead,
+        predicted=(told_(arrays.predicted[0]), told_(arrays.predicted[1])),
+        known=ahead.known,
+        density=ahead.density,
+        smoothed=(told_(arrays.smoothed[0]), told_(arrays.smoothed[1])),
+        newest=(told_(arrays.newest[0]), told_(arrays.newest[1])),
+        log_evidence=told_(arrays.log_evidence),
+        point=tuple(point),
+        joint=windowed(lag + 1, pair, pair) if joint else None,
+    )
+    ended = run(plan, chain, table, ())
+    decided(table)
+    left = stretches(ended[sweeps.LEFT] != 0.0)
+    count(plan, left, FAR)
+    done = ended[sweeps.LEFT] == 0.0
+    for moments in (room.known, room.smoothed):
+        judge(plan, moments, room.predicted, done, again=True)
+    longest = int(record[-2].max(initial=0.0))
+    return Swept(left, list(record[:longest]), record[-1] == 0.0, 0.0)
+
+
+def _ahead(plan: ChainPlan, schedule: FixedLag, room: Room, table: Table) -> told.Forward:
+    """The plan as each of its steps is linearised first."""
+    why = unknown(plan)
+    if isinstance(schedule.damping, LevenbergMarquardt):
+        raise Uncompiled(CONTROL)
+    if why is not None:
+        raise Uncompiled(why)
+    for link in plan.prior:
+        if not link.family.exact:
+            raise Uncompiled(f"{link.family.cpd!r} is a prior that is linearised again")
+        if np.isinf(link.family.own_noise).any():
+            raise Uncompiled(_FLAT)
+    motions = [motion_of(plan, link, table, stored=False, keep=True) for link in plan.transition]
+    sensors = [
+        sensor_of(plan, sensor, table, stored=False, keep=True, gate=schedule.gate)
+        for sensor in plan.read
+    ]
+    layout = plan.layout
+    return told.Forward(
+        size=layout.slice_size,
+        states=places(layout.state_places, layout.slice_size),
+        single=bool(layout.single),
+        motions=tuple(motions),
+        sensors=tuple(sensors),
+        begin=begun(plan, schedule.first, table, keep=True),
+        predicted=(),
+        known=(table.array(room.known[0]), table.array(room.known[1])),
+        density=table.array(room.density),
+        iterated=False,
+    )
+
+
+def _needs(ahead: told.Forward) -> tuple[bool, bool]:
+    """Whether CPDs are linearised by covariances of slices, and by those of pairs."""
+    front = len(ahead.states)
+    pairs = any(
+        motion.points is not None and max(motion.parents, default=0) >= front
+        for motion in ahead.motions
+    )
+    rows = (*ahead.motions, *ahead.sensors)
+    expects = any(sensor.loss is not None and sensor.loss.expects for sensor in ahead.sensors)
+    return pairs or expects or any(row.points is not None for row in rows), pairs
