@@ -26,7 +26,7 @@ from pgm.linearisers import (
 )
 from pgm.linearisers.regression import FEW
 from pgm.resources import optional
-from pgm.schedules.schedule import Smoothing
+from pgm.schedules.schedule import Filtering
 
 
 @public
@@ -66,7 +66,6 @@ MOST = 60
 # Why a schedule, or a filter's settings online, leave machine code.
 GATE = "a gate (gate=) decides at one predicted belief after another"
 CONTROL = "Levenberg–Marquardt (damping=) judges all steps of a smoother together"
-WINDOWS = "the windows of a lag with iterations slide one after another"
 POINTS = "iterations of rules with points, or of differences, linearise all steps by NumPy"
 COMPILED = "compiled"
 # None leaves it to the size of the work.
@@ -147,10 +146,8 @@ class Compilation(Told[CPD]):
             ``"compiled"``, or ``"left to NumPy: ..."`` with the reasons, first the schedule's, then
             the CPDs'.
         """
-        several = getattr(schedule, "iterations", 1) > 1
         control = not is_number(getattr(schedule, "damping", 0.0))
-        why = [CONTROL] if control and isinstance(schedule, Smoothing) else []
-        why += [WINDOWS] if several and getattr(schedule, "lag", 0) else []
+        why = [CONTROL] if control and not isinstance(schedule, Filtering) else []
         why += [f"{cpd!r}: {words}" for cpd, words in self.items() if words != COMPILED]
         return f"left to NumPy: {'; '.join(why)}" if why else COMPILED
 
@@ -161,7 +158,7 @@ class Compilation(Told[CPD]):
         super().__init__(
             f"Compilation of {of}",
             found,
-            "Levenberg–Marquardt and the windows of a lag leave machine code as well: "
+            "Levenberg–Marquardt leaves machine code as well, but in a filter: "
             "posterior.status.compilation tells of a call",
         )
 

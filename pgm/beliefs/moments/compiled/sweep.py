@@ -52,12 +52,15 @@ class Swept:
     far: bool = True
 
 
-def is_used(plan: ChainPlan) -> bool:
-    """Whether a plan is to be swept in machine code; its account says why not."""
+def is_used(plan: ChainPlan, times: int = 1) -> bool:
+    """Whether a plan is to be swept in machine code; its account says why not.
+
+    A step of the general kernels takes so many `times` that of a filter, beside making the code.
+    """
     choice, account = plan.layout.compiled, plan.account
     if choice is False:
         account.rest = "compiled=False"
-    elif choice is None and plan.steps * (_STEP + plan.runs) < _LONG:
+    elif choice is None and times * plan.steps * (_STEP + plan.runs) < _LONG:
         account.rest = "machine code is made for longer work, or by compiled=True"
     elif choice is None and find_spec("llvmlite") is None:
         account.rest = "llvmlite is not installed"

@@ -35,6 +35,8 @@ from pgm.schedules.damping import LevenbergMarquardt
 from pgm.schedules.schedule import FixedLag
 
 Moments = tuple[Array, Array]
+# How much longer a step takes than that of a filter, as code takes longer to be made.
+_TIMES = 8
 # Why a flat prior leaves machine code.
 _FLAT = "a flat prior takes twice the digits"
 
@@ -56,7 +58,7 @@ def slide(plan: ChainPlan, schedule: FixedLag, room: Room) -> Swept | None:
 
     The plan keeps the last linearisation of each CPD.
     """
-    if not is_used(plan):
+    if not is_used(plan, _TIMES):
         return None
     table = Table(plan, lanes_of(plan))
     try:

@@ -24,6 +24,7 @@ from pgm.beliefs.moments.passes.backward import Beliefs, Reverse
 from pgm.beliefs.moments.passes.forward import Forward, joined
 from pgm.beliefs.moments.smoothers.smoother import Chain, Either, swept
 from pgm.beliefs.moments.steps import cost
+from pgm.beliefs.moments.steps.account import Account
 from pgm.beliefs.moments.steps.chain import largest
 from pgm.beliefs.moments.steps.diffuse import Diffuse
 from pgm.beliefs.moments.steps.plan import ChainPlan
@@ -112,18 +113,23 @@ def slide(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
     else:
         record.residuals, record.converged = slid.residuals, slid.converged
         for runs in slid.left:
-            part = plan.of(runs)
+            part = plan if runs == slice(0, plan.runs) else plan.of(runs)
             own = _Record(part)
             _slide(part, schedule, own)
             record.take(runs, own)
-            plan.put_runs(runs, part)
+            if part is not plan:
+                plan.put_runs(runs, part)
     for family in plan.families:
         family.settle()
     return record.found
 
 
 def _slide(plan: ChainPlan, schedule: FixedLag, record: _Record) -> None:
-    """Slide a window along a plan by the general kernels."""
+    """Slide a window along a plan by the general kernels.
+
+    The plan keeps the last linearisation of each CPD.
+    """
+    plan = replace(plan, layout=replace(plan.layout, compiled=False), account=Account())
     begin: Beginning | None = None
     window: Window | None = None
     for step in counted(range(plan.steps + 1), "windows"):
