@@ -26,7 +26,6 @@ from pgm.linearisers import (
 )
 from pgm.linearisers.regression import FEW
 from pgm.resources import optional
-from pgm.schedules.schedule import Filtering
 
 
 @public
@@ -65,8 +64,7 @@ RULES = Unscented, Cubature, GaussHermite
 MOST = 60
 # Why a schedule, or a filter's settings online, leave machine code.
 GATE = "a gate (gate=) decides at one predicted belief after another"
-CONTROL = "Levenberg–Marquardt (damping=) judges all steps of a smoother together"
-POINTS = "iterations of rules with points, or of differences, linearise all steps by NumPy"
+CONTROL = "Levenberg–Marquardt (damping=) judges the windows of a lag"
 COMPILED = "compiled"
 # None leaves it to the size of the work.
 Choice = bool | Compiled | None
@@ -127,8 +125,8 @@ class Compilation(Told[CPD]):
     ['compiled', 'compiled', 'compiled']
     >>> compilation.under(pgm.Filtering(gate=0.99))
     'compiled'
-    >>> compilation.under(pgm.Smoothing(iterations=9, damping=pgm.LevenbergMarquardt()))
-    'left to NumPy: Levenberg–Marquardt (damping=) judges all steps of a smoother together'
+    >>> compilation.under(pgm.FixedLag(5, iterations=3, damping=pgm.LevenbergMarquardt()))
+    'left to NumPy: Levenberg–Marquardt (damping=) judges the windows of a lag'
     """
 
     __slots__ = ()
@@ -147,7 +145,8 @@ class Compilation(Told[CPD]):
             the CPDs'.
         """
         control = not is_number(getattr(schedule, "damping", 0.0))
-        why = [CONTROL] if control and not isinstance(schedule, Filtering) else []
+        several = getattr(schedule, "iterations", 1) > 1
+        why = [CONTROL] if control and several and getattr(schedule, "lag", 0) else []
         why += [f"{cpd!r}: {words}" for cpd, words in self.items() if words != COMPILED]
         return f"left to NumPy: {'; '.join(why)}" if why else COMPILED
 
@@ -158,7 +157,7 @@ class Compilation(Told[CPD]):
         super().__init__(
             f"Compilation of {of}",
             found,
-            "Levenberg–Marquardt leaves machine code as well, but in a filter: "
+            "Levenberg–Marquardt of the windows of a lag leaves machine code as well: "
             "posterior.status.compilation tells of a call",
         )
 

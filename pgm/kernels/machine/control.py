@@ -15,7 +15,7 @@ from pgm.kernels import step
 from pgm.kernels.machine.cpd import REGULAR, evaluated, linearised
 from pgm.kernels.machine.numbers import Number
 from pgm.kernels.machine.outliers import cost_of, is_rejected, square_of
-from pgm.kernels.machine.told import Forward, Sensor, kept_sensor
+from pgm.kernels.machine.told import Forward, Row, Sensor, kept_sensor
 from pgm.kernels.machine.wholes import Whole
 from pgm.kernels.machine.writer import Carried, Writer, chosen, held
 from pgm.kernels.numbers import Matrix, least, most, sqrt, where
@@ -154,9 +154,7 @@ class _Prior:
     def square(self, x: Matrix) -> tuple[Any, Any]:
         """(x − m)ᵀ P⁻¹ (x − m), and the share of P."""
         left = (x - self._mean).rows
-        counted = Matrix.column(
-            where(open_, left[i][0], 0.0) for i, open_ in enumerate(self._open)
-        )
+        counted = Matrix.column(where(open_, left[i][0], 0.0) for i, open_ in enumerate(self._open))
         white = self._root.solve(counted)
         return (white.T @ white)[0, 0], self._root.share
 
@@ -167,12 +165,13 @@ def cost(w: Writer, sensor: Sensor, at: Whole, x: Matrix, cov: Matrix) -> tuple[
     It is rᵀ R⁻¹ r of the residual r and the noise R as it was linearised, or twice a robust loss.
     """
     parents = sensor.parents
-    value = _expected(w, sensor, at, x.part(parents, (0,)), cov.part(parents, parents))
+    value = expected(w, sensor, at, x.part(parents, (0,)), cov.part(parents, parents))
     readings = [number for (number,) in w.column(sensor.readings, at).rows]
     for k in sensor.angles:
         readings[k] = step.nearest(readings[k], value[k, 0])
     kept, left = kept_sensor(sensor, weighed=False), Matrix.column(readings) - value
-    noise, seen = w.symmetric(kept.noise, at), ()
+    noise = w.symmetric(kept.noise, at)
+    seen: tuple[Matrix, ...] = ()
     if sensor.loss is not None and sensor.loss.expects:
         assert kept.matrix is not None
         seen = w.matrix(kept.matrix, at), cov.part(parents, parents)
@@ -185,12 +184,12 @@ def cost(w: Writer, sensor: Sensor, at: Whole, x: Matrix, cov: Matrix) -> tuple[
     return square, noise.root().share
 
 
-def _expected(w: Writer, sensor: Sensor, at: Whole, x: Matrix, cov: Matrix) -> Matrix:
-    """The mean of a reading under a belief over the parents of its sensor."""
-    if sensor.function is not None and (sensor.points is None or not x.shape[0]):
+def expected(w: Writer, cpd: Row, at: Whole, x: Matrix, cov: Matrix) -> Matrix:
+    """The mean of a CPD's child at a row, under a belief over its parents."""
+    if cpd.function is not None and (cpd.points is None or not x.shape[0]):
         numbers = [number for (number,) in x.rows]
-        return Matrix.column(evaluated(w, sensor, at, numbers)[0])
-    return linearised(w, sensor, at, x, cov).value
+        return Matrix.column(evaluated(w, cpd, at, numbers)[0])
+    return linearised(w, cpd, at, x, cov).value
 
 
 def _vector(code: Any, numbers: Matrix) -> list[Any]:

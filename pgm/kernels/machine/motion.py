@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import pi
 from typing import Any, NamedTuple
 
@@ -54,7 +55,7 @@ def transition(w: Writer, chain: Forward, at: Whole) -> tuple[Matrix, Matrix]:
         return w.matrix(motion.matrix, at), w.symmetric(motion.noise, at)
     front = range(len(chain.states))
     # Each component as a map of the states before; the noise is what is left without theirs.
-    rows = [[1.0 if i == j else 0.0 for j in front] for i in front]
+    rows: list[Sequence[Any]] = [[1.0 if i == j else 0.0 for j in front] for i in front]
     spread = Matrix([[0.0] * len(front) for _ in front])
     for motion in chain.motions:
         assert motion.matrix is not None

@@ -108,11 +108,16 @@ def taken(
     weighing = None
     if any(sensor.weighs for sensor in chain.sensors):
         weighing = Weighing(w, mean, cov)
+    anchor = None
+    if chain.anchor:
+        means, std, weight = chain.anchor
+        deviations = [s for (s,) in w.column(std, at).rows]
+        anchor = Anchor(w.column(means, at), deviations, w.at(weight).load(0))
     if chain.iterated:
         _iterated(w, chain, at, found, mean, cov, weighing)
     else:
         first = w.code.constant(False).lane(0) if decided else None
-        _solved(w, chain, at, found, Point(mean, cov, mean, cov, first), weighing)
+        _solved(w, chain, at, found, Point(mean, cov, mean, cov, first, anchor), weighing)
     return found
 
 

@@ -1,16 +1,26 @@
-"""CPDs linearised again at beliefs over all steps, as iterated smoothers do, and kept so."""
+"""CPDs linearised again at beliefs over all steps, as iterated smoothers do, and kept so.
+
+What is written tells whether linearisations are right, so far as can be told.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from pgm.kernels import step
 from pgm.kernels.machine.cpd import Line, keep, linearised
+from pgm.kernels.machine.numbers import Number
 from pgm.kernels.machine.outliers import is_rejected, square_of, weight_of
-from pgm.kernels.machine.told import Array, Forward, Motion, Sensor
+from pgm.kernels.machine.told import Array, Forward, Linearised, Motion, Sensor
 from pgm.kernels.machine.wholes import Whole
 from pgm.kernels.machine.writer import Writer
 from pgm.kernels.numbers import Matrix, nearest_whole
+
+
+# A number from which on little or nothing can be told.
+_LARGEST = 1e150
+Steps = Forward | Linearised
 
 
 class Beliefs(NamedTuple):
@@ -24,46 +34,71 @@ class Beliefs(NamedTuple):
     joint: Array | None = None
 
 
-def move(w: Writer, chain: Forward, at: Whole, beliefs: Beliefs, row: Whole) -> None:
-    """Linearise the transition at a row of its own, from the belief at a row to that after it."""
+def written(w: Writer, chain: Linearised) -> Number:
+    """Write the linearisation of all steps."""
+    code, beliefs = w.code, Beliefs(*chain.point)
+    sure = code.variable(True)
+    with code.loop(w.last + 1) as at:
+        with code.when(at > 0):
+            sure.set(sure.get() & move(w, chain, at - 1, beliefs, at - 1))
+        sure.set(sure.get() & read(w, chain, at, beliefs, at))
+    return sure.get()
+
+
+def pair_at(
+    w: Writer, chain: Steps, beliefs: Beliefs, row: Whole
+) -> Iterator[tuple[Motion, Matrix, Matrix, list[Any]]]:
+    """The CPDs of a transition from one row to the next, with the moments of their parents.
+
+    The last are the means of their children.
+    """
     front = chain.states
     before, after = w.column(beliefs.mean, row), w.column(beliefs.mean, row + 1)
     pair = Matrix([*before.part(front, (0,)).rows, *after.rows])
-    size, states = pair.shape[0], range(len(front))
-    own = joint = _nothing(size)
+    own = joint = _nothing(pair.shape[0])
     if beliefs.cov is not None:
         own = w.symmetric(beliefs.cov, row).part(front, front)
     if beliefs.joint is not None:
         joint = w.symmetric(beliefs.joint, row)
     child = len(front)
     for motion in chain.motions:
+        places, last = motion.parents, child + motion.height
+        cov = joint if max(places, default=0) >= len(front) else own
+        means = [number for (number,) in pair.rows[child:last]]
+        yield motion, pair.part(places, (0,)), cov.part(places, places), means
+        child = last
+
+
+def move(w: Writer, chain: Steps, at: Whole, beliefs: Beliefs, row: Whole) -> Number:
+    """Linearise the transition at a row of its own, from the belief at a row to that after it."""
+    sure = w.true
+    for motion, mean, cov, child in pair_at(w, chain, beliefs, row):
         if motion.function is not None:
-            places = motion.parents
-            within = all(place in states for place in places)
-            cov = (own if within else joint).part(places, places)
-            line = linearised(w, motion, at, pair.part(places, (0,)), cov)
-            line = _on_chart(motion, line, [number for (number,) in pair.rows[child:]])
-            keep(w, motion, at, pair.part(places, (0,)), line)
+            line = _on_chart(motion, linearised(w, motion, at, mean, cov), child)
+            keep(w, motion, at, mean, line)
             w.keep(motion.kept, line.noise, at)
-        child += motion.height
+            sure = sure & _is_sure(w, line)
+    return sure
 
 
-def read(w: Writer, chain: Forward, at: Whole, beliefs: Beliefs, row: Whole) -> None:
+def read(w: Writer, chain: Steps, at: Whole, beliefs: Beliefs, row: Whole) -> Number:
     """Linearise, and weigh, the sightings of a step at the belief at a row."""
     mean = w.column(beliefs.mean, row)
     cov = None if beliefs.cov is None else w.symmetric(beliefs.cov, row)
+    sure = w.code.variable(True)
     for sensor in chain.sensors:
         if sensor.function is None and sensor.loss is None and sensor.moved is None:
             continue
         if sensor.bounds is None:
-            _read(w, sensor, at, mean, cov)
+            sure.set(sure.get() & _read(w, sensor, at, mean, cov))
             continue
         first, last = w.sightings(sensor, at)
         with w.code.loop(last, first) as sighting:
-            _read(w, sensor, sighting, mean, cov)
+            sure.set(sure.get() & _read(w, sensor, sighting, mean, cov))
+    return sure.get()
 
 
-def _read(w: Writer, sensor: Sensor, at: Whole, mean: Matrix, cov: Matrix | None) -> None:
+def _read(w: Writer, sensor: Sensor, at: Whole, mean: Matrix, cov: Matrix | None) -> Number:
     places = sensor.parents
     x = mean.part(places, (0,))
     spread = _nothing(len(places)) if cov is None else cov.part(places, places)
@@ -89,6 +124,13 @@ def _read(w: Writer, sensor: Sensor, at: Whole, mean: Matrix, cov: Matrix | None
         noise = line.own.scaled(1.0 / weight)
         noise = noise if line.error is None else noise + line.error
     w.keep(sensor.kept, noise, at)
+    return _is_sure(w, line)
+
+
+def _is_sure(w: Writer, line: Line) -> Number:
+    """Whether a linearisation is finite, and right so far as can be told."""
+    total = w.sum([abs(x) for part in (line.matrix, line.value) for row in part.rows for x in row])
+    return line.sure & (total < _LARGEST)
 
 
 def _on_chart(motion: Motion, line: Line, child: list[Any]) -> Line:

@@ -8,12 +8,12 @@ from functools import lru_cache
 from typing import Any
 
 from pgm.kernels import step
-from pgm.kernels.machine import windows
+from pgm.kernels.machine import costs, relinearising, windows
 from pgm.kernels.machine.kinds import ADDRESS, WHOLE
 from pgm.kernels.machine.module import Module
 from pgm.kernels.machine.motion import predicted
 from pgm.kernels.machine.reading import taken
-from pgm.kernels.machine.told import Backward, Forward, Windows
+from pgm.kernels.machine.told import Backward, Forward, Linearised, Windows
 from pgm.kernels.machine.watch import Watch
 from pgm.kernels.machine.wholes import Whole
 from pgm.kernels.machine.writer import Carried, Writer
@@ -31,10 +31,11 @@ _LARGEST = 1e150
 _CORRELATED = 3e-5
 
 Sweep = Callable[[int, int, int], None]
+Chain = Forward | Backward | Windows | Linearised
 
 
 @lru_cache(maxsize=128)
-def made(chain: Forward | Backward | Windows, lanes: int) -> Sweep:
+def made(chain: Chain, lanes: int) -> Sweep:
     """The sweep of a chain, of single runs or of packs: ``sweep(table, first, last)``.
 
     It sweeps the runs from `first` to below `last`, of which there are as many as lanes at least.
@@ -48,6 +49,9 @@ def made(chain: Forward | Backward | Windows, lanes: int) -> Sweep:
             _forward(w, chain)
         elif isinstance(chain, Windows):
             _tell(w, LEFT, where(windows.written(w, chain), 0.0, 1.0))
+        elif isinstance(chain, Linearised):
+            written = relinearising.written if chain.cost is None else costs.written
+            _tell(w, LEFT, where(written(w, chain), 0.0, 1.0))
         else:
             _backward(w, chain)
     return module.compile().callable("sweep")

@@ -263,6 +263,8 @@ class Forward:
         The log-densities of each step's measurements.
     iterated, controlled : bool
         Whether measurements are linearised again, and whether a cost judges where.
+    anchor : tuple of Array
+        Means and deviations by step, and weights, of an anchor; empty if there is none.
     """
 
     size: int
@@ -276,6 +278,7 @@ class Forward:
     density: Array
     iterated: bool
     controlled: bool = False
+    anchor: tuple[Array, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -311,6 +314,28 @@ class Windows:
     def sensors(self) -> tuple[Sensor, ...]:
         """The sensors of the chain."""
         return self.ahead.sensors
+
+
+@dataclass(frozen=True, kw_only=True)
+class Linearised:
+    """A chain that is linearised at beliefs over all steps, or the costs of their means.
+
+    Attributes
+    ----------
+    states, motions, sensors
+        As of `Forward`.
+    point : tuple of Array
+        Means of the slices, their covariances, and those of pairs of the states and the next slice,
+        so far as CPDs need them.
+    cost : Array or None
+        Where the cost of each run is put, without the prior's; None linearises.
+    """
+
+    states: tuple[int, ...]
+    motions: tuple[Motion, ...]
+    sensors: tuple[Sensor, ...]
+    point: tuple[Array, ...]
+    cost: Array | None = None
 
 
 def kept_motion(motion: Motion) -> Motion:

@@ -86,10 +86,10 @@ class _Window:
             known = self._known(self._newest - 1)
             after = predicted(w, ahead, self._newest - 1, *known)
             belief.set(after.mean, after.cov)
-            self._certain.set(self._certain.get() & after.sure)
+            self._be_sure(after.sure)
         found = taken(w, ahead, self._newest, belief.mean, belief.cov)
         share = step.open_share(belief.cov)
-        self._certain.set(self._certain.get() & found.sure & (share > _MODERATE))
+        self._be_sure(found.sure & (share > _MODERATE))
 
     def settle(self) -> None:
         """Smooth the window again and again, until its means settle."""
@@ -151,9 +151,9 @@ class _Window:
                 if point.joint is not None:
                     assert chain.joint is not None
                     follow(point.joint, chain.joint, row - 1, row - 1)
-                relinearising.move(w, chain.ahead, at - 1, point, row - 1)
+                self._be_sure(relinearising.move(w, chain.ahead, at - 1, point, row - 1))
             with code.when((at > first) | (first == 0)):
-                relinearising.read(w, chain.ahead, at, point, row)
+                self._be_sure(relinearising.read(w, chain.ahead, at, point, row))
 
     def _smooth(self) -> None:
         """Sweep forward and back with CPDs as they are linearised."""
@@ -233,8 +233,12 @@ class _Window:
         known = self._chain.known
         return self._w.column(known[0], at), self._w.symmetric(known[1], at)
 
+    def _be_sure(self, sure: Number) -> None:
+        """Note that all iterations are right only if this is."""
+        self._certain.set(self._certain.get() & sure)
+
     def _doubt(self, sure: Number) -> None:
-        """Note that the window is right only if this is."""
+        """Note that the last solution is right only if this is."""
         self._sound.set(self._sound.get() & sure)
 
 

@@ -50,7 +50,7 @@ def told(model, schedule, compiled=True, evidence=EVIDENCE, **options):
         (pgm.FixedLag(4, gate=0.99), True, ""),
         (pgm.FixedLag(4, iterations=3, tolerance=0), True, ""),
         (pgm.FixedLag(4, iterations=3, tolerance=0, damping=CONTROL), True, "Levenberg"),
-        (pgm.Smoothing(iterations=4, tolerance=0, damping=CONTROL), False, "Levenberg"),
+        (pgm.Smoothing(iterations=4, tolerance=0, damping=CONTROL), True, ""),
     ],
 )
 def test_schedules(schedule, whole, why):
@@ -97,7 +97,7 @@ def test_the_lineariser_of_a_call():
     assert few.compilation == "compiled"
     rule = {"lineariser": pgm.Unscented()}
     again = told(network(), pgm.Smoothing(iterations=3, tolerance=0), **rule)[0]
-    assert "linearise all steps by NumPy" in again.compilation
+    assert again.compilation == "compiled"
 
 
 @pytest.mark.parametrize("name", ["plain", "everything", "an exact range", "noise by landmark"])

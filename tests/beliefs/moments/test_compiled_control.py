@@ -75,7 +75,7 @@ def test_weights_and_tries(control, runs):
     options = {"iterations": 8, "damping": pgm.LevenbergMarquardt(*control)}
     found = both(pgm.filter, steep(), readings(runs), **options)
     assert_posterior(*found, smooth=False)
-    assert found[0].status.compilation .startswith("compiled")
+    assert found[0].status.compilation.startswith("compiled")
 
 
 @pytest.mark.parametrize("runs", [(), (9,)])
@@ -85,7 +85,7 @@ def test_robust_noise(noise, runs):
     options = {"iterations": 6, "damping": CONTROL}
     found = both(pgm.filter, steep(noise=noise), evidence, **options)
     assert_posterior(*found, smooth=False, tolerance=1e-8)
-    assert found[0].status.compilation .startswith("compiled")
+    assert found[0].status.compilation.startswith("compiled")
 
 
 def test_expected_losses_are_left_to_numpy():
@@ -102,7 +102,7 @@ def test_gates(runs):
     options = {"iterations": 6, "damping": CONTROL, "gate": 0.9}
     found, due = both(pgm.filter, steep(), evidence, **options)
     assert_posterior(found, due, smooth=False)
-    assert found.status.compilation .startswith("compiled")
+    assert found.status.compilation.startswith("compiled")
 
 
 @pytest.mark.parametrize("rule", ["taylor", "unscented"])
@@ -118,7 +118,7 @@ def test_hidden_controls_and_several_sensors():
     options = {"steps": steps, "iterations": 20, "damping": CONTROL}
     found = both(pgm.filter, model, evidence, **options)
     assert_posterior(*found, smooth=False)
-    assert found[0].status.compilation .startswith("compiled")
+    assert found[0].status.compilation.startswith("compiled")
 
 
 def test_a_point_beyond_the_domain_of_a_function_costs_more_than_any():

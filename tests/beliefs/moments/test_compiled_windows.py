@@ -109,9 +109,7 @@ def test_an_affine_chain_settles_at_once():
     model, evidence, steps, _ = drawn(1, False)
     noise = pgm.LinearGaussianCPD(Z, {X: [[1.0, 0.5]]}, cov=0.2, noise=pgm.Huber(2.0))
     found, due = both(pgm.smooth, model, evidence, lag=2, iterations=4, steps=steps)
-    assert_belief(
-        found[model.states[0]], due[model.states[0]].mean, due[model.states[0]].cov, 1e-9
-    )
+    assert_belief(found[model.states[0]], due[model.states[0]].mean, due[model.states[0]].cov, 1e-9)
     robust = steep().replace(observation=[noise])
     evidence = {Z: readings(())[Z]}
     assert_lagged(*both(pgm.smooth, robust, evidence, lag=2, iterations=4))

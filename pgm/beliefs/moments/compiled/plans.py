@@ -102,6 +102,27 @@ def unknown(plan: ChainPlan) -> str | None:
     return None
 
 
+def require_affine_prior(plan: ChainPlan) -> None:
+    """Refuse a plan whose prior would be linearised again."""
+    for link in plan.prior:
+        if not link.family.exact:
+            raise Uncompiled(f"{link.family.cpd!r} is a prior that is linearised again")
+
+
+def needed(
+    motions: Sequence[told.Motion], sensors: Sequence[told.Sensor], front: int
+) -> tuple[bool, bool]:
+    """Whether CPDs are linearised by covariances of slices, and by those of pairs.
+
+    `front` is how many components the states have.
+    """
+    pairs = any(
+        motion.points is not None and max(motion.parents, default=0) >= front for motion in motions
+    )
+    expects = any(sensor.loss is not None and sensor.loss.expects for sensor in sensors)
+    return pairs or expects or any(row.points is not None for row in (*motions, *sensors)), pairs
+
+
 def motion_of(
     plan: ChainPlan, link: Link, table: Table, *, stored: bool, keep: bool
 ) -> told.Motion:

@@ -28,6 +28,7 @@ from pgm.kernels.machine import sweeps, told
 from pgm.kernels.moments import Conditional
 from pgm.resources import in_threads
 from pgm.schedules.damping import LevenbergMarquardt
+from pgm.schedules.iteration import Anchor
 from pgm.schedules.schedule import ONCE, Filtering, FixedLag
 
 # Machine code repays its making from a tenth of a second of the general kernels on: a step of theirs
@@ -77,6 +78,7 @@ def forward(
     predicted: tuple[Array, ...] = (),
     *,
     keep: bool,
+    anchor: Anchor | None = None,
 ) -> Swept | None:
     """Sweep a plan forward into arrays of its record; None if it is not compiled.
 
@@ -90,6 +92,8 @@ def forward(
         them, if they are kept.
     keep : bool
         Whether the plan keeps how it is linearised.
+    anchor : Anchor or None
+        A measurement of all components, for the trial of a step control.
     """
     if not is_used(plan):
         return None
@@ -119,6 +123,10 @@ def forward(
         table.put(told.SETTINGS, settings(asked))
         table.put(told.RESIDUALS, record)
     layout = plan.layout
+    held: tuple[told.Array, ...] = ()
+    if anchor is not None:
+        weight = np.ascontiguousarray(np.broadcast_to(anchor.weight, plan.runs))[None]
+        held = table.array(anchor.mean), table.array(anchor.std), table.array(weight)
     chain = told.Forward(
         size=layout.slice_size,
         states=places(layout.state_places, layout.slice_size),
@@ -131,6 +139,7 @@ def forward(
         density=table.array(known[2]),
         iterated=iterated,
         controlled=iterated and controlled,
+        anchor=held,
     )
     ended = run(plan, chain, table, (*known, *predicted))
     decided(table)
@@ -211,7 +220,7 @@ def lanes_of(plan: ChainPlan) -> int:
 
 def run(
     plan: ChainPlan,
-    chain: told.Forward | told.Backward | told.Windows,
+    chain: sweeps.Chain,
     table: Table,
     out: Sequence[Array],
 ) -> Array:

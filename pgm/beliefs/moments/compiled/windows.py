@@ -12,7 +12,9 @@ from pgm.beliefs.moments.compiled.plans import (
     Uncompiled,
     decided,
     motion_of,
+    needed,
     places,
+    require_affine_prior,
     sensor_of,
     unknown,
 )
@@ -76,10 +78,8 @@ def slide(plan: ChainPlan, schedule: FixedLag, room: Room) -> Swept | None:
         return table.array(stacked((rows, plan.runs), own))
 
     size, pair = layout.slice_size, layout.state_size + layout.slice_size
-    spread, joint = _needs(ahead)
-    point = [windowed(lag + 1, size)]
-    point += [windowed(lag + 1, size, size)] if spread else []
-    point += [windowed(lag + 1, pair, pair)] if joint else []
+    spread, joint = needed(ahead.motions, ahead.sensors, len(ahead.states))
+    owns = [(size,), (size, size), (pair, pair)][: 1 + spread + joint]
     told_, arrays = table.array, room
     chain = told.Windows(
         ahead=ahead,
@@ -89,7 +89,7 @@ def slide(plan: ChainPlan, schedule: FixedLag, room: Room) -> Swept | None:
         smoothed=(told_(arrays.smoothed[0]), told_(arrays.smoothed[1])),
         newest=(told_(arrays.newest[0]), told_(arrays.newest[1])),
         log_evidence=told_(arrays.log_evidence),
-        point=tuple(point),
+        point=tuple(windowed(lag + 1, *own) for own in owns),
         joint=windowed(lag + 1, pair, pair) if joint else None,
     )
     ended = run(plan, chain, table, ())
@@ -110,9 +110,8 @@ def _ahead(plan: ChainPlan, schedule: FixedLag, room: Room, table: Table) -> tol
         raise Uncompiled(CONTROL)
     if why is not None:
         raise Uncompiled(why)
+    require_affine_prior(plan)
     for link in plan.prior:
-        if not link.family.exact:
-            raise Uncompiled(f"{link.family.cpd!r} is a prior that is linearised again")
         if np.isinf(link.family.own_noise).any():
             raise Uncompiled(_FLAT)
     motions = [motion_of(plan, link, table, stored=False, keep=True) for link in plan.transition]
@@ -133,15 +132,3 @@ def _ahead(plan: ChainPlan, schedule: FixedLag, room: Room, table: Table) -> tol
         density=table.array(room.density),
         iterated=False,
     )
-
-
-def _needs(ahead: told.Forward) -> tuple[bool, bool]:
-    """Whether CPDs are linearised by covariances of slices, and by those of pairs."""
-    front = len(ahead.states)
-    pairs = any(
-        motion.points is not None and max(motion.parents, default=0) >= front
-        for motion in ahead.motions
-    )
-    rows = (*ahead.motions, *ahead.sensors)
-    expects = any(sensor.loss is not None and sensor.loss.expects for sensor in ahead.sensors)
-    return pairs or expects or any(row.points is not None for row in rows), pairs

@@ -271,6 +271,10 @@ def stored(
         ahead = Pass(plan, None, out.known, out.predicted, keep=False)
         sweep_all(ahead)
         return replace(out, closest=ahead.went.closest, far=ahead.went.far)
+    if anchor is not None and gated is None:
+        found = compiled.forward(plan, None, out.known, out.predicted, keep=False, anchor=anchor)
+        if found is not None and not found.left:
+            return replace(out, closest=found.closest, far=found.far)
     chain = MomentChain(plan, None, anchor=anchor, gated=gated)
     sweep_all([Part(chain, _Record(plan, out.known, out.predicted))])
     return out

@@ -24,8 +24,9 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
+from pgm.beliefs.moments.compiled import plans
 from pgm.beliefs.moments.compiled import sweep as compiled
-from pgm.beliefs.moments.compiled.judged import judge_at
+from pgm.beliefs.moments.compiled.judged import judge, judge_at
 from pgm.beliefs.moments.compiled.numba_table import Uncompiled, unknown
 from pgm.beliefs.moments.digits import careful
 from pgm.beliefs.moments.digits.adjoint import CarefulSmoothed
@@ -39,7 +40,6 @@ from pgm.beliefs.moments.steps import cost
 from pgm.beliefs.moments.steps.chain import on_chart, turns_far
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.sensor import linearise_grouped
-from pgm.compile.machine import CONTROL, POINTS
 from pgm.errors import NumericalError
 from pgm.factors.scope import angle_mask
 from pgm.kernels import moments
@@ -135,24 +135,29 @@ def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[S
         first = _start(plan, start)
     steps = _is_newton(plan, schedule) and schedule.gate is None and not plan.exact
     anchored = isinstance(schedule.damping, LevenbergMarquardt)
-    machine = compiled.is_used(plan) and not anchored
-    if anchored and plan.account.due:
-        plan.account.leave(CONTROL)
+    machine = compiled.is_used(plan)
     if steps and machine:
         found = _compiled(plan, schedule, first)
         if found is not None:
             return found
-    machine = machine and unknown(plan) is None
-    if machine and schedule.iterations > 1 and not (steps or plan.exact):
-        plan.account.leave(POINTS)
-    rounds = _is_long(plan) and schedule.iterations > 1 and not machine
-    chain = Chain(plan, _in_rounds if rounds else swept)
+    chain = None
+    if machine and (schedule.iterations > 1 or anchored) and not plan.exact:
+        chain = _by_machine(plan)
+    if chain is None:
+        machine = machine and unknown(plan) is None
+        rounds = _is_long(plan) and schedule.iterations > 1 and not machine
+        chain = Chain(plan, _in_rounds if rounds else swept)
     if isinstance(first, Smoothed):
-        return _iterated(chain, schedule, first, None)
-    chain.begin(first, reckoned=False)
-    if schedule.gate is not None:
-        forward.stored(plan, gated=schedule.gate)
-    return _iterated(chain, schedule, chain.solve(), first)
+        found = _iterated(chain, schedule, first, None)
+    else:
+        chain.begin(first, reckoned=False)
+        if schedule.gate is not None:
+            forward.stored(plan, gated=schedule.gate)
+        found = _iterated(chain, schedule, chain.solve(), first)
+    if any(family.compiled is not None for family in plan.families):
+        moments = found[0].beliefs.mean, found[0].beliefs.cov
+        judge(plan, moments, moments, np.ones(plan.runs, dtype=bool))
+    return found
 
 
 def scan(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smoothed, Status]:
@@ -266,10 +271,8 @@ def _compiled(
             newton.linearise(at, active)
             solution = newton.solve()
         result = iterate(newton, solution, schedule, ~active, at)
-    except Uncompiled as error:
-        if str(error) not in plan.account.left:
-            plan.account.leave(f"Gauss–Newton steps, since {error}")
-        return None
+    except Uncompiled:
+        return None  # sweeps may know the plan
     last = result.solution.point
     found = swept(plan, last.mean, None)
     std = deviation(found.beliefs.cov)
@@ -280,6 +283,19 @@ def _compiled(
         return found, Status.of(result.residuals, result.converged, plan.lead)
     plan.account.leave("Gauss–Newton steps, since normal equations have too few digits")
     return None
+
+
+def _by_machine(plan: ChainPlan) -> Chain[Smoothed] | None:
+    """The chain as machine code linearises it, or None, of which the account says why."""
+    from pgm.beliefs.moments.compiled.points import Linearised
+    from pgm.beliefs.moments.smoothers.compiled_chain import CompiledChain
+
+    try:
+        return CompiledChain(plan, swept, machine=Linearised(plan))
+    except plans.Uncompiled as error:
+        if str(error) not in plan.account.left:
+            plan.account.leave(str(error))
+        return None
 
 
 def swept(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:

@@ -1,0 +1,62 @@
+"""The cost of a trajectory, by which a step control of smoothers judges its steps.
+
+It is that of `LevenbergMarquardt`, without the prior's.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pgm.kernels import step
+from pgm.kernels.machine.control import cost, expected
+from pgm.kernels.machine.cpd import REGULAR
+from pgm.kernels.machine.numbers import Number
+from pgm.kernels.machine.relinearising import Beliefs, pair_at
+from pgm.kernels.machine.told import Linearised, Motion, Sensor
+from pgm.kernels.machine.wholes import Whole
+from pgm.kernels.machine.writer import Writer
+from pgm.kernels.numbers import Matrix
+
+
+def written(w: Writer, chain: Linearised) -> Number:
+    """Write the cost of the runs at hand; whether it is right, so far as can be told."""
+    code, beliefs = w.code, Beliefs(*chain.point)
+    total, sure = code.variable(0.0), code.variable(True)
+
+    def add(found: tuple[Any, Any]) -> None:
+        total.set(total.get() + found[0])
+        sure.set(sure.get() & (found[1] > REGULAR))
+
+    def read(sensor: Sensor, row: Whole, at: Whole) -> None:
+        mean = w.column(beliefs.mean, at)
+        size = mean.shape[0]
+        cov = Matrix([[0.0] * size] * size)
+        if beliefs.cov is not None:
+            cov = w.symmetric(beliefs.cov, at)
+        add(cost(w, sensor, row, mean, cov))
+
+    with code.loop(w.last + 1) as at:
+        with code.when(at > 0):
+            for motion, mean, cov, child in pair_at(w, chain, beliefs, at - 1):
+                add(_moved(w, motion, at - 1, mean, cov, child))
+        for sensor in chain.sensors:
+            if sensor.bounds is None:
+                read(sensor, at, at)
+                continue
+            first, last = w.sightings(sensor, at)
+            with code.loop(last, first) as row:
+                read(sensor, row, at)
+    assert chain.cost is not None
+    w.at(chain.cost).store(0, total.get())
+    return sure.get()
+
+
+def _moved(
+    w: Writer, motion: Motion, at: Whole, x: Matrix, cov: Matrix, child: list[Any]
+) -> tuple[Any, Any]:
+    """The cost of a CPD of a transition at a row, and the share of its noise."""
+    value = expected(w, motion, at, x, cov)
+    for k in motion.angles:
+        child[k] = step.nearest(child[k], value[k, 0])
+    noise = w.symmetric(motion.kept or motion.noise, at)
+    return step.weighed_square(Matrix.column(child) - value, noise), noise.root().share
