@@ -136,9 +136,9 @@ class Control:
     def _add(
         self, sensor: Sensor, row: Whole, x: Matrix, cov: Matrix, total: Any, sure: Any
     ) -> None:
-        square, share = cost(self._w, sensor, row, x, cov)
+        square, certain = cost(self._w, sensor, row, x, cov)
         total.set(total.get() + square)
-        sure.set(sure.get() & (share > REGULAR))
+        sure.set(sure.get() & certain)
 
 
 class _Prior:
@@ -159,13 +159,13 @@ class _Prior:
         return (white.T @ white)[0, 0], self._root.share
 
 
-def cost(w: Writer, sensor: Sensor, at: Whole, x: Matrix, cov: Matrix) -> tuple[Any, Any]:
-    """The cost of a sighting at the mean of a slice, and the share of its noise.
+def cost(w: Writer, sensor: Sensor, at: Whole, x: Matrix, cov: Matrix) -> tuple[Any, Number]:
+    """The cost of a sighting at the mean of a slice, and whether it is right, so far as is told.
 
     It is rᵀ R⁻¹ r of the residual r and the noise R as it was linearised, or twice a robust loss.
     """
     parents = sensor.parents
-    value = expected(w, sensor, at, x.part(parents, (0,)), cov.part(parents, parents))
+    value, sure = expected(w, sensor, at, x.part(parents, (0,)), cov.part(parents, parents))
     readings = [number for (number,) in w.column(sensor.readings, at).rows]
     for k in sensor.angles:
         readings[k] = step.nearest(readings[k], value[k, 0])
@@ -181,15 +181,19 @@ def cost(w: Writer, sensor: Sensor, at: Whole, x: Matrix, cov: Matrix) -> tuple[
         square = cost_of(w, sensor.loss, square, count)
     if sensor.gate is not None:
         square = where(is_rejected(w, sensor.gate, at), 0.0, square)
-    return square, noise.root().share
+    return square, sure & (noise.root().share > REGULAR)
 
 
-def expected(w: Writer, cpd: Row, at: Whole, x: Matrix, cov: Matrix) -> Matrix:
-    """The mean of a CPD's child at a row, under a belief over its parents."""
+def expected(w: Writer, cpd: Row, at: Whole, x: Matrix, cov: Matrix) -> tuple[Matrix, Number]:
+    """The mean of a CPD's child at a row, under a belief over its parents; and whether it is right.
+
+    It is not a number where the function is not defined.
+    """
     if cpd.function is not None and (cpd.points is None or not x.shape[0]):
         numbers = [number for (number,) in x.rows]
-        return Matrix.column(evaluated(w, cpd, at, numbers)[0])
-    return linearised(w, cpd, at, x, cov).value
+        return Matrix.column(evaluated(w, cpd, at, numbers)[0]), w.true
+    line = linearised(w, cpd, at, x, cov)
+    return line.value, line.sure
 
 
 def _vector(code: Any, numbers: Matrix) -> list[Any]:

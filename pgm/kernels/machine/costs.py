@@ -23,9 +23,9 @@ def written(w: Writer, chain: Linearised) -> Number:
     code, beliefs = w.code, Beliefs(*chain.point)
     total, sure = code.variable(0.0), code.variable(True)
 
-    def add(found: tuple[Any, Any]) -> None:
+    def add(found: tuple[Any, Number]) -> None:
         total.set(total.get() + found[0])
-        sure.set(sure.get() & (found[1] > REGULAR))
+        sure.set(sure.get() & found[1])
 
     def read(sensor: Sensor, row: Whole, at: Whole) -> None:
         mean = w.column(beliefs.mean, at)
@@ -53,10 +53,11 @@ def written(w: Writer, chain: Linearised) -> Number:
 
 def _moved(
     w: Writer, motion: Motion, at: Whole, x: Matrix, cov: Matrix, child: list[Any]
-) -> tuple[Any, Any]:
-    """The cost of a CPD of a transition at a row, and the share of its noise."""
-    value = expected(w, motion, at, x, cov)
+) -> tuple[Any, Number]:
+    """The cost of a CPD of a transition at a row, and whether it is right, so far as is told."""
+    value, sure = expected(w, motion, at, x, cov)
     for k in motion.angles:
         child[k] = step.nearest(child[k], value[k, 0])
     noise = w.symmetric(motion.kept or motion.noise, at)
-    return step.weighed_square(Matrix.column(child) - value, noise), noise.root().share
+    square = step.weighed_square(Matrix.column(child) - value, noise)
+    return square, sure & (noise.root().share > REGULAR)

@@ -76,6 +76,6 @@ def test_hidden_controls_and_several_states(rule, runs, damping):
 
 @pytest.mark.parametrize("damping", DAMPING)
 def test_a_start(damping):
-    start = {X: np.full((7, 2), 0.5)}
+    start = {X: np.full((8, 2), 0.5)}
     options = {"iterations": 5, "damping": DAMPING[damping], "start": start}
     assert_same(steep(), readings(()), **options)
