@@ -17,7 +17,6 @@ from pgm.kernels.machine.wholes import Whole
 from pgm.kernels.machine.writer import Writer
 from pgm.kernels.numbers import Matrix, nearest_whole
 
-
 # A number from which on little or nothing can be told.
 _LARGEST = 1e150
 Steps = Forward | Linearised
@@ -130,7 +129,8 @@ def _read(w: Writer, sensor: Sensor, at: Whole, mean: Matrix, cov: Matrix | None
 def _is_sure(w: Writer, line: Line) -> Number:
     """Whether a linearisation is finite, and right so far as can be told."""
     total = w.sum([abs(x) for part in (line.matrix, line.value) for row in part.rows for x in row])
-    return line.sure & (total < _LARGEST)
+    finite: Number = total < _LARGEST
+    return line.sure & finite
 
 
 def _on_chart(motion: Motion, line: Line, child: list[Any]) -> Line:

@@ -31,7 +31,7 @@ class Settling:
         return self._settled.get()
 
     def note(self, k: Whole, moved: Any, certain: Any) -> None:
-        """Note how far the iteration k, from 1 on, has moved means; it settles what is `certain`."""
+        """Note how far iteration k, from 1 on, has moved means; it settles what is `certain`."""
         settled = self.settled
         self._residual.set(moved)
         self._made.set(where(settled, self._made.get(), k.number()))

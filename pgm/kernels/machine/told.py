@@ -341,9 +341,8 @@ class Linearised:
 def kept_motion(motion: Motion) -> Motion:
     """A CPD of a transition as it was linearised last."""
     noise = motion.kept or motion.noise
-    return replace(
-        motion, function=None, points=None, inputs=None, noise=noise, kept=None, angles=(), turning=()
-    )
+    affine = replace(motion, function=None, points=None, inputs=None, noise=noise, kept=None)
+    return replace(affine, angles=(), turning=())
 
 
 def kept_sensor(sensor: Sensor, *, weighed: bool) -> Sensor:

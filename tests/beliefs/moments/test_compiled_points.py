@@ -79,3 +79,23 @@ def test_a_start(damping):
     start = {X: np.full((8, 2), 0.5)}
     options = {"iterations": 5, "damping": DAMPING[damping], "start": start}
     assert_same(steep(), readings(()), **options)
+    found, due = assert_same(steep(), readings(()), gate=0.9, **options)
+    assert any(np.any(gated) for gated in due.rejected.values())
+    assert str(found.rejected[Z]) == str(due.rejected[Z])
+
+
+def test_runs_that_numpy_linearises(monkeypatch):
+    """Where machine code is not sure the plan's arrays are replaced: later ones are bound anew."""
+    from pgm.beliefs.moments.compiled.points import Linearised
+
+    once, calls = Linearised.linearise, []
+
+    def doubtful(self, at, active):
+        calls.append(once(self, at, active))
+        return calls[-1] and len(calls) % 3 != 1
+
+    monkeypatch.setattr(Linearised, "linearise", doubtful)
+    for damping in DAMPING.values():
+        options = {"iterations": 6, "lineariser": pgm.Unscented(), "damping": damping}
+        assert_same(steep(noise=pgm.Huber(2.0)), readings((9,)), **options)
+    assert len(calls) > 6

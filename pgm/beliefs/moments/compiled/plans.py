@@ -208,8 +208,11 @@ def _loss_of(
         raise Uncompiled(f"{family.cpd!r} has robust noise, whose expected losses judge steps")
     places = table.array(weights.weight), table.array(weights.square)
     trial = [table.array(np.empty_like(weights.weight)) for _ in range(2 if controlled else 0)]
-    losses = zip(*functions, strict=True)
-    return told.Loss(*losses, *places, expects=family.expects, found=found, trial=tuple(trial))
+    weight, surplus, cost = zip(*functions, strict=True)
+    expects = family.expects
+    return told.Loss(
+        weight, surplus, cost, *places, expects=expects, found=found, trial=tuple(trial)
+    )
 
 
 def decided(table: Table) -> None:

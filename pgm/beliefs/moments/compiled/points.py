@@ -1,4 +1,4 @@
-"""A chain linearised in machine code at beliefs over all its steps, and the costs of their means."""
+"""A chain linearised in machine code at beliefs over all steps, and the costs of their means."""
 
 from __future__ import annotations
 
@@ -17,17 +17,52 @@ from pgm.beliefs.moments.compiled.plans import (
     unknown,
 )
 from pgm.beliefs.moments.compiled.sweep import FAR, lanes_of, run
+from pgm.beliefs.moments.steps import cost
 from pgm.beliefs.moments.steps.plan import ChainPlan
-from pgm.kernels.arrays import Array, vacant
+from pgm.kernels.arrays import Array, Mask, vacant
 from pgm.kernels.machine import sweeps, told
 from pgm.schedules.iteration import Point
 
 
 class Linearised:
-    """A plan whose linearisations machine code finds and keeps.
+    """A plan whose linearisations machine code finds, and keeps in the plan's arrays.
 
-    An `Uncompiled` says why it cannot.
+    An `Uncompiled` says why it cannot. What it is not sure of is left to NumPy.
     """
+
+    def __init__(self, plan: ChainPlan) -> None:
+        self._plan = plan
+        self._bound: _Bound | None = _Bound(plan)
+        self._known: Point | None = None
+
+    def linearise(self, at: Point, active: Mask | None) -> bool:
+        """Linearise at a point, and weigh robust sightings there; False where that is not sure.
+
+        Runs that are not `active` (runs,) keep their linearisations; None means all.
+        """
+        if active is not None and self._known is not None:
+            at = _where(active, at, self._known)
+        self._known = at
+        return self._there.linearise(at)
+
+    def cost(self, at: Point) -> Array | None:
+        """The cost of a trajectory, the means of a point, (runs,); None where it is not sure."""
+        found = self._there.cost(at)
+        return None if found is None else found + cost.prior(self._plan, at)
+
+    def rebind(self) -> None:
+        """Note that the plan has other arrays than it had, or takes other measurements."""
+        self._bound = None
+
+    @property
+    def _there(self) -> _Bound:
+        if self._bound is None:
+            self._bound = _Bound(self._plan)
+        return self._bound
+
+
+class _Bound:
+    """Machine code, bound to the arrays that a plan has."""
 
     def __init__(self, plan: ChainPlan) -> None:
         why = unknown(plan)
@@ -68,3 +103,15 @@ class Linearised:
         if left.any():
             self._plan.account.leave(FAR, int(left.sum()))
         return not left.any()
+
+
+def _where(active: Mask, one: Point, other: Point) -> Point:
+    """One point in active runs, and another in the others."""
+
+    def chosen(a: Array, b: Array) -> Array:
+        return np.where(active.reshape(-1, *(1,) * (a.ndim - 2)), a, b)
+
+    joint = one.joint
+    if joint is not None and other.joint is not None:
+        joint = chosen(joint, other.joint)
+    return Point(chosen(one.mean, other.mean), chosen(one.cov, other.cov), joint)

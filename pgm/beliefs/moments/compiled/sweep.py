@@ -215,15 +215,11 @@ def backward(
 
 
 def lanes_of(plan: ChainPlan) -> int:
+    """How many runs of a plan are swept together."""
     return sweeps.LANES if plan.runs >= sweeps.LANES else 1
 
 
-def run(
-    plan: ChainPlan,
-    chain: sweeps.Chain,
-    table: Table,
-    out: Sequence[Array],
-) -> Array:
+def run(plan: ChainPlan, chain: sweeps.Chain, table: Table, out: Sequence[Array]) -> Array:
     """Run a sweep on all runs of a plan; what it tells of each, (`sweeps.TOLD`, runs).
 
     `out` are the arrays that it fills.

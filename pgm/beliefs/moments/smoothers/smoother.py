@@ -24,10 +24,10 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from pgm.beliefs.moments.compiled import plans
 from pgm.beliefs.moments.compiled import sweep as compiled
 from pgm.beliefs.moments.compiled.judged import judge, judge_at
-from pgm.beliefs.moments.compiled.numba_table import Uncompiled, unknown
+from pgm.beliefs.moments.compiled.plans import Uncompiled, unknown
+from pgm.beliefs.moments.compiled.points import Linearised
 from pgm.beliefs.moments.digits import careful
 from pgm.beliefs.moments.digits.adjoint import CarefulSmoothed
 from pgm.beliefs.moments.passes import backward, forward, newton
@@ -153,6 +153,8 @@ def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[S
         chain.begin(first, reckoned=False)
         if schedule.gate is not None:
             forward.stored(plan, gated=schedule.gate)
+            if chain.machine is not None:
+                chain.machine.rebind()
         found = _iterated(chain, schedule, chain.solve(), first)
     if any(family.compiled is not None for family in plan.families):
         moments = found[0].beliefs.mean, found[0].beliefs.cov
@@ -287,12 +289,9 @@ def _compiled(
 
 def _by_machine(plan: ChainPlan) -> Chain[Smoothed] | None:
     """The chain as machine code linearises it, or None, of which the account says why."""
-    from pgm.beliefs.moments.compiled.points import Linearised
-    from pgm.beliefs.moments.smoothers.compiled_chain import CompiledChain
-
     try:
-        return CompiledChain(plan, swept, machine=Linearised(plan))
-    except plans.Uncompiled as error:
+        return Chain(plan, swept, machine=Linearised(plan))
+    except Uncompiled as error:
         if str(error) not in plan.account.left:
             plan.account.leave(str(error))
         return None
@@ -353,22 +352,27 @@ class Chain(Generic[Either]):
     """A chain as a problem for `iterate`: linearised at any point, and solved.
 
     `at` (T+1, runs, n) are the means of the slices at which the plan was linearised last, which
-    `linearise` and `begin` set. `solve` calls the `solver` with `at` as the reference.
+    `linearise` and `begin` set. `solve` calls the `solver` with `at` as the reference. Where there
+    is `machine` code it linearises, and finds costs.
     """
 
     plan: ChainPlan
     solver: Callable[[ChainPlan, Array, Anchor | None], Either]
     at: Array = field(default_factory=lambda: np.empty(0))
+    machine: Linearised | None = None
 
     def linearise(self, at: Point, active: Mask | None) -> None:
         """Linearise every CPD at a point, and weigh the robust sightings there.
 
         Runs that are not `active` (runs,) keep their linearisations; None means all.
         """
-        some = None if active is None or active.all() else active
+        self.at, some = at.mean, None if active is None or active.all() else active
+        if self.machine is not None:
+            if self.machine.linearise(at, some):
+                return
+            self.machine.rebind()
         relinearise(self.plan, at, some)
         reweigh(self.plan, at, some)
-        self.at = at.mean
 
     def begin(self, at: Point, *, reckoned: bool) -> None:
         """Linearise every CPD for the first time, in all runs, at a point.
@@ -405,7 +409,8 @@ class Chain(Generic[Either]):
         measurement adds twice its loss, 2 ρ, instead. With rules that take expectations r is the
         child's mean less the expected function, under the covariances of `at`.
         """
-        return cost.trajectory(self.plan, at)
+        found = None if self.machine is None else self.machine.cost(at)
+        return cost.trajectory(self.plan, at) if found is None else found
 
     def feasible(self, mean: Array, found: Point) -> Array:
         """The trajectory nearest to `mean` (T+1, runs, n) that satisfies the exact CPDs.
