@@ -1,18 +1,15 @@
 """`python -m benchmarks.first_call`: what the first call of a process takes over the next one.
 
-Each library has a process of its own. Machine code of the sweeps is kept on disk, so pgm is started
-twice with one empty folder for it: cold, and then warm. Loading Numba and compiling the graph are
-in its time; loading JAX is not in dynamax's. Then smoothers of several lengths are called in
-processes of their own, warm, with machine code and without.
+Each library has a process of its own. Loading llvmlite and compiling the graph are in the time of
+pgm; loading JAX is not in dynamax's. Then smoothers of several lengths are called in processes of
+their own, with machine code and without.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
-import tempfile
 import time
 from importlib import import_module
 from typing import Any
@@ -22,8 +19,8 @@ from benchmarks.verdicts import Verdict
 from experiments.record import note, table
 
 NAMES = ("rts_taylor", "rts_unscented", "ekf_robots")
-WAYS = {"cold": "pgm_compiled", "warm": "pgm_compiled", "dynamax": "dynamax"}
-COLD, WARM = 15.0, 1.5  # seconds; times dynamax's compiling
+WAYS = {"pgm": "pgm_compiled", "dynamax": "dynamax"}
+MOST = 1.0  # seconds
 STEPS = 1_000
 LENGTHS = (1_000, 10_000, 20_000, 30_000)
 CHOICES = {"NumPy": False, "compiled": True}
@@ -38,21 +35,10 @@ def main() -> None:
         [(name, *(each.get(way, "") for way in WAYS)) for name, each in found.items()],
     )
     for name, each in found.items():
-        told = []
-        if "cold" in each:
-            told.append(Verdict(f"{name}, cold: seconds", each["cold"], COLD, False))
-        if "warm" in each and "dynamax" in each:
-            ratio = each["warm"] / each["dynamax"]
-            told.append(Verdict(f"{name}, warm / dynamax's compiling", ratio, WARM, False))
-        for one in told:
-            holds = "holds" if one.holds else "does NOT hold"
-            note(f"{one.what}: {one.measured:.2f}, at most {one.asked:g}: {holds}")
-    with tempfile.TemporaryDirectory() as folder:
-        _answer(folder, "smooth", "compiled", "10")  # now it is warm
-        times = [
-            [_answer(folder, "smooth", choice, str(steps)) for choice in CHOICES]
-            for steps in LENGTHS
-        ]
+        one = Verdict(f"{name}: seconds", each["pgm"], MOST, False)
+        holds = "holds" if one.holds else "does NOT hold"
+        note(f"{one.what}: {one.measured:.2f}, at most {one.asked:g}: {holds}")
+    times = [[_answer("smooth", choice, str(steps)) for choice in CHOICES] for steps in LENGTHS]
     table(
         "pgm.smooth in a process of its own: seconds of the processor, first and second call",
         ("steps", *(f"{choice}, {call}" for choice in CHOICES for call in ("first", "second"))),
@@ -67,24 +53,22 @@ def main() -> None:
 def measure(name: str) -> dict[str, float]:
     """Seconds, by way; of the libraries that are here."""
     found = {}
-    with tempfile.TemporaryDirectory() as folder:
-        for way, library in WAYS.items():
-            answer = _answer(folder, name, library)
-            if "missing" in answer:
-                note(f"{name}: {library} is left out, {answer['missing']}")
-            else:
-                found[way] = answer["seconds"]
+    for way, library in WAYS.items():
+        answer = _answer(name, library)
+        if "missing" in answer:
+            note(f"{name}: {library} is left out, {answer['missing']}")
+        else:
+            found[way] = answer["seconds"]
     return found
 
 
-def _answer(folder: str, *arguments: str) -> dict[str, Any]:
-    """Of a process that keeps machine code in a folder."""
+def _answer(*arguments: str) -> dict[str, Any]:
+    """Of a process of its own."""
     done = subprocess.run(
         [sys.executable, "-m", "benchmarks.first_call", *arguments],
         check=True,
         capture_output=True,
         text=True,
-        env=os.environ | {"NUMBA_CACHE_DIR": folder},
     )
     answer: dict[str, Any] = json.loads(done.stdout)
     return answer

@@ -1,11 +1,7 @@
 """How the tests run: property tests draw the same examples everywhere, and are not timed."""
 
 import gc
-import subprocess
-import sys
-from importlib.util import find_spec
 
-import pytest
 from hypothesis import settings
 
 gc.disable()  # until all tests are collected
@@ -16,37 +12,12 @@ settings.load_profile("everywhere")
 
 # Folders of long tests come first, so that no worker is left alone with one.
 LONG = tuple(f"tests/{folder}/" for folder in ("experiments", "viewer", "docs", "plot"))
-KERNELS = ("forward", "online"), ("forward_together", "backward_together", "backward", "newton")
-COMPILED = """
-from importlib import import_module
-from pgm.kernels.compiled import sweeps
-from pgm.kernels.compiled.memory import ready
-for name in {}:
-    if hasattr(sweeps, name):
-        ready(getattr(sweeps, name), "int64(int64,int64,int64,int64)")
-    else:
-        import_module(f"pgm.kernels.compiled.{{name}}")
-"""
-
-
-COMPILERS = pytest.StashKey[list[subprocess.Popen]]()
 
 
 def pytest_configure(config):
-    """Begin to have machine code on the disk, before workers each compile it."""
-    if not getattr(config.option, "numprocesses", None):
-        return
-    config.option.loadscopereorder = False
-    if find_spec("llvmlite") is not None:
-        each = [[sys.executable, "-c", COMPILED.format(names)] for names in KERNELS]
-        config.stash[COMPILERS] = [subprocess.Popen(command) for command in each]
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_node_collection_finished(node):
-    """Workers have collected meanwhile; their first test waits."""
-    for process in node.config.stash.get(COMPILERS, []):
-        process.wait()
+    """Sort files as they come, where workers share them."""
+    if getattr(config.option, "numprocesses", None):
+        config.option.loadscopereorder = False
 
 
 def pytest_collection_modifyitems(items):

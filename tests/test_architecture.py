@@ -228,8 +228,8 @@ def test_the_files_shown_are_those_that_run(monkeypatch):
         path = Path(code.co_filename)
         if times < T and code is not forward.__code__:
             continue  # what the first step prepares for all
-        if code.co_filename == "<string>":  # as `unrolled` writes them
-            running.add("kernels/unrolled.py")
+        if code.co_filename == "<string>":  # as `written` compiles them
+            running.add("kernels/written.py")
         elif PACKAGE in path.parents:
             running.add(path.relative_to(PACKAGE).as_posix())
     table = PAGE.partition("| part | files |")[2].partition("\n\n")[0]

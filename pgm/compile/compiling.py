@@ -214,10 +214,11 @@ def compile(
         their graphs cost: compare `graph.cost`.
     compiled : bool or Compiled, optional
         Whether sweeps along the chain of a dynamic network run in machine code, by LLVM, with
-        equal results to rounding. ``graph.compilation`` tells which CPDs can be; with one that
-        cannot, all of it runs without. If not given, that is where llvmlite is installed and NumPy
-        would need about a second, which is 20,000 steps of one run, or 3,400 of a thousand: for
-        less, loading takes longer than it saves.
+        equal results to rounding. ``graph.compilation`` tells which CPDs can be: a function that
+        cannot is called in the middle of it; with some other CPDs, all of it runs without. If not
+        given, that is where llvmlite is installed and NumPy would need about a second, which is
+        20,000 steps of one run, or 3,400 of a thousand: for less, loading takes longer than it
+        saves.
 
     Examples
     --------

@@ -66,6 +66,8 @@ MOST = 60
 GATE = "a gate (gate=) decides at one predicted belief after another"
 CONTROL = "Levenberg–Marquardt (damping=) judges the windows of a lag"
 COMPILED = "compiled"
+# Before the reason why machine code calls a function rather than having it itself.
+CALLED = "called back: "
 # None leaves it to the size of the work.
 Choice = bool | Compiled | None
 
@@ -112,10 +114,12 @@ def without_machine_code(why: str, of: object) -> PgmError:
 class Compilation(Told[CPD]):
     """For each CPD of a dynamic network ``"compiled"``, or why sweeps do not compile it.
 
-    A chain is swept in machine code where all of its CPDs can be. `Taylor`, `Unscented`, `Cubature`
-    and `GaussHermite` are compiled. Of a schedule `under` tells, before there is a call; after it
-    ``posterior.status.compilation`` tells of all: the schedule, the call's lineariser, noise by
-    inputs that is singular, runs that are left since their readings are too sharp.
+    A chain is swept in machine code where all of its CPDs can be. A function that cannot be traced,
+    and a lineariser other than `Taylor`, `Unscented`, `Cubature` and `GaussHermite`, is called back
+    in the middle of it, for all runs at once: ``"called back: ..."`` says why. Of a schedule
+    `under` tells, before there is a call; after it ``posterior.status.compilation`` tells of all:
+    the schedule, the call's lineariser, noise by inputs that is singular, runs that are left since
+    their readings are too sharp.
 
     Examples
     --------
@@ -141,14 +145,21 @@ class Compilation(Told[CPD]):
         Returns
         -------
         str
-            ``"compiled"``, or ``"left to NumPy: ..."`` with the reasons, first the schedule's, then
-            the CPDs'.
+            ``"compiled"``, with the CPDs that are called back; or ``"left to NumPy: ..."`` with the
+            reasons, first the schedule's, then the CPDs'.
         """
         control = not is_number(getattr(schedule, "damping", 0.0))
         several = getattr(schedule, "iterations", 1) > 1
         why = [CONTROL] if control and several and getattr(schedule, "lag", 0) else []
-        why += [f"{cpd!r}: {words}" for cpd, words in self.items() if words != COMPILED]
-        return f"left to NumPy: {'; '.join(why)}" if why else COMPILED
+        called = {cpd: words for cpd, words in self.items() if words.startswith(CALLED)}
+        why += [
+            f"{cpd!r}: {words}"
+            for cpd, words in self.items()
+            if words != COMPILED and cpd not in called
+        ]
+        if why:
+            return f"left to NumPy: {'; '.join(why)}"
+        return COMPILED + "".join(f", {cpd.child.name} {words}" for cpd, words in called.items())
 
     def __init__(
         self, of: str, templates: Mapping[CPD, FunctionTemplate | None], sensors: Collection[CPD]
@@ -180,10 +191,10 @@ def _told(cpd: CPD, template: FunctionTemplate | None, sensor: bool) -> str:
         return "its sightings are grouped, where a step has several"
     assert template is not None
     whole = template.whole.traced()
-    if isinstance(whole, str):
-        return whole
     rule = cpd.lineariser if isinstance(cpd, NonlinearGaussianCPD) else None
-    return COMPILED if rule is None else rule_told(rule, template) or COMPILED
+    why = None if rule is None else rule_told(rule, template)
+    why = why or (whole if isinstance(whole, str) else None)
+    return f"{CALLED}{why}" if why else COMPILED
 
 
 def rule_told(rule: Lineariser, template: FunctionTemplate) -> str | None:

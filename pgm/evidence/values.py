@@ -16,7 +16,7 @@ from pgm.cpds import CPD
 from pgm.display import InCode, Shown, Summary, as_numbers, brief, table
 from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
-from pgm.immutable import Immutable, unlocked
+from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array, Mask
 from pgm.variables import Discrete, Variable
 
@@ -44,16 +44,21 @@ class Soft(InCode):
 class Sightings(Shown, Immutable):
     """Measurements of one sensor at any steps, as `sightings` makes them."""
 
-    __slots__ = ("given", "step", "values")
+    __slots__ = ("_given", "step", "values")
 
     values: Any
     step: Any
-    given: Mapping[Variable, Any]
+    _given: Mapping[Variable, Any]
 
     def __init__(
         self, values: Any, step: Any = None, given: Mapping[Variable, Any] = MappingProxyType({})
     ) -> None:
-        self._set(values=values, step=step, given=given)
+        self._set(values=values, step=step, _given=dict(given))
+
+    @property
+    def given(self) -> Mapping[Variable, Any]:
+        """The observed parents that differ from measurement to measurement."""
+        return MappingProxyType(self._given)
 
     @property
     def _title(self) -> str:
@@ -73,7 +78,8 @@ class Sightings(Shown, Immutable):
         return Summary(self._title, [*which, table(columns)])
 
 
-_new, _Unlocked = object.__new__, unlocked(Sightings)
+_new, _slots = object.__new__, vars(Sightings)
+_put_values, _put_step, _put_given = (_slots[name].__set__ for name in ("values", "step", "_given"))
 
 # By variable: a plain array, a constant, or sightings; of a discrete one states, or soft weights.
 Evidence = Mapping[Variable, Any]
@@ -149,15 +155,15 @@ def sightings(
     >>> m = Variable("m", components=("east", "north"))
     >>> seen = sightings([[2.0, 0.1], [3.0, -0.2]], step=[4, 4], given={m: [[0, 1], [5, 1]]})
     """
-    if type(given) is not dict and not isinstance(given, Mapping | None):
+    if not (given is None or type(given) is dict or isinstance(given, Mapping)):
         raise EvidenceError(
             f"sightings: given maps parents to their values, given={{m: landmarks}}; found "
             f"{type(given).__name__}"
         )
-    found: Sightings = _new(_Unlocked)  # quicker than `Sightings(...)`
-    found.values, found.step = values, step
-    found.given = MappingProxyType({**given} if given else {})
-    found.__class__ = Sightings
+    found: Sightings = _new(Sightings)  # quicker than `Sightings(...)`
+    _put_values(found, values)
+    _put_step(found, step)
+    _put_given(found, {**given} if given else {})
     return found
 
 

@@ -54,8 +54,9 @@ class OnlineFilter(InCode, Immutable):
         as they are when the filter is made; see `renewed` for later changes. Some steps are made
         without machine code, with equal results: those of many runs, with a lag, a gate, a watch or
         iterations, in twice the digits, with noise that depends on inputs, or with functions that
-        make floats of their input. Machine code runs in one thread. False if not given, since
-        loading and compiling take the time of 10,000 steps.
+        make floats of their input. Machine code runs in one thread. If not given, steps of linear
+        models are made in it after some thousands of a kind, which take as long as its making;
+        those of others are not, since a function that is recorded may change unseen.
 
     Raises
     ------

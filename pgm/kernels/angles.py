@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from pgm.kernels import step
 from pgm.kernels.arrays import Array, Mask
 
-TURN = 2.0 * np.pi
+TURN = step.TURN
 
 
 def wrap(angle: Array) -> Array:
@@ -40,5 +41,5 @@ def nearest_branch(value: Array, reference: Array, angles: Mask) -> Array:
     moved = np.empty_like(reference, shape=shape)  # in memory as the reference is
     moved[...] = value
     for k in places:
-        moved[..., k] += TURN * np.round((reference[..., k] - moved[..., k]) / TURN)
+        moved[..., k] = step.nearest(moved[..., k], reference[..., k])
     return moved

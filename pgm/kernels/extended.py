@@ -12,6 +12,10 @@ import numpy as np
 
 from pgm.kernels.arrays import Array, Mask
 
+# ln 2 as the sum of two float64.
+_LOG_2 = 0.6931471805599453, 2.3190468138462996e-17
+# Terms of the series of a logarithm, of which the last is below 10⁻³².
+_TERMS = 21
 # 2²⁷ + 1 cuts a number into two halves of 26 bits.
 _CUT = 134217729.0
 
@@ -93,6 +97,35 @@ class Twofold:
         a, b = self[..., :, :, None], other[..., None, :, :]
         return Twofold(*_sum(*_product(a.hi, a.lo, b.hi, b.lo)))
 
+    def __lt__(self, other: Twofold | Array | float) -> Mask:
+        return (self - other).hi < 0.0
+
+    def __gt__(self, other: Twofold | Array | float) -> Mask:
+        return (self - other).hi > 0.0
+
+    def __eq__(self, other: object) -> Mask:  # type: ignore[override]
+        equal: Mask = (self - _twofold(other)).hi == 0.0
+        return equal
+
+    def __ne__(self, other: object) -> Mask:  # type: ignore[override]
+        differ: Mask = (self - _twofold(other)).hi != 0.0
+        return differ
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __abs__(self) -> Twofold:
+        return where(self.hi < 0.0, -self, self)
+
+    def apply(self, name: str) -> Twofold:
+        """The function of this name: sqrt, log, or rint."""
+        with np.errstate(all="ignore"):
+            return _FUNCTIONS[name](self)
+
+    @staticmethod
+    def choose(truth: Mask, a: Twofold | float, b: Twofold | float) -> Twofold:
+        """The number a where a truth holds, b elsewhere."""
+        return where(truth, a, b)
+
     def dot(self, other: Twofold) -> Twofold:
         """The inner products (...) of two stacks of vectors (..., n)."""
         product = self * other
@@ -108,6 +141,39 @@ def where(mask: Mask, a: Twofold | float, b: Twofold | float) -> Twofold:
 def eye(shape: tuple[int, ...]) -> Twofold:
     """Unit matrices of the shape (..., n, n)."""
     return Twofold(np.broadcast_to(np.eye(shape[-1]), shape).copy())
+
+
+def _sqrt(x: Twofold) -> Twofold:
+    """√x, by a step of Newton's from that of float64 (Karp & Markstein, 1997)."""
+    near = Twofold(np.sqrt(x.hi))
+    moved = near + (x - near * near) / np.where(near.hi > 0.0, 2.0 * near.hi, 1.0)
+    return where((near.hi > 0.0) & np.isfinite(near.hi), moved, near)
+
+
+def _log(x: Twofold) -> Twofold:
+    """The logarithm e ln 2 + 2 artanh (m − 1)/(m + 1) for x = 2ᵉ m, √½ ≤ m < √2, by its series."""
+    part, power = np.frexp(x.hi)
+    power = power - (part < np.sqrt(0.5))
+    unit = Twofold(np.ldexp(x.hi, -power), np.ldexp(x.lo, -power))
+    ratio = (unit - 1.0) / (unit + 1.0)
+    square, series = ratio * ratio, Twofold(np.zeros_like(x.hi))
+    for term in reversed(range(_TERMS)):
+        series = series * square + Twofold(np.ones_like(x.hi)) / (2.0 * term + 1.0)
+    two = Twofold(*(np.full_like(x.hi, half) for half in _LOG_2))
+    found = two * power.astype(float) + ratio * series * 2.0
+    return where((x.hi > 0.0) & np.isfinite(x.hi), found, Twofold(np.log(x.hi)))
+
+
+def _rint(x: Twofold) -> Twofold:
+    """The nearest whole number; of two, the even one."""
+    whole = np.rint(x.hi)
+    low = np.rint(x.lo)  # of whole numbers beyond 2⁵³
+    half = np.abs(x.hi - np.trunc(x.hi)) == 0.5
+    nearest = np.where(half & (x.lo != 0.0), np.floor(x.hi) + (x.lo > 0.0), whole)
+    return Twofold(nearest) + np.where(nearest == x.hi, low, 0.0)
+
+
+_FUNCTIONS = {"sqrt": _sqrt, "log": _log, "rint": _rint}
 
 
 def eliminated(

@@ -4,46 +4,46 @@ A measurement of d components of a belief N(m, P) is z = H x + v, v ~ N(0, R); S
 covariance of its residual z − H m. A component of a prediction F x + b + w, with the noise w, is
 *bare* if w is zero in it, so that the component is that of F x + b.
 
-Each function chooses the fastest code: for one small Gaussian, Python generated for its size
-(`unrolled`); for a larger one LAPACK; for a batch of runs `along_runs`. Where S is nearly singular,
-all updates are left to `moments`, which tells singular covariances from rounding.
+The arithmetic is that of `step`; each function chooses the fastest kind of matrices: for one small
+Gaussian, lines of Python for its size (`written`); for a larger one LAPACK, for a batch rows of
+runs (`dense`). Where S is nearly singular, all updates are left to `moments`, which tells singular
+covariances from rounding.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from math import log, sqrt
-from types import ModuleType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from pgm.kernels import along_runs, moments, roots
+from pgm.kernels import moments, roots, step, written
 from pgm.kernels.arrays import (
     LOG_2PI,
     Array,
     Index,
     components_first,
     components_last,
+    quiet,
     symmetric,
 )
+from pgm.kernels.dense import Dense, DenseRoot, Runs, RunsRoot, scratch
 from pgm.kernels.moments import ROUNDING
-from pgm.kernels.unrolled import checking, predicting, updating
+from pgm.kernels.numbers import Matrix, Number
 
 # A pivot of S below this part of its diagonal entry costs too many digits: S is nearly singular.
 NEARLY_SINGULAR = 1e-6
 # The same part for a covariance, below which its root is left to `roots`, which tells zeros from
 # rounding.
 _REGULAR = 1e-11
-
-
-@lru_cache(maxsize=1)
-def _lapack() -> ModuleType:
-    """SciPy's module of LAPACK functions, imported at the first call."""
-    from scipy.linalg import lapack  # here, since it is slow to import
-
-    module: ModuleType = lapack
-    return module
+# Of n components and d others, beyond n d (n + d) of this size LAPACK is quicker than Python.
+_MOST = 90
+# The largest factor by which a mild measurement shrinks a variance.
+_MILD = 1e3
+# Of a batch lines of Python are quicker than products of arrays up to n d (n + d) of this size.
+_FEW = 6
 
 
 def deviations(cov: Array) -> Array:
@@ -72,32 +72,22 @@ def lengths(cov: Array) -> Array:
     return found
 
 
-def root(cov: Array) -> Array | None:
-    """The lower triangular L with P = L Lᵀ, (n, n, *batch); None if any P is not clearly regular.
+def root(cov: Array) -> DenseRoot | RunsRoot | None:
+    """The root of covariances P (n, n, *batch); None if any is not clearly regular.
 
-    P is `cov` (n, n, *batch). It is not clearly regular if a pivot L_jj² is at most 10⁻¹¹ P_jj.
+    P is not clearly regular if a pivot L_jj² of its root is at most 10⁻¹¹ P_jj.
     """
-    if cov.ndim > 2:
-        return roots.regular_root(cov, _REGULAR)
-    lower, fault = _lapack().dpotrf(cov, 1)
-    if fault:
-        return None
-    for pivot, entry in zip(lower.diagonal().tolist(), cov.diagonal().tolist(), strict=True):
-        if not pivot * pivot > _REGULAR * entry:
-            return None
-    found: Array = lower
-    return found
+    if cov.ndim == 2:
+        one = Dense(cov).root()
+        return one if one.share > _REGULAR else None
+    with np.errstate(invalid="ignore", divide="ignore"):  # such a pivot may have no root
+        many = Runs(cov).root()
+    return many if (many.share > _REGULAR).all() else None
 
 
-def divide(matrix: Array, lower: Array) -> Array:
-    """The solution F of F L = J, (d, n, *batch), for J = `matrix` and lower triangular L = `lower`.
-
-    J is (d, n, *batch), L (n, n, *batch).
-    """
-    if lower.ndim == 2:
-        found: Array = _lapack().dtrtrs(lower, matrix.T, 1, 1)[0].T
-        return found
-    return along_runs.divide(matrix, lower)
+def _kind(array: Array) -> Any:
+    """The kind of matrices (n, n, *batch)."""
+    return Dense if array.ndim == 2 else Runs
 
 
 def is_moderate(mean: Array, cov: Array, before: Array, least: float, far: float) -> bool:
@@ -110,8 +100,8 @@ def is_moderate(mean: Array, cov: Array, before: Array, least: float, far: float
     its mean is finite.
     """
     if cov.ndim == 2:
-        written = checking(len(cov), least, far)
-        if written is not None and written(mean, cov, before):
+        quick = _checking(len(cov), least, far)
+        if quick is not None and quick(mean, cov, before):
             return True
     variances = np.einsum("ii...->i...", cov)
     fell = variances < least * np.einsum("ii...->i...", before)
@@ -127,15 +117,14 @@ def predict(cov: Array, matrix: Array, noise: Array, bare: tuple[int, ...] = ())
     bare components: where the variance of such a component is no more than rounding, its variance
     and covariances become zero.
     """
-    if cov.ndim == 2:
-        written = predicting(len(noise), len(cov))
-        if written is not None:
-            spread = written(cov, matrix, noise)
-        else:
-            spread = symmetric(matrix.dot(cov).dot(matrix.T) + noise)
+    quick = _predicting(len(noise), len(cov)) if cov.ndim == 2 else None
+    if quick is not None:
+        spread: Array = quick(cov, matrix, noise)
+    elif cov.ndim == 2:
+        spread = symmetric(step.predict(Dense(cov), Dense(matrix), Dense(noise)).array)
     else:
-        spread = np.empty((len(matrix), len(matrix), *cov.shape[2:]))
-        along_runs.push(cov, matrix, noise, spread)
+        with scratch():
+            spread = step.predict(Runs(cov, True), Runs(matrix), Runs(noise)).array
     return _certain(spread, cov, matrix, bare) if bare else spread
 
 
@@ -193,7 +182,7 @@ def extend(
         cov[child, child] = noise
         return
     rows = cov[parents]
-    cross = matrix.dot(rows) if cov.ndim == 2 else np.einsum("ijr,jkr->ikr", matrix, rows)
+    cross = (_kind(cov)(matrix) @ _kind(cov)(rows)).array
     own = predict(rows[:, parents], matrix, noise, bare)
     for i in bare:
         if not own[i, i].all():
@@ -211,9 +200,8 @@ class Update(NamedTuple):
     log_density: (*batch); a measured component that the components before it determine adds
         nothing to it.
     regular: Whether S is not nearly singular: each of its pivots is at least 10⁻⁶ of its diagonal
-        entry. A batch that `along_runs` has updated always counts as regular, although its pivots
-        may be smaller if the measurement is mild or `update` was given a smaller limit, `least`.
-    mild: Whether the measurement is known to shrink no variance more than a thousand times.
+        entry. A batch always counts as regular if `update` was given a smaller limit, `least`, and
+        all pivots are above it.
     left: The distance of each measured component that those before it determine from the value
         determined, and zero for all other components, (d, *batch); None if none is determined.
     """
@@ -222,7 +210,6 @@ class Update(NamedTuple):
     cov: Array
     log_density: Array | float
     regular: bool
-    mild: bool
     left: Array | None
 
 
@@ -232,10 +219,8 @@ def update(
     matrix: Array,
     residual: Array,
     noise: Array,
-    out: tuple[Array, Array] | None = None,
     *,
     exact: bool = False,
-    sharp: Array | None = None,
     least: float = NEARLY_SINGULAR,
 ) -> Update:
     """Condition N(mean, cov) on a measurement z = H x + v, v ~ N(0, noise), of residual z − H mean.
@@ -245,33 +230,24 @@ def update(
     `cov` P (n, n, *batch), exactly symmetric, `residual` (d, *batch); of `matrix` H (d, n, *batch)
     and `noise` (d, d, *batch) the batch may be of length one.
 
-    `out`, a mean and a covariance other than those given, may be overwritten with a batch's new
-    moments. `exact` says that the noise may be singular: `moments` then computes the update, and
-    tells zeros from rounding. `moments` also takes over where a pivot of S is at most 10⁻⁶ times
-    its diagonal entry, or, for a batch, at most `least` times. `sharp` (runs or 1,) is the bound of
-    det S below which a batch's measurements count as mild, shrinking no variance more than a
-    thousand times; it is computed from the noise if None.
+    `exact` says that the noise may be singular: `moments` then computes the update, and tells zeros
+    from rounding. `moments` also takes over where a pivot of S is at most 10⁻⁶ times its diagonal
+    entry, or, for a batch, at most `least` times.
     """
     if not exact:
-        if cov.ndim > 2:
-            many = along_runs.update(
-                mean, cov, matrix, residual, noise, out, sharp=sharp, least=least
-            )
-            if many is not None:
-                return Update(many.mean, many.cov, many.log_density, True, many.mild, None)
-        else:
-            one = update_one(mean, cov, matrix, residual, noise)
-            if one is not None:
-                return Update(*one, True, False, None)
+        arguments = mean, cov, matrix, residual, noise
+        found = update_one(*arguments) if cov.ndim == 2 else _update_many(*arguments, least)
+        if found is not None:
+            return Update(found[0], found[1], found[2], True, None)
     parts = components_last(mean, 1), components_last(cov, 2), components_last(matrix, 2)
-    found = moments.update(
+    careful = moments.update(
         *parts, components_last(residual, 1), components_last(noise, 2), exact=exact
     )
-    left = None if found.left is None else components_first(found.left, 1)
-    after = components_first(found.mean, 1), components_first(found.cov, 2)
-    regular = roots.smallest_pivot(found.lower) >= NEARLY_SINGULAR
-    density = found.log_density if cov.ndim > 2 else float(found.log_density)
-    return Update(*after, density, regular, False, left)
+    left = None if careful.left is None else components_first(careful.left, 1)
+    after = components_first(careful.mean, 1), components_first(careful.cov, 2)
+    regular = roots.smallest_pivot(careful.lower) >= NEARLY_SINGULAR
+    density = careful.log_density if cov.ndim > 2 else float(careful.log_density)
+    return Update(*after, density, regular, left)
 
 
 def update_one(
@@ -283,24 +259,131 @@ def update_one(
     `residual` z − H m (d,) and `noise` R (d, d). None if a pivot of S is at most 10⁻⁶ of its
     diagonal entry.
     """
-    written = updating(len(mean), len(residual), NEARLY_SINGULAR)
-    if written is not None:
-        return written(mean, cov, matrix, residual, noise)
-    cross = matrix.dot(cov)
-    predictive = cross.dot(matrix.T)
-    predictive += noise
-    lower, gain, fault = _lapack().dposv(predictive, cross, 1)
-    if fault:
+    quick = _updating(len(mean), len(residual))
+    if quick is not None:
+        found: tuple[Array, Array, float] | None = quick(mean, cov, matrix, residual, noise)
+        return found
+    vectors = Dense(mean[:, None]), Dense(residual[:, None])
+    after = step.update(vectors[0], Dense(cov), Dense(matrix), vectors[1], Dense(noise))
+    if not after.share > NEARLY_SINGULAR:
         return None
-    volume = 0.0
-    for pivot, entry in zip(lower.diagonal().tolist(), predictive.diagonal().tolist(), strict=True):
-        if not pivot * pivot > NEARLY_SINGULAR * entry:
+    density: float = _log_density(after, len(residual))
+    return after.mean.array[:, 0], symmetric(after.cov.array), density
+
+
+def _update_many(
+    mean: Array, cov: Array, matrix: Array, residual: Array, noise: Array, least: float
+) -> tuple[Array, Array, Array] | None:
+    """The means, covariances and log-densities of `update` for a batch of runs.
+
+    None if a pivot of S is at most `least` times its diagonal entry, in any run.
+    """
+    quick = _updating_rows(len(mean), len(residual), least)
+    if quick is not None:
+        with quiet():  # of what is not regular
+            found: tuple[Array, Array, Array] | None = quick(mean, cov, matrix, residual, noise)
+        return found
+    belief, slope, error = Runs(cov, True), Runs(matrix), Runs(noise, True)
+    before, off = Runs(mean[:, None]), Runs(residual[:, None])
+    with scratch():
+        cross = slope @ belief
+        root = (cross.times(slope) + error).root()
+        if not (root.share > least).all():
             return None
-        volume += log(pivot)
-    white = _lapack().dtrtrs(lower, residual, 1)[0]
-    gain = gain.T
-    keep = np.eye(len(mean)) - gain.dot(matrix)
-    posterior = keep.dot(cov).dot(keep.T)
-    posterior += gain.dot(noise).dot(gain.T)
-    log_density = -0.5 * (float(white.dot(white)) + len(residual) * LOG_2PI) - volume
-    return mean + gain.dot(residual), symmetric(posterior), log_density
+        if _is_mild(noise, root, least):
+            after = step.lessened(before, belief, off, root, cross)
+        else:
+            gain = step.gain(root, cross)
+            after = step.given(before, belief, slope, off, error, root, gain)
+        density = _log_density(after, len(residual))
+        return after.mean.array[:, 0], after.cov.array, density
+
+
+def _is_mild(noise: Array, root: RunsRoot, least: float) -> bool:
+    """Whether it is known that measurements shrink no variance more than a thousand times.
+
+    So it is where det S < 1000 det R, R being the `noise` and `root` that of S: as S ≥ R, S is then
+    at most 1000 R in every direction.
+    """
+    if noise.shape[-1] > 1:
+        many = Runs(noise).root()
+        regular, further = many.share.min() > _MILD * least, root.volume - many.volume
+    else:
+        one = Dense(noise[..., 0]).root()
+        regular, further = one.share > _MILD * least, root.volume - one.volume
+    return bool(regular and further.max() < 0.5 * log(_MILD))
+
+
+def _log_density(after: step.Updated, size: int) -> Number:
+    """The log-density −(rᵀ S⁻¹ r + d ln 2π) / 2 − ln |S| / 2 of a measurement of d = `size`."""
+    return -0.5 * (after.square + size * LOG_2PI) - after.volume
+
+
+def _is_small(size: int, height: int) -> bool:
+    """Whether lines of Python are quicker than LAPACK, for n = `size` and d = `height`."""
+    return 0 < size * height * (size + height) <= _MOST
+
+
+@lru_cache(maxsize=64)
+def _updating(size: int, height: int) -> Callable[..., Any] | None:
+    """The function `update_one` of n components and d measurements; None where they are many."""
+    if not _is_small(size, height):
+        return None
+
+    def body(*moments: Matrix) -> tuple[list[Any], Any]:
+        after = step.update(*moments)
+        arrays = written.array(after.mean, size), written.array(after.cov, size, size)
+        return [*arrays, _log_density(after, height)], after.share > NEARLY_SINGULAR
+
+    return written.function(_shapes(size, height), body)
+
+
+@lru_cache(maxsize=64)
+def _updating_rows(size: int, height: int, least: float) -> Callable[..., Any] | None:
+    """The function `_update_many` of n components and d measurements; None where they are many."""
+    if not 0 < size * height * (size + height) <= _FEW:
+        return None
+
+    def body(*moments: Matrix) -> tuple[list[Any], Any]:
+        after = step.update(*moments)
+        arrays = written.rows(after.mean, size), written.rows(after.cov, size, size)
+        truth = written.Written("({}).all()", after.share > least)
+        return [*arrays, _log_density(after, height)], truth
+
+    return written.function(_shapes(size, height), body, along_runs=True)
+
+
+def _shapes(size: int, height: int) -> dict[str, tuple[int, ...]]:
+    """The shapes of what `update` takes, of n components and d measurements."""
+    shapes = {"mean": (size,), "cov": (size, size), "matrix": (height, size)}
+    return {**shapes, "residual": (height,), "noise": (height, height)}
+
+
+@lru_cache(maxsize=64)
+def _predicting(height: int, size: int) -> Callable[..., Any] | None:
+    """The function `predict` of d components from n; None where they are many."""
+    if not _is_small(size, height):
+        return None
+
+    def body(*matrices: Matrix) -> tuple[list[Any], Any]:
+        return [written.array(step.predict(*matrices), height, height)], True
+
+    shapes = {"cov": (size, size), "matrix": (height, size), "noise": (height, height)}
+    return written.function(shapes, body)
+
+
+@lru_cache(maxsize=64)
+def _checking(size: int, least: float, far: float) -> Callable[..., Any] | None:
+    """The function `is_moderate` of n components, each with a variance; None where n is large."""
+    if not 0 < size**3 <= _MOST:
+        return None
+
+    def body(mean: Matrix, cov: Matrix, before: Matrix) -> tuple[list[Any], Any]:
+        truth = cov.root().share > least
+        for k in range(size):
+            m, variance = mean[k, 0], cov[k, k]
+            truth = truth & (variance > least * before[k, k]) & (far * variance > m * m)
+        return [True], truth
+
+    shapes = {"mean": (size,), "cov": (size, size), "before": (size, size)}
+    return written.function(shapes, body)

@@ -12,22 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.kernels import roots, solving
-from pgm.kernels.arrays import (
-    LAST_PLACES,
-    LOG_2PI,
-    Array,
-    apply,
-    contiguous,
-    inner,
-    make_symmetric,
-    multiply,
-    one_minus,
-    sandwich,
-    times_symmetric,
-    times_transposed,
-    transpose,
-)
+from pgm.kernels import roots, solving, step
+from pgm.kernels.arrays import LAST_PLACES, LOG_2PI, Array, inner, multiply
+from pgm.kernels.dense import Rounded, Stack, StackRoot
 
 # The part of what is summed up that rounding leaves where the sum ought to be zero.
 ROUNDING = 1e-14
@@ -60,40 +47,41 @@ def update(
     summands that they are computed from, and are zero where they are only rounding. Without it,
     pivots of S are compared with the diagonal of S alone, and variances of the result stay.
     """
-    size = residual.shape[-1]
-    cross = times_symmetric(matrix, cov)
-    predictive = times_transposed(cross, matrix) + noise
+    belief, slope, error = Stack(cov, True), Stack(matrix), Stack(noise, True)
+    cross = slope @ belief
+    predictive = (cross.times(slope) + error).array
     lower = roots.root(predictive, spread(matrix, cov, noise) if exact else None)
-    fixed = roots.determined(lower)
-    white = solving.solve_lower(lower, np.concatenate([residual[..., None], cross], axis=-1))
-    gain = contiguous(transpose(solving.solve_upper(lower, white[..., 1:])))
-    white_residual = white[..., 0]
-    left = None
-    dimension: int | Array = size
-    if fixed.any():
-        left = np.where(fixed, np.abs(white_residual), 0.0)
-        white_residual = np.where(fixed, 0.0, white_residual)
-        dimension = size - fixed.sum(axis=-1)
-    log_density = -0.5 * (
-        inner(white_residual, white_residual) + solving.log_determinant(lower) + dimension * LOG_2PI
-    )
-    keep, posterior = joseph(cov, gain, matrix, noise)
+    root, off = StackRoot(lower), Stack.column(residual)
+    gain = step.gain(root, cross)
+    after = step.given(Stack.column(mean), belief, slope, off, error, root, gain)
+    left = root.left(off) if root.fixed.any() else None
+    dimension = residual.shape[-1] - root.fixed.sum(axis=-1)
+    log_density = -0.5 * (after.square + dimension * LOG_2PI) - after.volume
+    posterior = after.cov.array
     if exact:
         # 1 − GH is rounded itself, which leaves about 1e-32 of what is certain now.
+        keep = (gain @ slope).one_minus().array
         left_over = ROUNDING * spread(keep, cov, np.zeros_like(cov))
         prior = np.diagonal(cov, axis1=-2, axis2=-1)
         posterior = certain(posterior, np.maximum(left_over, ROUNDING**2 * prior))
-    return Update(mean + apply(gain, residual), posterior, log_density, lower, left)
+    return Update(after.mean.vector, posterior, log_density, lower, left)
 
 
-def joseph(cov: Array, gain: Array, matrix: Array, noise: Array) -> tuple[Array, Array]:
-    """The factor I − G H and the covariance (I − G H) P (I − G H)ᵀ + G noise Gᵀ after an update.
+def squares(cov: Array, gain: Array, matrix: Array, noise: Array) -> Array:
+    """The covariance (I − G H) P (I − G H)ᵀ + G noise Gᵀ after an update, (..., n, n).
 
-    Both are (..., n, n), as P = `cov`; G is any gain, `gain` (..., n, d), H `matrix` (..., d, n),
-    and `noise` (..., d, d).
+    P is `cov` (..., n, n), G any gain, `gain` (..., n, d), H `matrix` (..., d, n), and `noise`
+    (..., d, d).
     """
-    keep = one_minus(multiply(gain, matrix))
-    return keep, make_symmetric(sandwich(keep, cov) + sandwich(gain, noise))
+    found = step.squares(Stack(cov, True), Stack(gain), Stack(matrix), Stack(noise, True))
+    result: Array = found.array
+    return result
+
+
+def predict(cov: Array, matrix: Array, noise: Array) -> Array:
+    """The covariance F P Fᵀ + noise, (..., d, d), of y = F x + b + e, F being `matrix`."""
+    found: Array = step.predict(Stack(cov, True), Stack(matrix), Stack(noise)).array
+    return found
 
 
 def spread(matrix: Array, cov: Array, noise: Array) -> Array:
@@ -140,12 +128,11 @@ def reverse(
     m − G m_y, and its covariance, that of the noise e, is computed as (I − GA) P (I − GA)ᵀ +
     G noise Gᵀ, which subtracts nothing from P.
     """
-    cross = transpose(times_symmetric(matrix, cov))
     # The rest is right for any gain: only what is no more than rounding has to go.
-    lower = roots.root(forward_cov, spread(matrix, cov, noise), negligible=0.1 * ROUNDING)
-    gain = solving.gain(cross, lower, forward_cov)
-    _, rest = joseph(cov, gain, matrix, noise)
-    return Conditional(gain, mean - apply(gain, forward_mean), rest)
+    later = Rounded(forward_cov, spread(matrix, cov, noise), 0.1 * ROUNDING)
+    parts = Stack.column(mean), Stack(cov, True), Stack(matrix), Stack(noise, True)
+    found = step.reverse(*parts, Stack.column(forward_mean), later)
+    return Conditional(found.gain.array, found.offset.vector, found.cov.array)
 
 
 def push(mean: Array, cov: Array, conditional: Conditional) -> tuple[Array, Array]:
@@ -154,7 +141,10 @@ def push(mean: Array, cov: Array, conditional: Conditional) -> tuple[Array, Arra
     `conditional` is p(y | x), that is y = F x + b + e; x is of n components, y of d.
     """
     matrix, offset, noise = conditional
-    return apply(matrix, mean) + offset, make_symmetric(sandwich(matrix, cov) + noise)
+    pushed = step.push(
+        *(Stack.column(mean), Stack(cov, True)), Stack(matrix), Stack.column(offset), Stack(noise)
+    )
+    return pushed[0].vector, pushed[1].array
 
 
 def log_density(residual: Array, cov: Array) -> Array:

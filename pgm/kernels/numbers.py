@@ -15,8 +15,8 @@ of NumPy's that has this name, and ``x.choose(truth, a, b)``, one or the other b
 from __future__ import annotations
 
 import math
-from math import prod
 from collections.abc import Iterable, Sequence
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -64,7 +64,7 @@ def where(truth: Number, a: Number, b: Number) -> Number:
     if type(truth) is bool:
         return a if truth else b
     for each in (truth, a, b):
-        if hasattr(each, "choose"):
+        if hasattr(each, "choose") and not isinstance(each, np.ndarray | np.generic):
             return each.choose(truth, a, b)
     return np.where(truth, a, b)
 
@@ -73,6 +73,8 @@ def least(a: Number, b: Number) -> Number:
     """The lesser of two numbers; NaN where one is."""
     if type(a) is float and type(b) is float:
         return a if a < b or a != a else b
+    if isinstance(a, np.ndarray):
+        return np.minimum(a, b)
     return where((a < b) | (a != a), a, b)
 
 
@@ -80,6 +82,8 @@ def most(a: Number, b: Number) -> Number:
     """The larger of two numbers; NaN where one is."""
     if type(a) is float and type(b) is float:
         return a if a > b or a != a else b
+    if isinstance(a, np.ndarray):
+        return np.maximum(a, b)
     return where((a > b) | (a != a), a, b)
 
 
@@ -202,7 +206,10 @@ class Root:
             for j in range(i):
                 known.append((row[j] - inner(known, self.lower[j][:j])) * self.over[j])
             pivot = row[i] - inner(known, known)
-            self.share = least(pivot * inverse(abs(row[i])), self.share)
+            if i:
+                self.share = least(pivot * inverse(abs(row[i])), self.share)
+            else:  # which is 1, 0 of a pivot that is not positive, and NaN of one that is none
+                self.share = where(pivot > 0.0, 1.0, 0.0) + 0.0 * pivot
             known.append(sqrt(pivot))
             self.over.append(inverse(known[i]))
             self.lower.append(known)
@@ -229,8 +236,8 @@ class Root:
         for i, row in enumerate(right.rows):
             rest = list(row)
             for x, above in zip(self.lower[i], found, strict=False):
-                rest = [a - x * b for a, b in zip(rest, above, strict=True)]
-            found.append([a * self.over[i] for a in rest])
+                rest = [a if is_zero(b) else a - x * b for a, b in zip(rest, above, strict=True)]
+            found.append([a if is_zero(a) else a * self.over[i] for a in rest])
         return Matrix(found, right.width)
 
     def solve_transposed(self, right: Matrix) -> Matrix:
@@ -244,3 +251,11 @@ class Root:
                 rest = [a - x * b for a, b in zip(rest, found[k], strict=True)]
             found[i] = [a * self.over[i] for a in rest]
         return Matrix(found, right.width)
+
+    @property
+    def inverse(self) -> Matrix:
+        """The matrix A⁻¹."""
+        size = range(len(self.lower))
+        eye = Matrix([1.0 if i == j else 0.0 for j in size] for i in size)
+        white = self.solve(eye).T
+        return white.times(white)

@@ -10,13 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from pgm.kernels import moments
-from pgm.kernels.arrays import (
-    Array,
-    apply,
-    multiply,
-    sandwich,
-    symmetric,
-)
+from pgm.kernels.arrays import Array, apply, multiply
 from pgm.kernels.moments import Conditional
 
 
@@ -29,11 +23,8 @@ class Moments(NamedTuple):
 
 def compose_conditionals(first: Conditional, then: Conditional) -> Conditional:
     """The conditional p(z | x) = ∫ p(y | x) p(z | y) dy; `first` is p(y | x), `then` p(z | y)."""
-    return Conditional(
-        multiply(then.matrix, first.matrix),
-        apply(then.matrix, first.offset) + then.offset,
-        symmetric(sandwich(then.matrix, first.cov) + then.cov),
-    )
+    mean, cov = moments.push(first.offset, first.cov, then)
+    return Conditional(multiply(then.matrix, first.matrix), mean, cov)
 
 
 def push_moments(belief: Moments, conditional: Conditional) -> Moments:

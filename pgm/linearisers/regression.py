@@ -22,6 +22,7 @@ from pgm.kernels.arrays import (
     times_transposed,
     transpose,
 )
+from pgm.kernels.dense import Dense, DenseRoot, Runs, RunsRoot
 from pgm.kernels.regression import range_inverse, regress
 from pgm.linearisers.function import BoundFunction
 from pgm.linearisers.lineariser import ArrayLineariser, Line, Prepared, apart
@@ -176,20 +177,20 @@ class _Regression:
         points = rule.points(self.size, self.name, step)
         s = points.points
         shared = s.ndim == 2 and len(s) <= FEW and not self.prior_moments
-        lower = gaussian.root(cov) if shared else None
-        if lower is None:
+        root = gaussian.root(cov) if shared else None
+        if root is None:
             line = self._generally(function, mean, cov, points)
         else:
             turning = function.turning
             if turning and not points.centred:
                 s = points.with_centre  # about which values of angles are
-            if mean.ndim > 1:
-                x = _spread(s, mean, lower)
+            if isinstance(root, RunsRoot):
+                x = _spread(s, mean, root.matrix.array)
                 values = function(_runs_first(x))
-                line = _fitted(function, turning, x, values, mean, cov, points, lower)
+                line = _fitted(function, turning, x, values, mean, cov, points, root)
             else:
-                x = _spread_one(s, mean, lower)
-                line = _fitted_one(function, turning, x, function(x), mean, cov, points, lower)
+                x = _spread_one(s, mean, root.matrix.array)
+                line = _fitted_one(function, turning, x, function(x), mean, cov, points, root)
         if function.group is None or function.joint:
             return line
         return line._replace(error=_within(line.error, function.group))
@@ -247,9 +248,9 @@ def _fitted_one(
     mean: Array,
     cov: Array,
     points: Points,
-    lower: Array,
+    root: DenseRoot,
 ) -> Line:
-    """The regression line of `_fitted` at one belief: x (N, n), mean (n,), cov and lower (n, n)."""
+    """The regression line of `_fitted` at one belief: x (N, n), mean (n,), cov (n, n)."""
     extra = len(x) - len(points.points)
     reference = values[0]
     raw = (values[1:] if extra else values) - reference
@@ -263,7 +264,7 @@ def _fitted_one(
     left = found[first:]
     noise = (left if signs is None else signs[:, None] * left).T.dot(left)
     slope, value = found[1:first].T, reference + found[0]
-    matrix = gaussian.divide(slope, lower)
+    matrix = root.solve_transposed(Dense(slope).T).T.array
     _clear_rounding(function, noise, slope, reference, raw.T, matrix, mean, points.fitted_rounding)
     return Line(matrix, value, noise)
 
@@ -291,7 +292,7 @@ def _fitted(
     mean: Array,
     cov: Array,
     points: Points,
-    lower: Array,
+    root: RunsRoot,
 ) -> Line:
     """The regression line of a function at beliefs N(μ, P) by a rule whose points all share.
 
@@ -306,13 +307,13 @@ def _fitted(
     tangent at μ, where values differ by more than π.
 
     The points `x` are (n, N, *batch), `values` those of the function, (*batch, N, d), whose
-    `turning` components are angles. `mean` is (n, *batch), `cov` and its root `lower` (n, n,
-    *batch), the line's parts likewise.
+    `turning` components are angles. `mean` is (n, *batch), `cov` (n, n, *batch), `root` its root,
+    and the line's parts are likewise.
     """
     batch = mean.shape[1:]
     values = values.transpose(-1, -2, *range(len(batch)))
     if len(batch) > 1:
-        mean, lower = mean.reshape(len(mean), -1), lower.reshape(*lower.shape[:2], -1)
+        mean = mean.reshape(len(mean), -1)
         x, values = (part.reshape(*part.shape[:2], -1) for part in (x, values))
     extra = x.shape[1] - len(points.points)
     reference = values[:, 0]
@@ -331,7 +332,8 @@ def _fitted(
     left = found[:, first:]
     noise = np.einsum("ikr,jkr->ijr", left if signs is None else signs[:, None] * left, left)
     slope, value = found[:, 1:first], reference + found[:, 0]
-    matrix = gaussian.divide(slope, lower)
+    along = Runs(slope.reshape(*slope.shape[:2], *batch))
+    matrix = root.solve_transposed(along.T).T.array.reshape(slope.shape)
     _clear_rounding(function, noise, slope, reference, raw, matrix, mean, points.fitted_rounding)
     if len(batch) < 2:
         return Line(matrix, value, noise)

@@ -142,8 +142,8 @@ class FunctionTemplate:
         return {name: value for name, value in keep if name not in own}
 
     @cached_property
-    def compiled(self) -> dict[bool, Any]:
-        """The function in machine code, or why there is none, for single runs and for packs."""
+    def compiled(self) -> dict[Program, Any]:
+        """The function with its whole derivative, by its trace, as machine code is told of it."""
         return {}
 
     @cached_property

@@ -83,9 +83,10 @@ class Status(Shown, Immutable):
         digits were not measured and that last rounding is at most 10⁻⁶ deviations for each mean.
         Fewer than six give a `PrecisionWarning`.
     compilation : str
-        An account of the sweeps along a chain: ``"compiled"``, where machine code made them; ``"not
-        compiled: ..."`` or ``"compiled, but for: ..."``, where it was due and something of the call
-        left it to NumPy, with the reasons; ``"by NumPy: ..."``, where it was not due. Else empty.
+        An account of the sweeps along a chain: ``"compiled"``, where machine code made them, with
+        the CPDs whose functions it called back; ``"not compiled: ..."`` or ``"compiled, but for:
+        ..."``, where it was due and something of the call left it to NumPy, with the reasons; ``"by
+        NumPy: ..."``, where it was not due. Else empty.
 
     numbers : mapping of str to object
         A belief family's own figures, by name; also as attributes of the status. Those of a grid
@@ -243,7 +244,7 @@ class Status(Shown, Immutable):
         lost = ""
         if self.digits is not None and (least := self.digits.min(initial=np.inf)) < ENOUGH_DIGITS:
             lost = f", {max(least, 0.0):.1f} digits left"
-        left = self.compilation.startswith(("not compiled", "compiled, but"))
+        left = self.compilation.startswith(("not compiled", "compiled,"))
         if told := self._told:
             return f"Status({told})"
         return f"Status({self._went()}{lost}{f'; {self.compilation}' if left else ''})"

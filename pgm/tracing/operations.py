@@ -31,34 +31,25 @@ _ROUNDING = {
 _TWO = {"arctan2", "hypot", "power", "fmod", "copysign"}
 
 
-def _written(where: str) -> dict[str, str]:
-    """All operations, in a language that chooses so; a NaN goes through as it does in NumPy."""
-    if_else = where.format
-    return {
-        **{name: f"{name}({{0}}, {{1}})" if name in _TWO else f"{name}({{0}})" for name in _NAMED},
-        **_ARITHMETIC,
-        **_COMPARISONS,
-        **_LOGICAL,
-        "negative": "(-{0})",
-        "absolute": "abs({0})",
-        "sign": if_else("{0} > 0.0", "1.0", if_else("{0} < 0.0", "-1.0", "{0} * 0.0")),
-        "minimum": if_else("({0} < {1}) | ({0} != {0})", "{0}", "{1}"),
-        "maximum": if_else("({0} > {1}) | ({0} != {0})", "{0}", "{1}"),
-        "where": where,
-    }
-
-
 _NAMED = (*_IN_MATH, *_ROUNDING)
 BOOLEAN = {*_COMPARISONS, *_LOGICAL}
 COMMUTATIVE = {"add", "multiply", "equal", "not_equal", "logical_and", "logical_or", "hypot"}
 # Of these and their like the derivative neither cancels nor jumps.
 SMOOTH = {"constant", "input", "add", "subtract", "multiply", "negative", "arctan", "arcsinh"}
 SMOOTH |= {"sin", "cos", "sinh", "cosh", "tanh", "exp", "exp2", "expm1"}
-# Of Python; and of compiled code, for floats and for packs of them, of which there is no branch.
-SCALAR = _written("({1} if {0} else {2})")
-MACHINE = _written("where({0}, {1}, {2})")
-# The names in C of those called by name, and how many arguments they have.
-IN_C = {name: (own, 1 + (name in _TWO)) for name, own in _IN_MATH.items()}
+# Of Python; a NaN goes through as it does in NumPy.
+SCALAR = {
+    **{name: f"{name}({{0}}, {{1}})" if name in _TWO else f"{name}({{0}})" for name in _NAMED},
+    **_ARITHMETIC,
+    **_COMPARISONS,
+    **_LOGICAL,
+    "negative": "(-{0})",
+    "absolute": "abs({0})",
+    "sign": "(1.0 if {0} > 0.0 else (-1.0 if {0} < 0.0 else {0} * 0.0))",
+    "minimum": "({0} if ({0} < {1}) | ({0} != {0}) else {1})",
+    "maximum": "({0} if ({0} > {1}) | ({0} != {0}) else {1})",
+    "where": "({1} if {0} else {2})",
+}
 # Python's own functions raise where NumPy's return infinities and NaNs.
 PYTHON: dict[str, Callable[..., Any]] = {
     **{name: getattr(math, own) for name, own in _IN_MATH.items()},

@@ -1,4 +1,4 @@
-"""Programs made of traces: a value and its derivative, as code for batches, scalars and Numba."""
+"""Programs made of traces: a value and its derivative, as code for batches and for scalars."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from pgm.kernels.arrays import Array
 from pgm.tracing.derivatives import derivatives
-from pgm.tracing.operations import BATCH, MACHINE, PYTHON, SCALAR, SMOOTH
+from pgm.tracing.operations import BATCH, PYTHON, SCALAR, SMOOTH
 from pgm.tracing.traced import Recorder
 
 _PART = 4096
@@ -104,20 +104,6 @@ class Program:
         """Code of a function of all components, in the order of the arguments, to a flat tuple."""
         inputs = {(a, i): f"a{a}_{i}" for a, i in self._components}
         return self._printed(f"def scalar({', '.join(inputs.values())}):", inputs, [], SCALAR)
-
-    @property
-    def pointer_source(self) -> str:
-        """Code of a function of pointers, for Numba: hidden components x, observed ones u.
-
-        It writes to a value (d,) and a derivative (d n,), row by row, of a run, or of a pack of
-        runs, whose observed components lie `apart` from each other.
-        """
-        inputs = {column: f"x[{k}]" for k, column in enumerate(self.columns)}
-        observed = (each for each in self._components if each not in inputs)
-        inputs |= {each: f"take(u, {k}, apart, x)" for k, each in enumerate(observed)}
-        cells = [f"value[{i}]" for i in range(len(self.value))]
-        cells += [f"slope[{s}]" for s in range(len(self.slope))]
-        return self._printed("def pointer(x, u, apart, value, slope):", inputs, cells, MACHINE)
 
     def _printed(
         self, head: str, inputs: dict[Column, str], cells: list[str], words: dict[str, str] | None

@@ -108,6 +108,15 @@ class Node(NDArrayOperatorsMixin):
     def __int__(self) -> int:
         raise self.graph.refuse("it makes an integer of a value")
 
+    def apply(self, name: str) -> Any:
+        """The function of NumPy's that has this name."""
+        return scalar(name, self)
+
+    @staticmethod
+    def choose(truth: Any, a: Any, b: Any) -> Any:
+        """The number a where a truth holds, b elsewhere."""
+        return scalar("where", truth, a, b)
+
     def __getattr__(self, name: str) -> Any:
         # NumPy calls a method of each element of a plain array of objects, such as `sin`.
         if not name.startswith("_") and isinstance(getattr(np, name, None), np.ufunc):

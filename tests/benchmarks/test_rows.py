@@ -57,7 +57,7 @@ PAIRS = [
 @pytest.mark.filterwarnings("ignore:::(jax|tensorflow_probability|stonesoup|fastprogress|pgmpy)")
 def test_libraries_agree(row, library):
     if library == "pgm_compiled":
-        pytest.importorskip("numba", reason="numba comes with the extra fast")
+        pytest.importorskip("llvmlite", reason="sweeps are compiled by llvmlite")
     elif not library.startswith("pgm_"):
         package = library.split("_")[0]
         pytest.importorskip(package, reason=f"{package} comes with the extra bench")

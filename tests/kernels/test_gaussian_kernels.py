@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from pgm.kernels import gaussian, unrolled
+from pgm.kernels import gaussian
 from tests.dense import random_covariance
 
 # Of one Gaussian the first of these are written out number by number, the others go to LAPACK.
@@ -113,15 +113,6 @@ def assert_conditioned(found, arguments, batch):
             assert_allclose(found.left[(slice(None), *run)], left, atol=1e-12)
 
 
-def test_small_ones_are_written_out():
-    for size, height in SMALL:
-        assert unrolled.updating(size, height, 1e-6) is not None
-        assert unrolled.predicting(height, size) is not None
-    for size, height in [*LARGE, (3, 0)]:
-        assert unrolled.updating(size, height, 1e-6) is None
-    assert unrolled.predicting(7, 7) is None
-
-
 # ---- updates
 
 
@@ -156,7 +147,6 @@ def test_a_weak_prior_loses_no_digits_of_a_sharp_reading(size, height, batch):
     matrix = matrix + 2.0 * np.eye(height, size).reshape(height, size, *(1 for _ in batch))
     arguments = mean, 1e12 * cov, matrix, 1e6 * residual, noise
     found = gaussian.update(*arguments)
-    assert not found.mild
     assert_conditioned(found, arguments, batch)
 
 
@@ -368,15 +358,12 @@ def test_a_certain_child_varies_with_nothing(batch):
 
 @pytest.mark.parametrize("batch", [(), (1,), (40,), (3, 4)], ids=repr)
 @pytest.mark.parametrize("size", [1, 3, 6])
-def test_a_root_and_its_quotient(size, batch):
-    _, cov, matrix, _, _ = drawn(batch, size, 2)
-    lower = gaussian.root(cov)
+def test_a_root(size, batch):
+    _, cov, _, _, _ = drawn(batch, size, 2)
+    lower = gaussian.root(cov).matrix.array
     for run in np.ndindex(*batch):
         one = lower[(slice(None), slice(None), *run)]
         assert_allclose(one, np.linalg.cholesky(cov[(slice(None), slice(None), *run)]), atol=1e-13)
-    if len(batch) < 2:
-        found = gaussian.divide(matrix, lower)
-        assert_allclose(np.einsum("ij...,jk...->ik...", found, lower), matrix, atol=1e-12)
 
 
 @pytest.mark.parametrize("batch", [(), (5,), (2, 3)], ids=repr)

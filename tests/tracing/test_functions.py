@@ -1,6 +1,5 @@
 """Functions as users write them: each printer computes what they do, or they have no trace."""
 
-import ctypes
 import math
 import pickle
 
@@ -130,16 +129,9 @@ def test_an_idiom_is_traced(name):
     np.testing.assert_allclose(np.moveaxis(value, 0, -1), due, rtol=1e-14, atol=1e-15)
 
 
-def pointer(array):
-    return array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
-
-
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_each_printer_computes_what_the_function_does():
     """In every corner of float64: infinities, NaN, zeros of both signs."""
-    numba = pytest.importorskip("numba")
-    from pgm.tracing.compiled import compiled
-
     pairs_ = np.stack(np.meshgrid(SPECIAL, SPECIAL), axis=-1).reshape(-1, 2)
     points = np.concatenate([pairs_, np.random.default_rng(1).normal(size=(20, 2))])
     due = everything(points)
@@ -148,22 +140,42 @@ def test_each_printer_computes_what_the_function_does():
     again = pickle.loads(pickle.dumps(program))
     value, slope = again.batch([points], (len(points),))
     np.testing.assert_allclose(value.T, due, rtol=1e-14)
-    function = compiled(program)
-    assert isinstance(function.address, int)
-    assert numba.__version__
     for k, point in enumerate(points):
         one, by, finite = program.single([point])
         np.testing.assert_allclose(one, due[k], rtol=1e-13)
         np.testing.assert_allclose(by, slope[..., k], rtol=1e-12, atol=1e-14)
         assert finite == bool(np.isfinite(one).all() and np.isfinite(by).all())
-        out = np.zeros(due.shape[-1]), np.zeros(slope.shape[0] * 2)
-        function.ctypes(*(pointer(a) for a in (point, point)), 0, *(pointer(a) for a in out))
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_machine_code_computes_what_the_function_does():
+    pytest.importorskip("llvmlite", reason="machine code is written by LLVM")
+    from pgm.kernels.machine.kinds import ADDRESS
+    from pgm.kernels.machine.module import Module
+    from pgm.kernels.machine.traces import written
+
+    pairs_ = np.stack(np.meshgrid(SPECIAL, SPECIAL), axis=-1).reshape(-1, 2)
+    points = np.concatenate([pairs_, np.random.default_rng(1).normal(size=(20, 2))])
+    due = everything(points)
+    program = traced(everything, (2,), due.shape[-1]).by(((0, 0), (0, 1)))
+    slope = program.batch([points], (len(points),))[1]
+    outputs = [*program.value, *(k for k in program.slope if k is not None)]
+    module = Module()
+    code = module.function("everything", (ADDRESS, ADDRESS))
+    x, out = (code.memory(each) for each in code.arguments)
+    for k, number in enumerate(written(code, program.graph, outputs, lambda _, i: x.load(i))):
+        out.store(k, number)
+    function, found = module.compile().callable("everything"), np.zeros(len(outputs))
+    height = len(program.value)
+    for k, point in enumerate(points):
+        function(point.ctypes.data, found.ctypes.data)
         tame = np.isfinite(point).all()  # the power of infinity to .5 is C's own
-        np.testing.assert_allclose(
-            out[0][: None if tame else -2], due[k][: None if tame else -2], rtol=1e-13
-        )
+        last = None if tame else -2
+        np.testing.assert_allclose(found[:height][:last], due[k][:last], rtol=1e-13)
         if tame:
-            np.testing.assert_allclose(out[1].reshape(-1, 2), slope[..., k], rtol=1e-12, atol=1e-14)
+            by = np.zeros(len(program.slope))
+            by[[j for j, each in enumerate(program.slope) if each is not None]] = found[height:]
+            np.testing.assert_allclose(by.reshape(-1, 2), slope[..., k], rtol=1e-12, atol=1e-14)
 
 
 def branches(x):

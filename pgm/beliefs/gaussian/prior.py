@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.beliefs.gaussian.layout import Layout
-from pgm.kernels.arrays import Array, Integers, Mask, apply, sandwich, transpose
+from pgm.kernels import moments
+from pgm.kernels.arrays import Array, Integers, Mask, apply, transpose
 from pgm.linearisation.family import Family
 
 # The unit of a variable is at least this share of its value: small parts of it are still digits.
@@ -68,7 +69,7 @@ def prior_predictive(
         if not group.observed:
             child = group.child[row]
             matrix = family.matrix[row, :last]
-            own = sandwich(matrix, inside) + family.noise[row, :last]
+            own = moments.predict(inside, matrix, family.noise[row, :last])
             if start is None or np.isnan(mean[0, child[0]]):
                 at = mean[:, parents]
                 mean[:, child] = apply(family.matrix[row], at) + family.offset[row]

@@ -21,9 +21,9 @@ class Body:
         """Write an instruction that has no value."""
         self._lines.append(text)
 
-    def reserve(self, kind: str, aligned: int = 0) -> str:
+    def reserve(self, kind: str, aligned: int = 0, name: str = "") -> str:
         """Take memory for the whole function, wherever it is asked for; returns its name."""
-        place = f"%m{len(self._entry)}"
+        place = name or f"%m{len(self._entry)}"
         self._entry.append(f"{place} = alloca {kind}{f', align {aligned}' if aligned else ''}")
         return place
 

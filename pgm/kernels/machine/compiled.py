@@ -76,7 +76,7 @@ class Compiled:
 
 
 # The passes of levels 0 and 1: numbers into registers, inlining, and no search beyond a block.
-_LIGHT = ("always_inliner", "sroa", "simplify_cfg", "instruction_combine", "loop_rotate")
+_LIGHT = ("always_inliner", "sroa", "simplify_cfg")
 
 
 def _engine(text: str, level: int) -> Any:
@@ -85,8 +85,9 @@ def _engine(text: str, level: int) -> Any:
     module = binding.parse_assembly(text)
     module.verify()
     tuning = binding.create_pipeline_tuning_options(speed_level=level)
-    # Packs are made as code is written; LLVM's search for more takes longer than it brings.
-    tuning.slp_vectorization = tuning.loop_vectorization = False
+    # Packs are made as code is written, and sums side by side; LLVM's search for more takes longer
+    # than it brings.
+    tuning.slp_vectorization = tuning.loop_vectorization = tuning.loop_unrolling = False
     builder = binding.create_pass_builder(machine, tuning)
     if level < 2:
         passes = binding.create_new_module_pass_manager()

@@ -12,13 +12,15 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from pgm.kernels import step
-from pgm.kernels.machine.cpd import REGULAR, evaluated, linearised
+from pgm.kernels.machine.cpd import REGULAR, linearised, value_at
+from pgm.kernels.machine.lines import Carried, held
 from pgm.kernels.machine.numbers import Number
 from pgm.kernels.machine.outliers import cost_of, is_rejected, square_of
 from pgm.kernels.machine.told import Forward, Row, Sensor, kept_sensor
 from pgm.kernels.machine.wholes import Whole
-from pgm.kernels.machine.writer import Carried, Writer, chosen, held
+from pgm.kernels.machine.writer import Writer
 from pgm.kernels.numbers import Matrix, least, most, sqrt, where
+from pgm.kernels.step import AnyMatrix
 
 # As of `schedules.iteration`: a rise of the cost that is rounding, and the largest weight.
 _NO_WORSE, _HEAVIEST = 1e-13, 1e12
@@ -107,7 +109,7 @@ class Control:
             with code.when(k > 0):
                 old = done.get()
                 good = ~old & (cost <= limit.get())
-                _set(mean, chosen(good, _get(candidate), _get(mean)))
+                _set(mean, self._w.matrices.chosen(good, _get(candidate), _get(mean)))
                 failed = where(k == 1, 1.0, self._factor)
                 change = where(good, 1.0 / self._factor, failed)
                 self._weight.set(where(old, self._weight.get(), self._weight.get() * change))
@@ -115,8 +117,9 @@ class Control:
             code.leave_when(code.every(done.get()))
         weight, heaviest = self._weight.get(), most(self._start, code.constant(_HEAVIEST))
         self._weight.set(where(active, least(most(weight, self._start), heaviest), weight))
-        _set(self._shown, chosen(active, _get(mean), self.shown))
-        point.set(chosen(settled, here, self.shown), chosen(settled, cov, found.cov))
+        _set(self._shown, self._w.matrices.chosen(active, _get(mean), self.shown))
+        m = self._w.matrices
+        point.set(m.chosen(settled, here, self.shown), m.chosen(settled, cov, found.cov))
         return sure.get()
 
     def _cost(self, x: Matrix, cov: Matrix) -> tuple[Any, Number]:
@@ -159,23 +162,23 @@ class _Prior:
         return (white.T @ white)[0, 0], self._root.share
 
 
-def cost(w: Writer, sensor: Sensor, at: Whole, x: Matrix, cov: Matrix) -> tuple[Any, Number]:
+def cost(w: Writer, sensor: Sensor, at: Whole, x: AnyMatrix, cov: AnyMatrix) -> tuple[Any, Number]:
     """The cost of a sighting at the mean of a slice, and whether it is right, so far as is told.
 
     It is rᵀ R⁻¹ r of the residual r and the noise R as it was linearised, or twice a robust loss.
     """
-    parents = sensor.parents
-    value, sure = expected(w, sensor, at, x.part(parents, (0,)), cov.part(parents, parents))
-    readings = [number for (number,) in w.column(sensor.readings, at).rows]
-    for k in sensor.angles:
-        readings[k] = step.nearest(readings[k], value[k, 0])
-    kept, left = kept_sensor(sensor, weighed=False), Matrix.column(readings) - value
+    parents, m = sensor.parents, w.matrices
+    spread = None if cov is None else cov.part(parents, parents)
+    value, sure = expected(w, sensor, at, x.part(parents, (0,)), spread)
+    readings = w.column(sensor.readings, at)
+    near = {k: step.nearest(readings[k, 0], value[k, 0]) for k in sensor.angles}
+    left, kept = m.replaced(readings, near) - value, kept_sensor(sensor, weighed=False)
     noise = w.symmetric(kept.noise, at)
-    seen: tuple[Matrix, ...] = ()
+    seen: tuple[AnyMatrix, ...] = ()
     if sensor.loss is not None and sensor.loss.expects:
         assert kept.matrix is not None
-        seen = w.matrix(kept.matrix, at), cov.part(parents, parents)
-    known = [reading == reading for reading in readings] if sensor.missing else None
+        seen = w.matrix(kept.matrix, at), spread
+    known = [reading == reading for reading in m.beside(readings)] if sensor.missing else None
     square, count = square_of(w, known, left, noise, *seen)
     if sensor.loss is not None:
         square = cost_of(w, sensor.loss, square, count)
@@ -184,14 +187,15 @@ def cost(w: Writer, sensor: Sensor, at: Whole, x: Matrix, cov: Matrix) -> tuple[
     return square, sure & (noise.root().share > REGULAR)
 
 
-def expected(w: Writer, cpd: Row, at: Whole, x: Matrix, cov: Matrix) -> tuple[Matrix, Number]:
+def expected(
+    w: Writer, cpd: Row, at: Whole, x: AnyMatrix, cov: AnyMatrix
+) -> tuple[AnyMatrix, Number]:
     """The mean of a CPD's child at a row, under a belief over its parents; and whether it is right.
 
     It is not a number where the function is not defined.
     """
     if cpd.function is not None and (cpd.points is None or not x.shape[0]):
-        numbers = [number for (number,) in x.rows]
-        return Matrix.column(evaluated(w, cpd, at, numbers)[0]), w.true
+        return value_at(w, cpd, at, x), w.true
     line = linearised(w, cpd, at, x, cov)
     return line.value, line.sure
 

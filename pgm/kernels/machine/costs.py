@@ -15,7 +15,7 @@ from pgm.kernels.machine.relinearising import Beliefs, pair_at
 from pgm.kernels.machine.told import Linearised, Motion, Sensor
 from pgm.kernels.machine.wholes import Whole
 from pgm.kernels.machine.writer import Writer
-from pgm.kernels.numbers import Matrix
+from pgm.kernels.step import AnyMatrix
 
 
 def written(w: Writer, chain: Linearised) -> Number:
@@ -28,15 +28,11 @@ def written(w: Writer, chain: Linearised) -> Number:
         sure.set(sure.get() & found[1])
 
     def read(sensor: Sensor, row: Whole, at: Whole) -> None:
-        mean = w.column(beliefs.mean, at)
-        size = mean.shape[0]
-        cov = Matrix([[0.0] * size] * size)
-        if beliefs.cov is not None:
-            cov = w.symmetric(beliefs.cov, at)
-        add(cost(w, sensor, row, mean, cov))
+        cov = None if beliefs.cov is None else w.symmetric(beliefs.cov, at)
+        add(cost(w, sensor, row, w.column(beliefs.mean, at), cov))
 
-    with code.loop(w.last + 1) as at:
-        with code.when(at > 0):
+    with code.loop(w.last + 1) as at, w.matrices.scratch():
+        with code.when(at > 0), w.matrices.scratch():
             for motion, mean, cov, child in pair_at(w, chain, beliefs, at - 1):
                 add(_moved(w, motion, at - 1, mean, cov, child))
         for sensor in chain.sensors:
@@ -44,7 +40,7 @@ def written(w: Writer, chain: Linearised) -> Number:
                 read(sensor, at, at)
                 continue
             first, last = w.sightings(sensor, at)
-            with code.loop(last, first) as row:
+            with code.loop(last, first) as row, w.matrices.scratch():
                 read(sensor, row, at)
     assert chain.cost is not None
     w.at(chain.cost).store(0, total.get())
@@ -52,12 +48,11 @@ def written(w: Writer, chain: Linearised) -> Number:
 
 
 def _moved(
-    w: Writer, motion: Motion, at: Whole, x: Matrix, cov: Matrix, child: list[Any]
+    w: Writer, motion: Motion, at: Whole, x: AnyMatrix, cov: AnyMatrix, child: AnyMatrix
 ) -> tuple[Any, Number]:
     """The cost of a CPD of a transition at a row, and whether it is right, so far as is told."""
     value, sure = expected(w, motion, at, x, cov)
-    for k in motion.angles:
-        child[k] = step.nearest(child[k], value[k, 0])
+    near = {k: step.nearest(child[k, 0], value[k, 0]) for k in motion.angles}
     noise = w.symmetric(motion.kept or motion.noise, at)
-    square = step.weighed_square(Matrix.column(child) - value, noise)
+    square = step.weighed_square(w.matrices.replaced(child, near) - value, noise)
     return square, sure & (noise.root().share > REGULAR)

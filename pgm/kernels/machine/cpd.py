@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from contextlib import nullcontext
+from functools import reduce
 from math import pi
-from typing import Any, NamedTuple
+from operator import or_
+from typing import NamedTuple
 
 from pgm.kernels import step
+from pgm.kernels.machine.called import tangent, values_at
+from pgm.kernels.machine.lines import held
 from pgm.kernels.machine.numbers import Number
-from pgm.kernels.machine.told import Function, Points, Row
-from pgm.kernels.machine.traces import written
+from pgm.kernels.machine.told import Points, Row
+from pgm.kernels.machine.traces import Inputs
 from pgm.kernels.machine.wholes import Whole
-from pgm.kernels.machine.writer import Writer, held
-from pgm.kernels.numbers import Matrix, inner, most, nearest_whole, where
+from pgm.kernels.machine.writer import Writer
+from pgm.kernels.numbers import inner, nearest_whole, where
+from pgm.kernels.step import AnyMatrix
 
 # As of `gaussian` and `linearisers.regression`: the least share of a root that is regular; and the
 # error of a line that is none of rounding, as a part of a value's square, or of the square of what
@@ -27,149 +32,190 @@ class Line(NamedTuple):
     zero. `sure` is a truth: whether all of it is right, so far as can be told.
     """
 
-    matrix: Matrix
-    value: Matrix
-    own: Matrix
-    error: Matrix | None
+    matrix: AnyMatrix
+    value: AnyMatrix
+    own: AnyMatrix
+    error: AnyMatrix | None
     sure: Number
 
     @property
-    def noise(self) -> Matrix:
+    def noise(self) -> AnyMatrix:
         """The covariance of e."""
         return self.own if self.error is None else self.own + self.error
 
 
-def evaluated(
-    w: Writer, row: Row, at: Whole, x: Sequence[Any], *, slope: bool = False
-) -> tuple[list[Any], list[Any]]:
-    """The value of a CPD's function at its row, and the derivative, row by row, if it is asked."""
-    function = row.function
-    assert function is not None
-    places = {column: k for k, column in enumerate(function.observed)}
-    observed = None if row.inputs is None else w.at(row.inputs, at)
-    known = dict(zip(function.hidden, x, strict=True))
-
-    def of(argument: int, component: int) -> Any:
-        column = argument, component
-        if column not in known:
-            assert observed is not None
-            known[column] = observed.load(places[column])
-        return known[column]
-
-    return traced(w, function, of, slope=slope)
+def inputs(w: Writer, row: Row, at: Whole) -> Inputs:
+    """Where the observed arguments of a CPD's function are, at its row."""
+    if row.function is None:
+        return {}
+    observed = dict.fromkeys(argument for argument, _ in row.function.observed)
+    cells = {a: w.at(array, at) for a, array in zip(observed, row.inputs, strict=True)}
+    return {column: (cells[column[0]], column[1]) for column in row.function.observed}
 
 
-def traced(
-    w: Writer, function: Function, inputs: Any, *, slope: bool
-) -> tuple[list[Any], list[Any]]:
-    """The value of a trace, and its derivative, of which zeros are floats."""
-    outputs = [*function.value, *(function.slope if slope else ())]
-    due = [k for k in outputs if k is not None]
-    found = dict(zip(due, written(w.code, function, due, inputs), strict=True))
-    every = [0.0 if k is None else found[k] for k in outputs]
-    return every[: len(function.value)], every[len(function.value) :]
+def value_at(w: Writer, row: Row, at: Whole, mean: AnyMatrix) -> AnyMatrix:
+    """The value of a CPD's function at its row."""
+    if row.called is not None:
+        return values_at(w, row.called, at, mean.T).T
+    assert row.function is not None
+    return w.matrices.value(row.function, mean, inputs(w, row, at))
 
 
-def linearised(w: Writer, row: Row, at: Whole, mean: Matrix, cov: Matrix) -> Line:
-    """A CPD linearised at a belief over its parents, a mean (n × 1) and a covariance (n × n)."""
+def linearised(
+    w: Writer,
+    row: Row,
+    at: Whole,
+    mean: AnyMatrix,
+    cov: AnyMatrix,
+    again: Number | None = None,
+) -> Line:
+    """A CPD linearised at a belief over its parents, a mean (n × 1) and a covariance (n × n).
+
+    `again` says that it has been, in this step and at this belief; None that it has not.
+    """
     noise = w.symmetric(row.noise, at)
+    if row.called is not None:
+        return _called(w, row, at, mean, cov, noise, again)
     if row.function is None:
         assert row.matrix is not None
         assert row.offset is not None
         matrix = w.matrix(row.matrix, at)
-        value = matrix @ mean + w.column(row.offset, at)
-        return Line(matrix, value, noise, None, w.true)
-    x = [number for (number,) in mean.rows]
-    if row.points is not None and x:
+        offset = w.column(row.offset, at)
+        for shift, values in zip(row.shifts, row.inputs, strict=False):
+            offset = offset + w.matrix(shift) @ w.column(values, at)
+        return Line(matrix, matrix @ mean + offset, noise, None, w.true)
+    if row.points is not None and mean.shape[0]:
         return _regressed(w, row, at, mean, cov, noise)
-    value, slope = evaluated(w, row, at, x, slope=True)
-    size = len(x)
-    matrix = Matrix([slope[i * size : (i + 1) * size] for i in range(row.height)])
-    return Line(matrix, Matrix.column(value), noise, None, w.true)
+    value, matrix = w.matrices.slope(row.function, mean, inputs(w, row, at))
+    return Line(matrix, value, noise, None, w.true)
 
 
-def keep(w: Writer, row: Row, at: Whole, mean: Matrix, line: Line) -> None:
+def _called(
+    w: Writer,
+    row: Row,
+    at: Whole,
+    mean: AnyMatrix,
+    cov: AnyMatrix,
+    noise: AnyMatrix,
+    again: Number | None,
+) -> Line:
+    called = row.called
+    assert called is not None
+    lines = called.lines
+    place = at % lines.rows
+    with nullcontext() if again is None else w.code.when(~again), w.matrices.scratch():
+        if lines.cov is not None:
+            w.keep(called.points, mean)
+            w.keep(lines.cov, cov)
+            w.ask(called.number, 0, at)
+        elif row.points is not None and mean.shape[0]:
+            line = _regressed(w, row, at, mean, cov, noise)
+            w.keep(lines.value, line.value, place)
+            w.keep(lines.matrix, line.matrix, place)
+            w.keep(lines.error, line.error, place)
+            w.at(lines.sure, place).store(0, line.sure.number())
+        else:
+            tangent(w, row, at, mean, cov)
+            w.at(lines.sure, place).store(0, 1.0)
+    error = None if lines.error is None else w.symmetric(lines.error, place)
+    matrix, value = w.matrix(lines.matrix, place), w.column(lines.value, place)
+    return Line(matrix, value, noise, error, w.at(lines.sure, place).load(0) > 0.0)
+
+
+def keep(w: Writer, row: Row, at: Whole, mean: AnyMatrix, line: Line) -> None:
     """Keep a linearisation, where that is asked for; its noise is kept by whoever weighs it."""
-    if row.function is not None and row.matrix is not None:
+    if row.curved and row.matrix is not None:
         assert row.offset is not None
         w.keep(row.matrix, line.matrix, at)
         w.keep(row.offset, line.value - line.matrix @ mean, at)
 
 
-def _regressed(w: Writer, row: Row, at: Whole, mean: Matrix, cov: Matrix, noise: Matrix) -> Line:
-    rule, x = row.points, [number for (number,) in mean.rows]
+def _regressed(
+    w: Writer, row: Row, at: Whole, mean: AnyMatrix, cov: AnyMatrix, noise: AnyMatrix
+) -> Line:
+    rule, m = row.points, w.matrices
     assert rule is not None
     root = cov.root()
-    lower = root.matrix
-    moves = [[inner(line, s) for line in lower.rows] for s in rule.points]
-    values = [
-        evaluated(w, row, at, [a + b for a, b in zip(x, move, strict=True)])[0] for move in moves
-    ]
-    centred = rule.centred or not row.angles
-    reference = values[0] if centred else evaluated(w, row, at, x)[0]
-    off = [[a - b for a, b in zip(each, reference, strict=True)] for each in values]
+    moves = m.constant(rule.points) @ root.matrix.T
+    points = m.shifted(moves, mean)
+    if row.called is not None:
+        values = values_at(w, row.called, at, points)
+    else:
+        assert row.function is not None
+        values = m.values(row.function, points, inputs(w, row, at))
+    if rule.centred or not row.angles:
+        reference = values.part((0,), range(row.height)).T
+    else:
+        reference = value_at(w, row, at, mean)
+    off = m.shifted(values, reference.scaled(-1.0))
     if row.angles:
-        _about(w, row, at, x, moves, off)
-    found = step.regress(root, _constant(rule), Matrix(off))
-    error = _told_from_rounding(row, x, reference, off, found)
-    value = Matrix.column(reference) + found.value
-    return Line(found.matrix, value, noise, error, root.share > REGULAR)
+        off = _about(w, row, at, mean, cov, moves, off)
+    found = step.regress(root, _constant(w, rule), off)
+    error = _told_from_rounding(w, row, mean, reference, off, found)
+    return Line(found.matrix, reference + found.value, noise, error, root.share > REGULAR)
 
 
-def _constant(rule: Points) -> step.Rule:
+def _constant(w: Writer, rule: Points) -> step.Rule:
     size = range(len(rule.signs))
-    signs = Matrix([rule.signs[i] if i == j else 0.0 for j in size] for i in size)
-    parts = Matrix(rule.mean), Matrix(rule.slope), Matrix(rule.rest)
-    return step.Rule(*parts, signs if rule.signs else None)
+    constant = w.matrices.constant
+    signs = [[rule.signs[i] if i == j else 0.0 for j in size] for i in size]
+    mean, slope, rest = constant(rule.mean), constant(rule.slope), constant(rule.rest)
+    return step.Rule(mean, slope, rest, constant(signs) if signs else None)
 
 
 def _about(
-    w: Writer, row: Row, at: Whole, x: list[Any], moves: list[list[Any]], off: list[list[Any]]
-) -> None:
-    """Wrap offsets of angles about their tangent, where some of them exceed half a turn."""
-    far = {}
-    for i in row.angles:
-        far[i] = abs(off[0][i]) > pi
-        for each in off[1:]:
-            far[i] = far[i] | (abs(each[i]) > pi)
-    offsets = {(p, i): held(w.code, each[i]) for p, each in enumerate(off) for i in row.angles}
-    any_far = next(iter(far.values()))
-    for truth in far.values():
-        any_far = any_far | truth
-    with w.code.when(w.code.some(any_far)):
-        slope, size = evaluated(w, row, at, x, slope=True)[1], len(x)
-        for (p, i), variable in offsets.items():
-            line = inner(slope[i * size : (i + 1) * size], moves[p])
-            rest = off[p][i] - line
-            turned = rest - step.TURN * nearest_whole(rest / step.TURN) + line
-            variable.set(where(far[i], turned, off[p][i]))
-    for (p, i), variable in offsets.items():
-        off[p][i] = variable.get()
+    w: Writer,
+    row: Row,
+    at: Whole,
+    mean: AnyMatrix,
+    cov: AnyMatrix,
+    moves: AnyMatrix,
+    off: AnyMatrix,
+) -> AnyMatrix:
+    """Offsets of angles about their tangent, where some of them exceed half a turn."""
+    m = w.matrices
+    columns = {i: m.beside(off.part(range(off.shape[0]), (i,))) for i in row.angles}
+    far = {i: w.together(or_, [abs(x) > pi for x in columns[i]]) for i in row.angles}
+    wrapped = {i: [held(w.code, x) for x in columns[i]] for i in row.angles}
+    with w.code.when(w.code.some(reduce(or_, far.values()))):
+        if row.called is not None:
+            slope = tangent(w, row, at, mean, cov)
+        else:
+            assert row.function is not None
+            slope = m.slope(row.function, mean, inputs(w, row, at))[1]
+        for i in row.angles:
+            lines = m.beside(moves @ slope.part((i,), range(mean.shape[0])).T)
+            for variable, x, line in zip(wrapped[i], columns[i], lines, strict=True):
+                rest = x - line
+                turned = rest - step.TURN * nearest_whole(rest / step.TURN) + line
+                variable.set(where(far[i], turned, x))
+    return m.with_columns(off, {i: [x.get() for x in wrapped[i]] for i in row.angles})
 
 
 def _told_from_rounding(
-    row: Row, x: list[Any], reference: list[Any], off: list[list[Any]], found: step.Regressed
-) -> Matrix:
+    w: Writer,
+    row: Row,
+    mean: AnyMatrix,
+    reference: AnyMatrix,
+    off: AnyMatrix,
+    found: step.Regressed,
+) -> AnyMatrix:
     """The error of a line, zero in components in which it may be rounding of the values."""
-    rule, error = row.points, found.error
+    rule, error, m = row.points, found.error, w.matrices
     assert rule is not None
     plain = max(_PLAIN, _SURELY * rule.rounding**2)
+    size = range(mean.shape[0])
+    values, farthest = m.beside(reference), m.largest(off)
+    slopes = list(zip(*(m.row(found.moment, j) for j in size), strict=True))
+    lines = list(zip(*(m.row(found.matrix.T, j) for j in size), strict=True))
+    least_of = m.beside(m.constant([rule.variances]).T)
+    x = [abs(mean[j, 0]) for j in size]
     sound = []
-    for i in range(row.height):
-        slopes = [found.moment[j, i] for j in range(len(x))]
-        size = reference[i] * reference[i] + inner(slopes, slopes)
-        summands, farthest = abs(reference[i]), abs(off[0][i])
-        for j, number in enumerate(x):
-            summands = summands + abs(found.matrix[i, j] * number)
-        for each in off[1:]:
-            farthest = most(farthest, abs(each[i]))
-        rounding = rule.rounding * (summands + farthest)
-        variance = error[i, i]
+    for k, variance in enumerate(m.diagonal(error)):
+        whole = values[k] * values[k] + inner(slopes[k], slopes[k])
+        summands = abs(values[k]) + inner([abs(f) for f in lines[k]], x) + farthest[k]
+        rounding = rule.rounding * summands
         sound.append(
-            (variance + rule.variances[i] > plain * size)
-            | (abs(variance) > rounding * rounding)
+            (variance + least_of[k] > plain * whole) | (abs(variance) > rounding * rounding)
         )
-    size = range(row.height)
-    return Matrix(
-        [where(sound[i] & sound[j], error[i, j], 0.0) for j in size] for i in size
-    )
+    return m.kept(sound, error)

@@ -23,7 +23,10 @@ class Runs(Enum):
 
 
 class Memory:
-    """Numbers in memory: number k of run r is the float at ``address + k step + r apart``."""
+    """Numbers in memory: number k of run r is the float at ``address + k step + r apart``.
+
+    They are of as many runs as the function is, or of so many `lanes`.
+    """
 
     def __init__(
         self,
@@ -36,24 +39,26 @@ class Memory:
         apart: Whole | int = 1,
         alignment: int = 8,
         name: str = "memory",
+        lanes: int | None = None,
     ) -> None:
         self.code, self.address, self.name = code, address, name
         self.length, self.step = length, step
-        self.runs, self.apart = runs if code.lanes > 1 else Runs.BESIDE, apart
+        self.lanes = code.lanes if lanes is None else lanes
+        self.runs, self.apart = runs if self.lanes > 1 else Runs.BESIDE, apart
         self.alignment = alignment
 
     def load(self, index: Whole | int) -> Number:
         """The number at a place."""
         code, place = self.code, self._place(index, "load")
         if self.runs is Runs.BESIDE:
-            kind = packed("double", code.lanes)
+            kind = packed("double", self.lanes)
             found = code.value(f"load {kind}, ptr {place.text}, align {self.alignment}")
-            return Number(code, found, code.lanes)
+            return Number(code, found, self.lanes)
         if self.runs is Runs.SAME:
             found = code.value(f"load double, ptr {place.text}, align 8")
             return Number(code, found)
-        pack = Number(code, "poison", code.lanes)
-        for lane in range(code.lanes):
+        pack = Number(code, "poison", self.lanes)
+        for lane in range(self.lanes):
             at = place + self._distance(lane)
             one = Number(code, code.value(f"load double, ptr {at.text}, align 8"))
             pack = pack.with_lane(lane, one)
@@ -65,11 +70,11 @@ class Memory:
         if self.runs is Runs.SAME:
             raise TypeError(f"{self.name} has one number for all runs of a pack: it is only read")
         place = self._place(index, "store")
-        value = constant(code, value).number().spread(code.lanes)
+        value = constant(code, value).number().spread(self.lanes)
         if self.runs is Runs.BESIDE:
             code.line(f"store {value.kind} {value.text}, ptr {place.text}, align {self.alignment}")
             return
-        for lane in range(code.lanes):
+        for lane in range(self.lanes):
             at = place + self._distance(lane)
             code.line(f"store double {value.lane(lane).text}, ptr {at.text}, align 8")
 
@@ -84,6 +89,7 @@ class Memory:
             apart=self.apart,
             alignment=self.alignment,
             name=self.name,
+            lanes=self.lanes,
         )
 
     def _place(self, index: Whole | int, what: str) -> Address:

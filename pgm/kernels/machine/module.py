@@ -46,31 +46,46 @@ class Module:
         internal: bool = False,
         inline: bool | None = None,
         disjoint: bool = False,
+        waits: bool = False,
     ) -> Code:
         """A new function, to be written.
 
         An internal one is called by others of the module alone. `inline` says whether it is copied
         to where it is called; by default LLVM weighs it. With `disjoint`, no memory written by way
-        of one address is reached by way of another.
+        of one address is reached by way of another. One that `waits` begins with a `Waiting`.
         """
         if name in self._functions:
             raise ValueError(f"the module has a function {name!r} already")
         if not internal and lanes > 1 and PACK in (*arguments, result):
             raise ValueError(f"{name!r} takes or gives packs: only an internal function can")
         heading = "define internal" if internal else "define"
-        ending = f"{_INLINE[inline]}nounwind"
+        ending = f"{_INLINE[inline]}nounwind{' presplitcoroutine' if waits else ''}"
         code = Code(self, name, arguments, result, lanes, heading, ending, disjoint)
         self._functions[name] = code
         if not internal:
             self._exported.append(code)
         return code
 
-    def helper(self, name: str, arguments: Sequence[Kind], lanes: int) -> Helper:
-        """The function of this name that others share, giving a pack; fresh at its first call."""
+    def helper(
+        self,
+        name: str,
+        arguments: Sequence[Kind],
+        lanes: int,
+        result: Kind | None = PACK,
+        *,
+        disjoint: bool = False,
+    ) -> Helper:
+        """The function of this name that others share; fresh at its first call."""
         fresh = name not in self._helpers
         if fresh:
             self._helpers[name] = self.function(
-                name, arguments, PACK, lanes=lanes, internal=True, inline=False
+                name,
+                arguments,
+                result,
+                lanes=lanes,
+                internal=True,
+                inline=False,
+                disjoint=disjoint,
             )
         return Helper(self._helpers[name], fresh)
 

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import pi
+from operator import add
 from typing import Any, NamedTuple
 
 from pgm.kernels import step
-from pgm.kernels.machine.cpd import Line, evaluated, keep, linearised
+from pgm.kernels.machine.cpd import Line, keep, linearised, value_at
+from pgm.kernels.machine.lines import held
 from pgm.kernels.machine.numbers import Number
 from pgm.kernels.machine.told import Forward, Motion
 from pgm.kernels.machine.wholes import Whole
-from pgm.kernels.machine.writer import Writer, held
-from pgm.kernels.numbers import Matrix, nearest_whole, where
+from pgm.kernels.machine.writer import Writer
+from pgm.kernels.numbers import Matrix, inner, most, nearest_whole, sqrt, where
+from pgm.kernels.step import AnyMatrix
 
 # As of `gaussian` and `moments`.
 _ROUNDING, _NEGLIGIBLE = 1e-14, 1e-13
@@ -21,18 +24,18 @@ _ROUNDING, _NEGLIGIBLE = 1e-14, 1e-13
 class Predicted(NamedTuple):
     """The moments of a slice, and whether they are right, so far as can be told."""
 
-    mean: Matrix
-    cov: Matrix
+    mean: AnyMatrix
+    cov: AnyMatrix
     sure: Number
 
 
-def predicted(w: Writer, chain: Forward, at: Whole, mean: Matrix, cov: Matrix) -> Predicted:
+def predicted(w: Writer, chain: Forward, at: Whole, mean: AnyMatrix, cov: AnyMatrix) -> Predicted:
     """The slice at a row of the transition, from the moments of the slice before."""
     if chain.single:
         motion = chain.motions[0]
         line = _line(w, motion, at, mean, mean, cov)
         after = step.predict(cov, line.matrix, line.noise)
-        return Predicted(line.value, after, line.sure & _is_certain(motion, line, cov, after))
+        return Predicted(line.value, after, line.sure & _is_certain(w, motion, line, cov, after))
     front = chain.states
     pair, joint = mean.part(front, (0,)), cov.part(front, front)
     sure = w.true
@@ -41,8 +44,8 @@ def predicted(w: Writer, chain: Forward, at: Whole, mean: Matrix, cov: Matrix) -
         line = _line(w, motion, at, pair, x, block)
         joint = step.extend(joint, motion.parents, line.matrix, line.noise)
         own = joint.part(*([range(pair.shape[0], joint.shape[0])] * 2))
-        sure = sure & line.sure & _is_certain(motion, line, block, own)
-        pair = Matrix([*pair.rows, *line.value.rows])
+        sure = sure & line.sure & _is_certain(w, motion, line, block, own)
+        pair = w.matrices.above(pair, line.value)
     own = range(len(front), pair.shape[0])
     return Predicted(pair.part(own, (0,)), joint.part(own, own), sure)
 
@@ -67,7 +70,7 @@ def transition(w: Writer, chain: Forward, at: Whole) -> tuple[Matrix, Matrix]:
 
 
 def _line(
-    w: Writer, motion: Motion, at: Whole, before: Matrix, mean: Matrix, cov: Matrix
+    w: Writer, motion: Motion, at: Whole, before: AnyMatrix, mean: AnyMatrix, cov: AnyMatrix
 ) -> Line:
     """A CPD linearised, with its angles on the chart of those `before`, and kept."""
     line = linearised(w, motion, at, mean, cov)
@@ -79,39 +82,38 @@ def _line(
 
 
 def _on_chart(
-    w: Writer, motion: Motion, at: Whole, before: Matrix, mean: Matrix, value: Matrix
-) -> Matrix:
+    w: Writer, motion: Motion, at: Whole, before: AnyMatrix, mean: AnyMatrix, value: AnyMatrix
+) -> AnyMatrix:
     """A value without the whole turns by which a function wraps its angles.
 
     They are counted from the step before. A function that wraps gives the same for angles a whole
     turn on; another turns too.
     """
-    found: list[Any] = [number for (number,) in value.rows]
+    m = w.matrices
+    found = {new: value[new, 0] for new, _, _ in motion.turning}
     near = w.true
     for new, old, _ in motion.turning:
         near = near & (abs(found[new] - before[old, 0]) <= pi)
-    charted = {new: held(w.code, found[new]) for new, _, _ in motion.turning}
+    charted = {new: held(w.code, x) for new, x in found.items()}
     with w.code.when(~w.code.every(near)):
-        x = [number for (number,) in mean.rows]
-        here, _ = evaluated(w, motion, at, x)
-        for _, _, own in motion.turning:
-            x[own] = x[own] + step.TURN
-        further, _ = evaluated(w, motion, at, x)
+        turned = {own: mean[own, 0] + step.TURN for _, _, own in motion.turning}
+        here = value_at(w, motion, at, mean)
+        further = value_at(w, motion, at, m.replaced(mean, turned))
         for new, old, _ in motion.turning:
             turns = nearest_whole((found[new] - before[old, 0]) / step.TURN)
-            wraps = abs(further[new] - here[new]) < pi
+            wraps = abs(further[new, 0] - here[new, 0]) < pi
             charted[new].set(where(wraps, found[new] - step.TURN * turns, found[new]))
-    for new, variable in charted.items():
-        found[new] = variable.get()
-    return Matrix.column(found)
+    return m.replaced(value, {new: variable.get() for new, variable in charted.items()})
 
 
-def _is_certain(motion: Motion, line: Line, cov: Matrix, own: Matrix) -> Number:
+def _is_certain(w: Writer, motion: Motion, line: Line, cov: AnyMatrix, own: AnyMatrix) -> Number:
     """Whether zeros of components without noise need not be told from rounding."""
     sure = line.sure
     if line.matrix.shape[1]:
+        deviations = [sqrt(most(v, 0.0)) for v in w.matrices.diagonal(cov)] if motion.bare else []
         for i in motion.bare:
-            size = step.spread(line.matrix.rows[i], cov)
+            terms = [abs(f) for f in w.matrices.row(line.matrix, i)]
+            size = w.together(add, [inner(terms, deviations)])
             sure = sure & (own[i, i] > _ROUNDING * size * size)
     if motion.unsure:
         sure = sure & (own.root().share > _NEGLIGIBLE)

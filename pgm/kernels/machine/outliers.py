@@ -6,12 +6,15 @@ from collections.abc import Sequence
 from typing import Any
 
 from pgm.kernels import step
-from pgm.kernels.machine.cpd import traced
+from pgm.kernels.machine.lines import held
+from pgm.kernels.machine.matrices import Belief
 from pgm.kernels.machine.numbers import Number
 from pgm.kernels.machine.told import Function, Gate, Loss, Sensor
+from pgm.kernels.machine.traces import written
 from pgm.kernels.machine.wholes import Whole
-from pgm.kernels.machine.writer import Carried, Writer, held
-from pgm.kernels.numbers import Matrix, most, where
+from pgm.kernels.machine.writer import Writer
+from pgm.kernels.numbers import most, where
+from pgm.kernels.step import AnyMatrix
 
 # As of `weights` and `iterated_update`: weights that move by no more have settled; how often
 # sightings are weighed at most; and by how much weights may still move at a fixed point.
@@ -57,10 +60,10 @@ class Weighing:
     A `trial` leaves the weights that are kept as they are.
     """
 
-    def __init__(self, w: Writer, mean: Matrix, cov: Matrix, *, trial: bool = False) -> None:
+    def __init__(self, w: Writer, mean: AnyMatrix, cov: AnyMatrix, *, trial: bool = False) -> None:
         self._w, self._trial = w, trial
         # The belief that was found last, by whose residuals sightings are weighed.
-        self.belief = Carried(w.code, mean, cov)
+        self.belief = w.matrices.carried(mean, cov)
         self._active, self._moved = w.code.variable(True), w.code.variable(0.0)
         self._left = w.code.variable(float("inf"))
         self.again = w.code.constant(False).lane(0)
@@ -75,7 +78,7 @@ class Weighing:
         self.again = count > 0
         self._moved.set(0.0)
 
-    def turned(self, found: Carried) -> Number:
+    def turned(self, found: Belief) -> Number:
         """End a turn that has found a belief; whether another is due."""
         code = self._w.code
         with code.when(self.again):
@@ -89,7 +92,9 @@ class Weighing:
         """Whether no weight moves any more."""
         return self._left.get() <= TOLERANCE
 
-    def weigh(self, loss: Loss, at: Whole, square: Any, count: Any, begins: Number) -> tuple[Any, Any]:
+    def weigh(
+        self, loss: Loss, at: Whole, square: Any, count: Any, begins: Number
+    ) -> tuple[Any, Any]:
         """A sighting's weight, and the square that it is of, given its square at the last belief.
 
         The weight is one when all `begins`.
@@ -125,31 +130,26 @@ def surplus(w: Writer, loss: Loss, square: Any, count: Any, weight: Any) -> Any:
 def square_of(
     w: Writer,
     known: Sequence[Number] | None,
-    left: Matrix,
-    own: Matrix,
-    matrix: Matrix | None = None,
-    cov: Matrix | None = None,
-    error: Matrix | None = None,
+    left: AnyMatrix,
+    own: AnyMatrix,
+    matrix: AnyMatrix = None,
+    cov: AnyMatrix = None,
+    error: AnyMatrix = None,
 ) -> tuple[Any, Any]:
     """The square of a residual by its noise, and how many components it is of.
 
     Components that are not `known` do not count. The rest is as of `step.weighed_square`.
     """
+    size = float(own.shape[0])
     if known is None:
-        return step.weighed_square(left, own, matrix, cov, error), float(own.shape[0])
-    slope = Matrix([()] * own.shape[0]) if matrix is None else matrix
-    seen = step.seen(known, left, slope, own)
+        return step.weighed_square(left, own, matrix, cov, error), size
+    # Without a matrix any does, of which nothing is read.
+    seen = w.matrices.seen(known, left, own if matrix is None else matrix, own)
     if error is not None:
-        error = both_known(known, error)
-    slopes = None if matrix is None else seen.matrix
-    square = step.weighed_square(seen.residual, seen.noise, slopes, cov, error)
-    return square, w.sum([truth.number() for truth in known])
-
-
-def both_known(known: Sequence[Number], error: Matrix) -> Matrix:
-    """The entries of a covariance of which both components are known, and zero elsewhere."""
-    every = range(len(known))
-    return Matrix([where(known[i] & known[j], error[i, j], 0.0) for j in every] for i in every)
+        error = w.matrices.kept(known, error)
+    slope = None if matrix is None else seen.matrix
+    square = step.weighed_square(seen.residual, seen.noise, slope, cov, error)
+    return square, size - w.sum([1.0 - truth.number() for truth in known])
 
 
 def weight_of(w: Writer, loss: Loss, square: Any, count: Any) -> Any:
@@ -171,10 +171,10 @@ def kept_surplus(w: Writer, loss: Loss, at: Whole, count: Any) -> Any:
 def _by_count(w: Writer, functions: Sequence[Function], count: Any, given: list[Any]) -> Any:
     """The value of a trace that depends on how many components were measured."""
     values = [
-        traced(w, function, lambda k, _: given[k], slope=False)[0][0] for function in functions
+        written(w.code, function, function.value, lambda k, _: given[k])[0]
+        for function in functions
     ]
     found = values[-1]
     for k, value in enumerate(values[:-1]):
         found = where(count == float(k), value, found)
     return found
-

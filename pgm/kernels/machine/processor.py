@@ -58,6 +58,15 @@ def vector_function(name: str, arguments: int, lanes: int) -> tuple[str, int] | 
 
 
 @cache
+def registers() -> tuple[int, int]:
+    """The floats of a register for vectors, and how many of them there are."""
+    has = binding.get_host_cpu_features().get
+    if has("avx512f"):
+        return 8, 32
+    return (4, 16) if has("avx") else (2, 32 if has("neon") else 16)
+
+
+@cache
 def _widths() -> tuple[tuple[int, str], ...]:
     """The widths of vectors of glibc's library on this processor, widest first."""
     prepare()

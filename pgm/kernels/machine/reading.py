@@ -9,11 +9,11 @@ from pgm.kernels.arrays import LOG_2PI
 from pgm.kernels.gaussian import NEARLY_SINGULAR
 from pgm.kernels.machine.control import Anchor, Control, Solve, tried
 from pgm.kernels.machine.cpd import REGULAR, Line, keep, linearised
+from pgm.kernels.machine.matrices import Belief
 from pgm.kernels.machine.numbers import Number
 from pgm.kernels.machine.outliers import (
     REWEIGHINGS,
     Weighing,
-    both_known,
     gated,
     kept_surplus,
     surplus,
@@ -21,8 +21,9 @@ from pgm.kernels.machine.outliers import (
 from pgm.kernels.machine.settling import Settling, moved
 from pgm.kernels.machine.told import Forward, Sensor
 from pgm.kernels.machine.wholes import Whole
-from pgm.kernels.machine.writer import Carried, Writer, chosen
-from pgm.kernels.numbers import Matrix, least, where
+from pgm.kernels.machine.writer import Writer
+from pgm.kernels.numbers import least, where
+from pgm.kernels.step import AnyMatrix
 
 # The part of S (10 + rᵀ S⁻¹ r) that noise has to exceed in all directions. Below, a belief that is
 # linearised again, or any, is not known to a billionth of a deviation: an order of sums shows. A
@@ -33,10 +34,10 @@ _FARTHEST = 1e12
 
 
 class Taken:
-    """A belief that takes in measurements: its moments, their log-density, and whether it is sure."""
+    """A belief that takes in measurements: moments, their log-density, and whether it is sure."""
 
-    def __init__(self, w: Writer, mean: Matrix, cov: Matrix) -> None:
-        self.moments = Carried(w.code, mean, cov)
+    def __init__(self, w: Writer, mean: AnyMatrix, cov: AnyMatrix) -> None:
+        self.moments = w.matrices.carried(mean, cov)
         self._density, self._sure = w.code.variable(0.0), w.code.variable(True)
         self._settled = w.code.variable(True)
 
@@ -55,13 +56,13 @@ class Taken:
         """Whether the weights of robust noise have settled."""
         return self._settled.get()
 
-    def begin(self, mean: Matrix, cov: Matrix) -> None:
+    def begin(self, mean: AnyMatrix, cov: AnyMatrix) -> None:
         """Begin again, at a predicted belief."""
         self.moments.set(mean, cov)
         self._density.set(0.0)
         self._sure.set(True)
 
-    def take(self, mean: Matrix, cov: Matrix, density: Any, sure: Number) -> None:
+    def take(self, mean: AnyMatrix, cov: AnyMatrix, density: Any, sure: Number) -> None:
         """Go on to a belief that knows one measurement more."""
         self.moments.set(mean, cov)
         self._density.set(self.density + density)
@@ -89,16 +90,16 @@ class Point(NamedTuple):
     as well.
     """
 
-    mean: Matrix
-    cov: Matrix
-    at: Matrix
-    about: Matrix
+    mean: AnyMatrix
+    cov: AnyMatrix
+    at: AnyMatrix
+    about: AnyMatrix
     first: Number | None
     anchor: Anchor | None = None
 
 
 def taken(
-    w: Writer, chain: Forward, at: Whole, mean: Matrix, cov: Matrix, *, decided: bool = False
+    w: Writer, chain: Forward, at: Whole, mean: AnyMatrix, cov: AnyMatrix, *, decided: bool = False
 ) -> Taken:
     """The belief given the measurements of a step, whose predicted moments are N(mean, cov).
 
@@ -126,13 +127,13 @@ def _iterated(
     chain: Forward,
     at: Whole,
     found: Taken,
-    mean: Matrix,
-    cov: Matrix,
+    mean: AnyMatrix,
+    cov: AnyMatrix,
     weighing: Weighing | None,
 ) -> None:
     """Linearise again at what was found, until a belief settles."""
     code = w.code
-    point, damping, settling = Carried(code, mean, cov), w.settings.load(1), Settling(w)
+    point, damping, settling = w.matrices.carried(mean, cov), w.settings.load(1), Settling(w)
     most_often = code.variable(code.whole(1))
     with code.when(_are_curved(w, chain, at)):
         most_often.set(w.iterations)
@@ -141,13 +142,12 @@ def _iterated(
     with code.loop(most_often.get()) as k:
         active.set(~settling.settled)
         if control is None:
-            with code.when(k > 0):
-                _move(point, found.moments, damping, settling.settled)
+            with code.when(k > 0), w.matrices.scratch():
+                _move(w, point, found.moments, damping, settling.settled)
         here = Point(mean, cov, point.mean, point.cov, k == 0)
         _solved(w, chain, at, found, here, weighing)
-        with code.when(k > 0):
-            known = found.moments
-            far = moved(known.mean, known.cov.diagonal, point.mean)
+        with code.when(k > 0), w.matrices.scratch():
+            far = moved(w, found.moments.mean, found.moments.cov, point.mean)
             settling.note(k, far, found.settled)
         if control is not None:
             with code.when(most_often.get() > 1):
@@ -161,10 +161,10 @@ def _iterated(
         settling.close(most_often.get())
 
 
-def _trial(w: Writer, chain: Forward, at: Whole, mean: Matrix, cov: Matrix) -> Solve:
+def _trial(w: Writer, chain: Forward, at: Whole, mean: AnyMatrix, cov: AnyMatrix) -> Solve:
     """The measurements of a step, as they were linearised last, solved with an anchor."""
 
-    def solve(anchor: Anchor) -> tuple[Matrix, Number]:
+    def solve(anchor: Anchor) -> tuple[AnyMatrix, Number]:
         found, weighing = Taken(w, mean, cov), None
         if any(sensor.weighs for sensor in chain.sensors):
             weighing = Weighing(w, mean, cov, trial=True)
@@ -197,7 +197,7 @@ def _are_curved(w: Writer, chain: Forward, at: Whole) -> Number:
     """Whether some measurement of a step has to be linearised."""
     found = w.code.constant(False).lane(0)
     for sensor in chain.sensors:
-        if sensor.function is None:
+        if not sensor.curved:
             continue
         if sensor.bounds is None:
             return w.code.constant(True).lane(0)
@@ -206,18 +206,14 @@ def _are_curved(w: Writer, chain: Forward, at: Whole) -> Number:
     return found
 
 
-def _move(point: Carried, found: Carried, damping: Number, settled: Number) -> None:
+def _move(w: Writer, point: Belief, found: Belief, damping: Number, settled: Number) -> None:
     """Move the point of linearisation to the belief that was found, where it has not settled."""
-    def mixed(a: Any, b: Any) -> Any:
-        return where(settled, a, damping * a + (1.0 - damping) * b)
 
-    def mix(a: Matrix, b: Matrix) -> Matrix:
-        return Matrix(
-            [mixed(x, y) for x, y in zip(*rows, strict=True)]
-            for rows in zip(a.rows, b.rows, strict=True)
-        )
+    def mixed(a: AnyMatrix, b: AnyMatrix) -> AnyMatrix:
+        between = a.scaled(damping) + b.scaled(1.0 - damping)
+        return w.matrices.chosen(settled, a, between)
 
-    point.set(mix(point.mean, found.mean), mix(point.cov, found.cov))
+    point.set(mixed(point.mean, found.mean), mixed(point.cov, found.cov))
 
 
 def _once(
@@ -227,10 +223,11 @@ def _once(
     fresh = point.first is None  # no measurement has moved the belief from the point yet
     for sensor in chain.sensors:
         if sensor.bounds is None:
-            _read(w, sensor, at, found, point, weighing, fresh=fresh)
+            with w.matrices.scratch():
+                _read(w, sensor, at, found, point, weighing, fresh=fresh)
         else:
             first, last = w.sightings(sensor, at)
-            with w.code.loop(last, first) as row:
+            with w.code.loop(last, first) as row, w.matrices.scratch():
                 _read(w, sensor, row, found, point, weighing)
         fresh = False
     if point.anchor is not None:
@@ -250,13 +247,14 @@ def _read(
     """Take in a sighting; `fresh` says that no other of its step is taken in yet."""
     parents = sensor.parents
     x = point.at.part(parents, (0,))
-    line = linearised(w, sensor, at, x, point.about.part(parents, parents))
+    again = None if weighing is None else weighing.again
+    line = linearised(w, sensor, at, x, point.about.part(parents, parents), again)
     keep(w, sensor, at, x, line)
-    values = [number for (number,) in w.column(sensor.readings, at).rows]
-    for k in sensor.angles:
-        values[k] = step.nearest(values[k], line.value[k, 0])
-    w.keep(sensor.moved, Matrix.column(values), at)
-    left = Matrix.column(values) - line.value
+    values = w.column(sensor.readings, at)
+    near = {k: step.nearest(values[k, 0], line.value[k, 0]) for k in sensor.angles}
+    values = w.matrices.replaced(values, near)
+    w.keep(sensor.moved, values, at)
+    left = values - line.value
     sighting = _Sighting.of(w, sensor, line, left, point.at.shape[0], values)
     noise = sighting.noise
     begins = point.first
@@ -275,7 +273,7 @@ def _read(
                 residual, sighting.own, sighting.matrix, cov, sighting.error
             )
             weight, of = weighing.weigh(sensor.loss, at, square, count, begins)
-            noise = sighting.own.scaled(1.0 / weight)
+            noise = sighting.weighed(weight)
             noise = noise if sighting.error is None else noise + sighting.error
             w.keep(sensor.kept, noise, at)
             surplus_of = surplus(w, sensor.loss, of, count, weight)
@@ -288,10 +286,10 @@ def _read(
     if not fresh:
         residual = residual - sighting.matrix @ (mean - point.at)
     after = step.update(mean, cov, sighting.matrix, residual, noise)
-    limit = _STRAIGHT if sensor.function is None else _CURVED
+    limit = _CURVED if sensor.curved else _STRAIGHT
     part = least(limit * (10.0 + after.square), w.code.constant(_MILD))
     whole = step.predict(point.cov, sighting.matrix, noise)
-    sharp = (after.square < _FARTHEST) & _is_positive(noise - whole.scaled(part))
+    sharp = (after.square < _FARTHEST) & _is_positive(w, noise - whole.scaled(part))
     density = -0.5 * (after.square + LOG_2PI * sighting.count) - after.volume + surplus_of
     if sensor.gate is None:
         sure = line.sure & (after.share > NEARLY_SINGULAR) & sharp
@@ -305,8 +303,8 @@ def _read(
     rejected = gated(w, sensor, at, square, sighting.count, begins)
     sure = line.sure & (share > NEARLY_SINGULAR) & (rejected | sharp)
     found.take(
-        chosen(rejected, mean, after.mean),
-        chosen(rejected, cov, after.cov),
+        w.matrices.chosen(rejected, mean, after.mean),
+        w.matrices.chosen(rejected, cov, after.cov),
         where(rejected, 0.0, density),
         sure,
     )
@@ -316,46 +314,46 @@ class _Sighting(NamedTuple):
     """A sighting as linearised: z = value + H (x − m) + e over the whole slice.
 
     `left` is z − value, `own` and `error` are the covariances of the noise and of the line's error,
-    None for zero, and `count` is how many components were measured; others say nothing.
+    None for zero, and `count` is how many components were measured; others say nothing. `stands` is
+    the part of `own` that stands for these, None where there are none.
     """
 
-    left: Matrix
-    matrix: Matrix
-    own: Matrix
-    error: Matrix | None
+    left: AnyMatrix
+    matrix: AnyMatrix
+    own: AnyMatrix
+    error: AnyMatrix | None
     count: Any
+    stands: AnyMatrix | None = None
 
     @classmethod
     def of(
-        cls, w: Writer, sensor: Sensor, line: Line, left: Matrix, size: int, values: list[Any]
+        cls, w: Writer, sensor: Sensor, line: Line, left: AnyMatrix, size: int, values: AnyMatrix
     ) -> _Sighting:
         """A sighting of some values, as linearised over a slice of so many components."""
-        matrix = _widened(line, sensor, size)
+        m = w.matrices
+        matrix = m.widened(line.matrix, sensor.parents, size)
         if not sensor.missing:
             return cls(left, matrix, line.own, line.error, float(sensor.height))
-        known = [value == value for value in values]
-        left, matrix, own = step.seen(known, left, matrix, line.own)
-        error = line.error
-        if error is not None:
-            error = both_known(known, error)
-        return cls(left, matrix, own, error, w.sum([truth.number() for truth in known]))
+        known = [value == value for value in m.beside(values)]
+        left, matrix, own = m.seen(known, left, matrix, line.own)
+        error = None if line.error is None else m.kept(known, line.error)
+        missing = w.sum([1.0 - truth.number() for truth in known])
+        stands = own - m.kept(known, own) if sensor.weighs else None
+        return cls(left, matrix, own, error, float(sensor.height) - missing, stands)
+
+    def weighed(self, weight: Any) -> AnyMatrix:
+        """The covariance of the noise by a weight, which is not of what was not measured."""
+        if self.stands is None:
+            return self.own.scaled(1.0 / weight)
+        return (self.own - self.stands).scaled(1.0 / weight) + self.stands
 
     @property
-    def noise(self) -> Matrix:
+    def noise(self) -> AnyMatrix:
         """The covariance of e."""
         return self.own if self.error is None else self.own + self.error
 
 
-def _is_positive(matrix: Matrix) -> Number:
+def _is_positive(w: Writer, matrix: AnyMatrix) -> Any:
     """Whether a matrix is positive definite."""
-    return (matrix[0, 0] > 0.0) & (step.open_share(matrix) > 0.0)
-
-
-def _widened(line: Line, sensor: Sensor, size: int) -> Matrix:
-    """The matrix of a linearisation over the whole slice."""
-    if sensor.parents == tuple(range(size)):
-        return line.matrix
-    place = {parent: k for k, parent in enumerate(sensor.parents)}
-    return Matrix(
-        [row[place[j]] if j in place else 0.0 for j in range(size)] for row in line.matrix.rows
-    )
+    positive: Number = (matrix[0, 0] > 0.0) & (w.matrices.open_share(matrix) > 0.0)
+    return positive

@@ -15,7 +15,8 @@ from pgm.kernels.machine.outliers import is_rejected, square_of, weight_of
 from pgm.kernels.machine.told import Array, Forward, Linearised, Motion, Sensor
 from pgm.kernels.machine.wholes import Whole
 from pgm.kernels.machine.writer import Writer
-from pgm.kernels.numbers import Matrix, nearest_whole
+from pgm.kernels.numbers import nearest_whole
+from pgm.kernels.step import AnyMatrix
 
 # A number from which on little or nothing can be told.
 _LARGEST = 1e150
@@ -37,8 +38,8 @@ def written(w: Writer, chain: Linearised) -> Number:
     """Write the linearisation of all steps."""
     code, beliefs = w.code, Beliefs(*chain.point)
     sure = code.variable(True)
-    with code.loop(w.last + 1) as at:
-        with code.when(at > 0):
+    with code.loop(w.last + 1) as at, w.matrices.scratch():
+        with code.when(at > 0), w.matrices.scratch():
             sure.set(sure.get() & move(w, chain, at - 1, beliefs, at - 1))
         sure.set(sure.get() & read(w, chain, at, beliefs, at))
     return sure.get()
@@ -46,25 +47,24 @@ def written(w: Writer, chain: Linearised) -> Number:
 
 def pair_at(
     w: Writer, chain: Steps, beliefs: Beliefs, row: Whole
-) -> Iterator[tuple[Motion, Matrix, Matrix, list[Any]]]:
+) -> Iterator[tuple[Motion, AnyMatrix, AnyMatrix, AnyMatrix]]:
     """The CPDs of a transition from one row to the next, with the moments of their parents.
 
-    The last are the means of their children.
+    Covariances are None where no CPD needs them. The last are the means of their children.
     """
     front = chain.states
     before, after = w.column(beliefs.mean, row), w.column(beliefs.mean, row + 1)
-    pair = Matrix([*before.part(front, (0,)).rows, *after.rows])
-    own = joint = _nothing(pair.shape[0])
+    pair, own, joint = w.matrices.above(before.part(front, (0,)), after), None, None
     if beliefs.cov is not None:
         own = w.symmetric(beliefs.cov, row).part(front, front)
     if beliefs.joint is not None:
         joint = w.symmetric(beliefs.joint, row)
-    child = len(front)
+    child = 0
     for motion in chain.motions:
         places, last = motion.parents, child + motion.height
         cov = joint if max(places, default=0) >= len(front) else own
-        means = [number for (number,) in pair.rows[child:last]]
-        yield motion, pair.part(places, (0,)), cov.part(places, places), means
+        cov = None if cov is None else cov.part(places, places)
+        yield motion, pair.part(places, (0,)), cov, after.part(range(child, last), (0,))
         child = last
 
 
@@ -73,7 +73,7 @@ def move(w: Writer, chain: Steps, at: Whole, beliefs: Beliefs, row: Whole) -> Nu
     sure = w.true
     for motion, mean, cov, child in pair_at(w, chain, beliefs, row):
         if motion.function is not None:
-            line = _on_chart(motion, linearised(w, motion, at, mean, cov), child)
+            line = _on_chart(w, motion, linearised(w, motion, at, mean, cov), child)
             keep(w, motion, at, mean, line)
             w.keep(motion.kept, line.noise, at)
             sure = sure & _is_sure(w, line)
@@ -92,31 +92,30 @@ def read(w: Writer, chain: Steps, at: Whole, beliefs: Beliefs, row: Whole) -> Nu
             sure.set(sure.get() & _read(w, sensor, at, mean, cov))
             continue
         first, last = w.sightings(sensor, at)
-        with w.code.loop(last, first) as sighting:
+        with w.code.loop(last, first) as sighting, w.matrices.scratch():
             sure.set(sure.get() & _read(w, sensor, sighting, mean, cov))
     return sure.get()
 
 
-def _read(w: Writer, sensor: Sensor, at: Whole, mean: Matrix, cov: Matrix | None) -> Number:
-    places = sensor.parents
-    x = mean.part(places, (0,))
-    spread = _nothing(len(places)) if cov is None else cov.part(places, places)
+def _read(w: Writer, sensor: Sensor, at: Whole, mean: AnyMatrix, cov: AnyMatrix) -> Number:
+    places, m = sensor.parents, w.matrices
+    x, spread = mean.part(places, (0,)), None if cov is None else cov.part(places, places)
     line = linearised(w, sensor, at, x, spread)
     keep(w, sensor, at, x, line)
-    readings = [number for (number,) in w.column(sensor.readings, at).rows]
-    for k in sensor.angles:
-        readings[k] = step.nearest(readings[k], line.value[k, 0])
-    w.keep(sensor.moved, Matrix.column(readings), at)
+    readings = w.column(sensor.readings, at)
+    near = {k: step.nearest(readings[k, 0], line.value[k, 0]) for k in sensor.angles}
+    readings = m.replaced(readings, near)
+    w.keep(sensor.moved, readings, at)
     loss, noise = sensor.loss, line.noise
     if loss is not None:
         known: Any = None
         if sensor.missing or sensor.gate is not None:
-            known = [reading == reading for reading in readings]
+            known = [reading == reading for reading in m.beside(readings)]
         if sensor.gate is not None:
-            known = [truth & ~is_rejected(w, sensor.gate, at) for truth in known]
-        left = Matrix.column(readings) - line.value
+            rejected = is_rejected(w, sensor.gate, at)
+            known = [truth & ~rejected for truth in known]
         parts = (line.matrix, spread, line.error) if loss.expects else (None, None, None)
-        square, count = square_of(w, known, left, line.own, *parts)
+        square, count = square_of(w, known, readings - line.value, line.own, *parts)
         weight = weight_of(w, loss, square, count)
         w.at(loss.weights, at).store(0, weight)
         w.at(loss.squares, at).store(0, square)
@@ -128,18 +127,18 @@ def _read(w: Writer, sensor: Sensor, at: Whole, mean: Matrix, cov: Matrix | None
 
 def _is_sure(w: Writer, line: Line) -> Number:
     """Whether a linearisation is finite, and right so far as can be told."""
-    total = w.sum([abs(x) for part in (line.matrix, line.value) for row in part.rows for x in row])
-    finite: Number = total < _LARGEST
+    m = w.matrices
+    numbers = [abs(x) for x in m.beside(line.value)]
+    for i in range(line.value.shape[0]):
+        numbers += [abs(x) for x in m.row(line.matrix, i)]
+    finite: Number = w.sum(numbers) < _LARGEST
     return line.sure & finite
 
 
-def _on_chart(motion: Motion, line: Line, child: list[Any]) -> Line:
+def _on_chart(w: Writer, motion: Motion, line: Line, child: AnyMatrix) -> Line:
     """A linearisation whose angles are within half a turn of those that the child has."""
-    value = [number for (number,) in line.value.rows]
+    value, near = line.value, {}
     for k in motion.angles:
-        value[k] = value[k] + step.TURN * nearest_whole((child[k] - value[k]) / step.TURN)
-    return line._replace(value=Matrix.column(value))
-
-
-def _nothing(size: int) -> Matrix:
-    return Matrix([[0.0] * size for _ in range(size)])
+        x = value[k, 0]
+        near[k] = x + step.TURN * nearest_whole((child[k, 0] - x) / step.TURN)
+    return line._replace(value=w.matrices.replaced(value, near))

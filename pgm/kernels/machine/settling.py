@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 from pgm.kernels.arrays import LAST_PLACES
 from pgm.kernels.machine.numbers import Number
 from pgm.kernels.machine.wholes import Whole
 from pgm.kernels.machine.writer import Writer
-from pgm.kernels.numbers import Matrix, most, sqrt, where
+from pgm.kernels.numbers import most, sqrt, where
+from pgm.kernels.step import AnyMatrix
 
 
 class Settling:
@@ -53,13 +53,14 @@ class Settling:
         record.store(place, where(known > value, known, value))
 
 
-def moved(mean: Matrix, variances: Sequence[Any], point: Matrix) -> Any:
+def moved(w: Writer, mean: AnyMatrix, cov: AnyMatrix, point: AnyMatrix) -> Any:
     """How far a mean is from where it was linearised, in deviations, as `moments.moved`."""
     residual: Any = 0.0
-    for (new,), (old,), variance in zip(mean.rows, point.rows, variances, strict=True):
+    m = w.matrices
+    for new, old, variance in zip(m.beside(mean), m.beside(point), m.diagonal(cov), strict=True):
         size, other = abs(new), abs(old)
         unit = where(variance > 0.0, sqrt(variance), most(size, 1.0))
         left = abs(new - old) - LAST_PLACES * most(size, other)
         left = where(left < 0.0, 0.0, left) / unit  # NaN stays
         residual = where(residual > left, residual, left)
-    return residual
+    return w.together(lambda a, b: where(a > b, a, b), [residual])

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 from pgm.kernels.machine.memory import Runs
 
@@ -25,6 +25,10 @@ from pgm.kernels.machine.memory import Runs
 LAST, RUNS, ITERATIONS, SETTINGS, RESIDUALS, ENDED, LAG, FIRST = range(8)
 # Of an array: its address, and the distances in floats between rows, runs, and its own cells.
 ADDRESS, DOWN, ACROSS, CELL = range(4)
+# What a program is asked for: the number of a function, at how many points, or zero for a
+# linearisation, and the row; the step at hand, infinite at the end; and whether a run is right
+# so far.
+WHAT, COUNT, ROW, STEP, SURE = range(5)
 
 
 @dataclass(frozen=True)
@@ -121,6 +125,53 @@ class Points:
     variances: tuple[float, ...]
 
 
+@dataclass(frozen=True)
+class Lines:
+    """Linearisations that are read from memory, of so many `rows` at a time.
+
+    Attributes
+    ----------
+    rows : int
+        A row's linearisation stands at its number modulo `rows`.
+    cov : Array or None
+        Where the program, which linearises, finds the belief's covariance (n, n), its mean being
+        the first of the points; None where machine code linearises, by values at points.
+    value, matrix : Array
+        The value at the mean, (d,), and F (d, n).
+    error : Array or None
+        The covariance (d, d) of the linearisation's error; None where there is none.
+    sure : Array
+        Whether all of it is right, (1,).
+    """
+
+    rows: int
+    cov: Array | None
+    value: Array
+    matrix: Array
+    error: Array | None
+    sure: Array
+
+
+@dataclass(frozen=True)
+class Called:
+    """A function that cannot be compiled: machine code waits until its program has called it.
+
+    Attributes
+    ----------
+    number : int
+        Of the function, among those of the chain that are called.
+    points, values : Array
+        Where it is called, (N, n), and what it gives there, (N, d).
+    lines : Lines
+        Its linearisations.
+    """
+
+    number: int
+    points: Array
+    values: Array
+    lines: Lines
+
+
 @dataclass(frozen=True, kw_only=True)
 class Row:
     """A CPD at its rows: y = F x + b + e of its parents x, or a function that is linearised.
@@ -136,11 +187,16 @@ class Row:
     matrix, offset : Array or None
         F (d, n) and b (d,) of an affine CPD, and else where they are kept, if they are.
     function : Function or None
-        None of an affine CPD.
+        Of a CPD that is linearised in machine code.
+    called : Called or None
+        Of one whose function the program calls.
     points : Points or None
         Of the rule by which it is linearised; None of `Taylor`.
-    inputs : Array or None
-        What is observed of the arguments, (m,).
+    inputs : tuple of Array
+        The observed arguments, (m,) each, in the order of the function's.
+    shifts : tuple of Array
+        Of an affine CPD whose inputs come later, their matrices B (d, m): b + B u + ... is its
+        offset.
     kept : Array or None
         Where the covariance of e with the error is kept.
     angles : tuple of int
@@ -153,10 +209,17 @@ class Row:
     matrix: Array | None = None
     offset: Array | None = None
     function: Function | None = None
+    called: Called | None = None
     points: Points | None = None
-    inputs: Array | None = None
+    inputs: tuple[Array, ...] = ()
+    shifts: tuple[Array, ...] = ()
     kept: Array | None = None
     angles: tuple[int, ...] = ()
+
+    @property
+    def curved(self) -> bool:
+        """Whether it has to be linearised."""
+        return self.function is not None or self.called is not None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,11 +258,11 @@ class Gate:
 class Loss:
     """A robust noise: sightings count with R / w, and the weight w is a function of a square.
 
-    `weight(s)` and `surplus(s, w)`, the log-density less that of N(0, R / w), are traces by how many
-    components were measured; of just the last where none may be missing. Weights and the squares
-    that they are of are kept by row, those of a step control's trials in `trial`. `cost(s)` is
-    twice the loss. `expects` says that squares are expected under the belief; `found` that weights
-    are as kept, and only the surplus is due.
+    `weight(s)` and `surplus(s, w)`, the log-density less that of N(0, R / w), are traces by how
+    many components were measured; of just the last where none may be missing. Weights and the
+    squares that they are of are kept by row, those of a step control's trials in `trial`. `cost(s)`
+    is twice the loss. `expects` says that squares are expected under the belief; `found` that
+    weights are as kept, and only the surplus is due.
     """
 
     weight: tuple[Function, ...]
@@ -265,6 +328,8 @@ class Forward:
         Whether measurements are linearised again, and whether a cost judges where.
     anchor : tuple of Array
         Means and deviations by step, and weights, of an anchor; empty if there is none.
+    asked : Array or None
+        For what a sweep waits whose functions are called, (5,): see `WHAT`.
     """
 
     size: int
@@ -279,6 +344,7 @@ class Forward:
     iterated: bool
     controlled: bool = False
     anchor: tuple[Array, ...] = ()
+    asked: Array | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -340,29 +406,31 @@ class Linearised:
 
 def kept_motion(motion: Motion) -> Motion:
     """A CPD of a transition as it was linearised last."""
-    noise = motion.kept or motion.noise
-    affine = replace(motion, function=None, points=None, inputs=None, noise=noise, kept=None)
-    return replace(affine, angles=(), turning=())
+    return replace(_affine(motion), noise=motion.kept or motion.noise, turning=())
 
 
 def kept_sensor(sensor: Sensor, *, weighed: bool) -> Sensor:
     """A sensor as it was linearised last; its noise is `weighed`, or still to be."""
-    readings = sensor.moved or sensor.readings
     noise, loss = sensor.noise, sensor.loss
     if sensor.kept is not None and (weighed or loss is None):
         noise = sensor.kept
     return replace(
-        sensor,
-        function=None,
-        points=None,
-        inputs=None,
+        _affine(sensor),
         noise=noise,
-        kept=None,
-        readings=readings,
+        readings=sensor.moved or sensor.readings,
         moved=None,
-        angles=(),
         loss=None if loss is None else replace(loss, found=weighed),
     )
+
+
+Kind = TypeVar("Kind", bound=Row)
+
+
+def _affine(row: Kind) -> Kind:
+    """A CPD as it was linearised last, but for its noise."""
+    inputs = () if row.curved else row.inputs
+    affine = replace(row, function=None, called=None, points=None, inputs=inputs)
+    return replace(affine, kept=None, angles=())
 
 
 def as_kept(chain: Forward) -> Forward:
@@ -398,3 +466,62 @@ class Backward:
     reversed: tuple[Array, Array, Array]
     smoothed: tuple[Array, ...] = ()
     controls: tuple[Array, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Squares(Row):
+    """A CPD as squares of a least-squares problem, of which some rows are linearised together.
+
+    Rows take the place of runs in its arrays, and runs that of rows. `noise` is the inverse of the
+    covariance, zero where nothing is measured, and `parents` are places in a slice, those of the
+    next one behind.
+
+    Attributes
+    ----------
+    child : tuple of int
+        The places of a transition's child in the slices; empty of a measurement.
+    lanes : int
+        How many rows are linearised together; there are as many at least.
+    count : int
+        The place in the table of the number of rows.
+    readings, moved, missing, bounds
+        As of `Sensor`.
+    steps : int or None
+        The place in the table of the address of each row's step; None if each step has one row.
+    """
+
+    child: tuple[int, ...]
+    lanes: int
+    count: int
+    readings: Array | None = None
+    moved: Array | None = None
+    missing: bool = False
+    bounds: int | None = None
+    steps: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Newton:
+    """A Gauss–Newton step of all steps of a chain.
+
+    Attributes
+    ----------
+    size : int
+        The components of a slice.
+    rows : tuple of Squares
+    active : Array
+        Whether a run is worked on, (1,).
+    begin : Array
+        The first slice's equations by the prior, as a `newton.Layout` has them.
+    reference, found, variance : Array
+        The trajectory at which CPDs are linearised, the one that is found, and the variances of its
+        components.
+    """
+
+    size: int
+    rows: tuple[Squares, ...]
+    active: Array
+    begin: Array
+    reference: Array
+    found: Array
+    variance: Array

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Protocol
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Protocol
 
 from pgm.kernels.machine.code import Code
 from pgm.kernels.machine.numbers import Number, constant
+
+if TYPE_CHECKING:
+    from pgm.kernels.machine.memory import Memory
+    from pgm.kernels.machine.told import Function
 
 
 class Trace(Protocol):
     """A straight line of operations; see `pgm.tracing.graph.Graph`."""
 
-    operations: Sequence[tuple[Any, ...]]
+    @property
+    def operations(self) -> Sequence[Any]:
+        """Names, each followed by places of earlier operations."""
+        ...
 
     def reachable(self, outputs: Iterable[int]) -> list[int]:
         """The operations on which the outputs depend, in order."""
@@ -40,3 +47,35 @@ def written(
             first, *others = (values[operand] for operand in operands)
             values[place] = code.applied(name, constant(code, first), *others)
     return [values[place] for place in outputs]
+
+
+# Where the observed components of arguments are: cells, and a place in them.
+Inputs = Mapping[tuple[int, int], tuple["Memory", int]]
+
+
+def traced(
+    code: Code,
+    function: Function,
+    hidden: Sequence[Any],
+    inputs: Inputs,
+    *,
+    slope: bool = False,
+) -> tuple[list[Any], list[Any]]:
+    """The value of a function, and its derivative, row by row, if it is asked for.
+
+    `hidden` are the components of the belief in it; constants among the results are floats.
+    """
+    known = dict(zip(function.hidden, hidden, strict=True))
+
+    def of(argument: int, component: int) -> Any:
+        column = argument, component
+        if column not in known:
+            cells, place = inputs[column]
+            known[column] = cells.load(place)
+        return known[column]
+
+    outputs = [*function.value, *(function.slope if slope else ())]
+    due = [k for k in outputs if k is not None]
+    found = dict(zip(due, written(code, function, due, of), strict=True))
+    every = [0.0 if k is None else found[k] for k in outputs]
+    return every[: len(function.value)], every[len(function.value) :]

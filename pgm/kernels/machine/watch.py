@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
+from operator import or_
 
-from pgm.kernels import step
+from pgm.kernels.machine.lines import held
 from pgm.kernels.machine.numbers import Number
 from pgm.kernels.machine.wholes import Whole
-from pgm.kernels.machine.writer import Writer, held
-from pgm.kernels.numbers import Matrix, least, where
+from pgm.kernels.machine.writer import Writer
+from pgm.kernels.numbers import least, where
+from pgm.kernels.step import AnyMatrix
 
 # Beliefs are looked at every so many steps, where measurements leave less than a thousandth, and
 # where a variance has grown a hundredfold since.
@@ -23,7 +24,7 @@ class Watch:
     def __init__(self, w: Writer, size: int) -> None:
         self._w = w
         self._closest, self._far = w.code.variable(1.0), w.code.variable(False)
-        self._levels = [w.code.variable(float("inf")) for _ in range(size)]
+        self._levels = [held(w.code, x) for x in w.matrices.alike(float("inf"), size)]
 
     @property
     def closest(self) -> Number:
@@ -35,18 +36,20 @@ class Watch:
         """Whether a mean was far from zero."""
         return self._far.get()
 
-    def look(self, at: Whole, last: Whole, mean: Matrix, before: Matrix, after: Matrix) -> None:
+    def look(
+        self, at: Whole, last: Whole, mean: AnyMatrix, before: AnyMatrix, after: AnyMatrix
+    ) -> None:
         """Look at the covariances of a step, before and after its measurements."""
-        w = self._w
-        share: Any = w.code.constant(1.0)
-        grown, far = w.code.constant(False), self.far
-        pairs = list(zip(before.diagonal, after.diagonal, strict=True))
-        for (was, left), level, (x,) in zip(pairs, self._levels, mean.rows, strict=True):
-            grown = grown | (was > _GROWN * level.get())
+        w, m = self._w, self._w.matrices
+        shares, growths, distances = [w.code.constant(1.0)], [], []
+        pairs = list(zip(m.diagonal(before), m.diagonal(after), strict=True))
+        for (was, left), level, x in zip(pairs, self._levels, m.beside(mean), strict=True):
+            growths.append(was > _GROWN * level.get())
             sharp = (left < _MILD * was) & (left != 0.0) & (was > 0.0)
-            share = where(sharp, least(left / was, share), share)
-            far = far | ((x * x > _FAR * left) & (left > 0.0))
-        self._far.set(far)
+            shares.append(where(sharp, left / was, 1.0))
+            distances.append((x * x > _FAR * left) & (left > 0.0))
+        share, grown = w.together(least, shares), w.together(or_, growths)
+        self._far.set(self.far | w.together(or_, distances))
         doubtful = grown | (share < 1.0)
         often = (at == last) | (at % _EVERY == 0)
         closest = held(w.code, share)
@@ -55,10 +58,10 @@ class Watch:
             known = where(at == 0, left, known)
             low = (doubtful | often) & (left < known)
             level.set(where(low, left, known))
-        with w.code.when(w.code.some(doubtful)):
-            found = step.open_share(before)
+        with w.code.when(w.code.some(doubtful)), m.scratch():
+            found = m.open_share(before)
             closest.set(where(doubtful & (found < closest.get()), found, closest.get()))
-        with w.code.when(w.code.some(doubtful | often)):
-            found = step.open_share(after)
+        with w.code.when(w.code.some(doubtful | often)), m.scratch():
+            found = m.open_share(after)
             closest.set(where((doubtful | often) & (found < closest.get()), found, closest.get()))
         self._closest.set(least(closest.get(), self.closest))

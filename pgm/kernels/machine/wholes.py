@@ -10,6 +10,10 @@ if TYPE_CHECKING:
     from pgm.kernels.machine.code import Code
 
 
+# Instructions that leave a number as it is.
+_NOTHING = {("add", 0), ("sub", 0), ("mul", 1), ("udiv", 1)}
+
+
 class Whole:
     """A whole number of 64 bits: a count, an index or a distance in memory."""
 
@@ -66,11 +70,18 @@ class Whole:
     def __bool__(self) -> NoReturn:
         raise TypeError("a whole number is known only when its code runs; compare it, then `when`")
 
+    def at_most(self, other: Whole) -> Whole:
+        """The lesser of two whole numbers."""
+        two = f"i64 {self.text}, i64 {other.text}"
+        return Whole(self.code, self.code.value(f"select i1 {(self < other).text}, {two}"))
+
     def number(self) -> Number:
         """The nearest float, of one lane."""
         return Number(self.code, self.code.value(f"sitofp i64 {self.text} to double"))
 
     def _with(self, instruction: str, other: Whole | int) -> Whole:
+        if isinstance(other, int) and (instruction, other) in _NOTHING:
+            return self
         text = other.text if isinstance(other, Whole) else str(other)
         return Whole(self.code, self.code.value(f"{instruction} i64 {self.text}, {text}"))
 

@@ -12,6 +12,7 @@ from typing import Any
 
 from pgm.kernels import step
 from pgm.kernels.machine import relinearising
+from pgm.kernels.machine.lines import Carried
 from pgm.kernels.machine.motion import predicted, transition
 from pgm.kernels.machine.numbers import Number
 from pgm.kernels.machine.reading import taken
@@ -19,7 +20,7 @@ from pgm.kernels.machine.relinearising import Beliefs
 from pgm.kernels.machine.settling import Settling, moved
 from pgm.kernels.machine.told import Windows, as_kept
 from pgm.kernels.machine.wholes import Whole
-from pgm.kernels.machine.writer import Carried, Writer, chosen
+from pgm.kernels.machine.writer import Writer
 from pgm.kernels.numbers import Matrix, most, where
 
 # As of `certificate`, `reversal_rounding` and `sweeps`: shares of variances that leave the digits
@@ -48,7 +49,7 @@ def written(w: Writer, chain: Windows) -> Number:
             before.set(before.get() + w.at(chain.density, first.get()).load(0))
         window.settle()
         total = before.get() + window.density
-        w.keep(chain.log_evidence, Matrix.column([total]), newest)
+        w.at(chain.log_evidence, newest).store(0, total)
         sure.set(sure.get() & window.sure & (abs(total) < float("inf")))
         code.leave_unless(code.some(sure.get()))
     return sure.get()
@@ -115,10 +116,10 @@ class _Window:
         """Whether a CPD of the window depends on where it is linearised."""
         w, ahead = self._w, self._chain.ahead
         found = w.code.constant(False).lane(0)
-        if any(motion.function is not None for motion in ahead.motions):
+        if any(motion.curved for motion in ahead.motions):
             found = found | (self._newest > self._first)
         for sensor in ahead.sensors:
-            if sensor.function is None and sensor.loss is None:
+            if not sensor.curved and sensor.loss is None:
                 continue
             begun = w.code.variable(self._first)
             with w.code.when(self._first > 0):
@@ -136,12 +137,14 @@ class _Window:
         damping = where(k == 1, 0.0, w.settings.load(1))
         first, newest, point = self._first, self._newest, Beliefs(*chain.point)
 
+        choice = w.matrices.chosen
+
         def follow(array: Any, found: Any, row: Whole, at: Whole) -> None:
             matrix = w.symmetric if len(array.shape) > 1 else w.column
             old, new = matrix(array, row), matrix(found, at)
             mixed = old.scaled(damping) + new.scaled(1.0 - damping)
             # What was there before the first iteration need not be a number.
-            w.keep(array, chosen(settled, old, chosen(k == 1, new, mixed)), row)
+            w.keep(array, choice(settled, old, choice(k == 1, new, mixed)), row)
 
         with code.loop(newest + 1, first) as at:
             row = at - first
@@ -183,7 +186,7 @@ class _Window:
             known, spread = found.moments.mean, found.moments.cov
             w.keep(chain.known[0], known, at)
             w.keep(chain.known[1], spread, at)
-            w.keep(chain.density, Matrix.column([found.density]), at)
+            w.at(chain.density, at).store(0, found.density)
             self._density.set(self._density.get() + found.density)
             self._doubt(found.sure & _hold(cov, spread) & (step.open_share(spread) > _MODERATE))
             self._doubt(~_is_far(known, spread))
@@ -225,7 +228,7 @@ class _Window:
         mean, cov = found.mean, found.cov
         w.keep(chain.smoothed[0], mean, at)
         w.keep(chain.smoothed[1], cov, at)
-        far = moved(mean, cov.diagonal, w.column(chain.point[0], at - self._first))
+        far = moved(w, mean, cov, w.column(chain.point[0], at - self._first))
         self._moved.set(where(self._moved.get() > far, self._moved.get(), far))
 
     def _known(self, at: Whole) -> tuple[Matrix, Matrix]:

@@ -1,17 +1,21 @@
-"""What sweeps are written with: arrays by rows and runs, and beliefs that are carried along."""
+"""What sweeps are written with: arrays by rows and runs, and the matrices in them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, is_dataclass
+from functools import reduce
+from operator import add
 from typing import Any
 
 from pgm.kernels.machine import told
-from pgm.kernels.machine.code import Code, Variable
+from pgm.kernels.machine.code import Code
+from pgm.kernels.machine.matrices import Matrices
 from pgm.kernels.machine.memory import Cells, Memory, Runs
-from pgm.kernels.machine.numbers import Number, constant
+from pgm.kernels.machine.numbers import Number
+from pgm.kernels.machine.waiting import Waiting
 from pgm.kernels.machine.wholes import Address, Whole
-from pgm.kernels.numbers import Matrix, where
+from pgm.kernels.step import AnyMatrix
 
 
 class Writer:
@@ -21,19 +25,27 @@ class Writer:
     that is known, be the table.
     """
 
-    def __init__(self, code: Code, table: Address, chain: Any) -> None:
-        self.code = code
+    def __init__(
+        self,
+        code: Code,
+        table: Address,
+        chain: Any,
+        matrices: Matrices,
+        waiting: Waiting | None = None,
+    ) -> None:
+        self.code, self.matrices, self._waiting = code, matrices, waiting
+        self._asked = chain.asked if isinstance(chain, told.Forward) else None
         wholes, addresses = Cells(code, table, Whole), Cells(code, table, Address)
         self.last, self._count = wholes.load(told.LAST), wholes.load(told.RUNS)
         self.iterations = wholes.load(told.ITERATIONS)
         self._settings = addresses.load(told.SETTINGS)
         self._residuals, self._ended = addresses.load(told.RESIDUALS), addresses.load(told.ENDED)
-        self._places = {
+        self._places: dict[told.Array, tuple[Any, ...]] = {
             array: (addresses.load(array.place), *map(wholes.load, _after(array.place)))
             for array in arrays(chain)
         }
         self.lag = wholes.load(told.LAG)
-        sensors = () if isinstance(chain, told.Backward) else chain.sensors
+        sensors: tuple[told.Sensor, ...] = getattr(chain, "sensors", ())
         due = [sensor.bounds for sensor in sensors if sensor.bounds is not None]
         self._bounds = {place: addresses.load(place) for place in due}
         self.run = code.whole(0)
@@ -65,85 +77,64 @@ class Writer:
         """Where something is told of the runs at hand."""
         return Memory(self.code, self._ended + (self.run + self._count * what))
 
+    def ask(self, what: int, count: int, row: Whole) -> None:
+        """Wait until the program has called a function at a row, at so many points; see `told`."""
+        assert self._waiting is not None
+        assert self._asked is not None
+        cells = self.at(self._asked)
+        cells.store(told.WHAT, float(what))
+        cells.store(told.COUNT, float(count))
+        cells.store(told.ROW, row.number())
+        self._waiting.wait()
+
+    def reach(self, step: Number | float, sure: Number) -> None:
+        """Tell the program how far the runs at hand are, and whether all was right so far.
+
+        It is told where it is asked for anything.
+        """
+        if self._asked is not None:
+            cells = self.at(self._asked)
+            cells.store(told.STEP, step)
+            cells.store(told.SURE, sure.number())
+
     def sightings(self, sensor: told.Sensor, at: Whole) -> tuple[Whole, Whole]:
         """The first sighting of a step, and the one after its last."""
         assert sensor.bounds is not None
         bounds = Cells(self.code, self._bounds[sensor.bounds], Whole)
         return bounds.load(at), bounds.load(at + 1)
 
-    def column(self, array: told.Array, row: Whole | None = None) -> Matrix:
+    def column(self, array: told.Array, row: Whole | None = None) -> AnyMatrix:
         """The vector of an array at a row."""
-        cells = self.at(array, row)
-        return Matrix.column(cells.load(k) for k in range(array.shape[0]))
+        return self.matrices.column(self.at(array, row), array.shape[0])
 
-    def matrix(self, array: told.Array, row: Whole | None = None) -> Matrix:
+    def matrix(self, array: told.Array, row: Whole | None = None) -> AnyMatrix:
         """The matrix of an array at a row."""
-        cells, (height, width) = self.at(array, row), array.shape
-        return Matrix([cells.load(i * width + j) for j in range(width)] for i in range(height))
+        return self.matrices.matrix(self.at(array, row), *array.shape)
 
-    def symmetric(self, array: told.Array, row: Whole | None = None) -> Matrix:
+    def symmetric(self, array: told.Array, row: Whole | None = None) -> AnyMatrix:
         """The symmetric matrix of an array at a row, of which the lower half is read."""
-        cells, size = self.at(array, row), array.shape[0]
-        half = [[cells.load(i * size + j) for j in range(i + 1)] for i in range(size)]
-        return Matrix([half[max(i, j)][min(i, j)] for j in range(size)] for i in range(size))
+        return self.matrices.symmetric(self.at(array, row), array.shape[0])
 
-    def keep(self, array: told.Array | None, matrix: Matrix, row: Whole | None = None) -> None:
+    def keep(self, array: told.Array | None, matrix: AnyMatrix, row: Whole | None = None) -> None:
         """Put a vector or a matrix into an array at a row, if there is one."""
         if array is not None:
-            cells = self.at(array, row)
-            for k, number in enumerate(number for each in matrix.rows for number in each):
-                cells.store(k, number)
+            self.matrices.keep(self.at(array, row), matrix)
+
+    def together(self, operation: Callable[[Any, Any], Any], numbers: Sequence[Any]) -> Any:
+        """One number of several that are side by side, for each of the runs at hand."""
+        found = reduce(operation, numbers)
+        if isinstance(found, Number) and found.lanes > self.code.lanes:
+            found = reduce(operation, map(found.lane, range(found.lanes)))
+        return found
 
     def sum(self, numbers: Sequence[Any]) -> Any:
-        """A sum, of zero where there is nothing to add."""
-        total: Any = self.code.constant(0.0)
-        for each in numbers:
-            total = total + each
-        return total
+        """The sum of numbers that are side by side, of zero where there is nothing to add."""
+        return self.together(add, numbers) if numbers else self.code.constant(0.0)
 
     @property
     def true(self) -> Number:
         """A truth that holds."""
         return self.code.constant(True)
-
-
-class Carried:
-    """A vector and a symmetric matrix that are carried from step to step, in variables."""
-
-    def __init__(self, code: Code, mean: Matrix, cov: Matrix) -> None:
-        self._mean = [held(code, x) for (x,) in mean.rows]
-        size = range(len(self._mean))
-        self._cov = [[held(code, cov[i, j]) for j in range(i + 1)] for i in size]
-
-    @property
-    def mean(self) -> Matrix:
-        """The vector."""
-        return Matrix.column(x.get() for x in self._mean)
-
-    @property
-    def cov(self) -> Matrix:
-        """The matrix."""
-        half, size = [[x.get() for x in row] for row in self._cov], range(len(self._cov))
-        return Matrix([half[max(i, j)][min(i, j)] for j in size] for i in size)
-
-    def set(self, mean: Matrix, cov: Matrix) -> None:
-        """Replace both."""
-        for variable, (x,) in zip(self._mean, mean.rows, strict=True):
-            variable.set(x)
-        for i, row in enumerate(self._cov):
-            for j, variable in enumerate(row):
-                variable.set(cov[i, j])
-
-
-def held(code: Code, number: Number | float) -> Variable[Number]:
-    """A variable that begins as a number, of all runs at hand."""
-    return code.variable(constant(code, number).spread(code.lanes))
-
-
-def chosen(truth: Any, a: Matrix, b: Matrix) -> Matrix:
-    """One matrix or another, by a truth."""
-    rows = zip(a.rows, b.rows, strict=True)
-    return Matrix([where(truth, x, y) for x, y in zip(*both, strict=True)] for both in rows)
 
 
 def arrays(value: Any) -> Iterator[told.Array]:

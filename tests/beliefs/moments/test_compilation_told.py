@@ -161,7 +161,8 @@ def test_a_filter_online_tells_of_its_settings_and_its_steps():
         told_of = pgm.OnlineFilter(model, compiled=True, **options).compilation
         assert told_of.startswith("not compiled: ")
         assert why in told_of
-    assert pgm.OnlineFilter(model).compilation == "by NumPy: compiled=False"
+    assert pgm.OnlineFilter(model, compiled=False).compilation == "by NumPy: compiled=False"
+    assert "would record the model's functions" in pgm.OnlineFilter(model).compilation
     quick = pgm.OnlineFilter(model, compiled=True)
     belief = quick.predict(quick.initial())
     quick.update(belief, {Z: [0.1]})

@@ -10,7 +10,7 @@ from plain import evidence_of, linear_network
 from robots import SENSORS, drive_cpd, network, sighted, u, x
 from test_zoo import by_function
 from textbooks import assert_belief
-from zoo import MODELS, RULES, SIGHT, model_of, of_run, recording
+from zoo import MODELS, RULES, SIGHT, model_of, of_run, plain, recording
 
 import pgm
 from pgm.beliefs.moments.passes import forward
@@ -360,4 +360,10 @@ def test_a_lineariser_of_a_function_is_told():
         child, (x,), lambda s: np.hypot(s[..., :1], 1.0), 0.1, lineariser=rule
     )
     told = pgm.compile(MODELS["plain"].replace(observation=[range_of]), 3).compilation
-    assert told[range_of] == f"it is linearised by {rule!r}"
+    assert told[range_of] == f"called back: it is linearised by {rule!r}"
+
+
+@pytest.mark.parametrize("noise", [pgm.StudentT(4), pgm.Huber(1.5)], ids=repr)
+def test_robust_sightings_of_which_components_are_missing(alone, noise):
+    model = plain(sensor=SIGHT.cpd(noise=noise))
+    assert_posterior(*both(pgm.smooth, model, recording("plain", 11)))

@@ -14,7 +14,7 @@ import pgm
 from pgm.beliefs.moments.passes import forward
 from pgm.beliefs.moments.smoothers import smoother
 
-pytest.importorskip("llvmlite", reason="sweeps are compiled by llvmlite")
+pytest.importorskip("llvmlite", reason="machine code is written by LLVM")
 
 ORDINARY = ["plain", "numerical jacobians", "wrapping drive", "noise by control"]
 ORDINARY += ["noise by landmark", "a start for each run", "an unknown heading", "everything"]

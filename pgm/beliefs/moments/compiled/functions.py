@@ -28,7 +28,7 @@ def function_of(template: FunctionTemplate, trace: Program) -> told.Function:
 
     `trace` is that of the value, followed by the derivatives that were given.
     """
-    known = template.compiled.get(trace)
+    known: told.Function | None = template.compiled.get(trace)
     if known is None:
         known = template.compiled[trace] = _function(template, trace)
     return known
@@ -37,17 +37,17 @@ def function_of(template: FunctionTemplate, trace: Program) -> told.Function:
 def _function(template: FunctionTemplate, trace: Program) -> told.Function:
     height, size = template.height, template.size
     alone = trace.by(template.missing_columns, height)
-    slope: list[list[int | None]] = [[None] * size for _ in range(height)]
+    slope = np.full((height, size), None)
     for i in range(height):
         for j, column in enumerate(template.missing):
-            slope[i][column] = alone.slope[i * len(template.missing) + j]
+            slope[i, column] = alone.slope[i * len(template.missing) + j]
     first = height
     for _, width, place, jacobian in template.derivatives:
         if jacobian is not None:
             for i in range(height):
-                slope[i][place] = trace.value[first + i * width : first + (i + 1) * width]
+                slope[i, place] = trace.value[first + i * width : first + (i + 1) * width]
             first += height * width
-    flat = [number for row in slope for number in row]
+    flat = slope.ravel().tolist()
     every = [(a, i) for a, width in enumerate(trace.widths) for i in range(width)]
     observed = tuple(column for column in every if column not in template.columns)
     return _told_function(alone, alone.value[:height], flat, template.columns, observed)
@@ -126,11 +126,17 @@ def _points(
 ) -> told.Points:
     points: Points = rule.points(size, name, 0)
     fit = points.fit
-    rows = np.where(abs(fit.rows) > _NOTHING * abs(fit.rows).max(axis=1, keepdims=True), fit.rows, 0.0)
+    rows = np.where(
+        abs(fit.rows) > _NOTHING * abs(fit.rows).max(axis=1, keepdims=True), fit.rows, 0.0
+    )
+    mean, slope, rest = map(_told, np.split(rows, [1, 1 + size]))
+    signs = () if fit.signs is None else tuple(fit.signs.tolist())
     return told.Points(
         _told(points.points),
-        *map(_told, np.split(rows, [1, 1 + size])),
-        () if fit.signs is None else tuple(fit.signs.tolist()),
+        mean,
+        slope,
+        rest,
+        signs,
         points.centred,
         points.fitted_rounding,
         tuple(map(float, variances)),

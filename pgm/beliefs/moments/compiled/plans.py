@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.beliefs.moments.compiled.called import Call, Calls, Lines
 from pgm.beliefs.moments.compiled.functions import function_of, loss_of, points_of
+from pgm.beliefs.moments.compiled.memory import address
 from pgm.beliefs.moments.steps import gate as gates
 from pgm.beliefs.moments.steps.plan import ChainPlan, Link
 from pgm.beliefs.moments.steps.sensor import Sensor
@@ -20,6 +22,9 @@ from pgm.kernels.machine.memory import Runs
 from pgm.linearisation.family import Family
 from pgm.schedules.gates import gate_of
 
+# Components of which differences are worth their code.
+_FEW = 12
+
 Integers64 = npt.NDArray[np.int64]
 
 
@@ -27,20 +32,15 @@ class Uncompiled(Exception):
     """A plan that machine code cannot sweep, and why."""
 
 
-def address(array: npt.NDArray[Any]) -> int:
-    """Where an array's memory begins."""
-    found: int = array.__array_interface__["data"][0]
-    return found
-
-
 class Table:
     """A table that is filled, and the arrays that it tells of, which stay in memory as it does.
 
-    `lanes` is how many runs are swept together.
+    `lanes` is how many runs are swept together. `calls` are the functions that are called, None
+    where none may be.
     """
 
-    def __init__(self, plan: ChainPlan, lanes: int) -> None:
-        self.lanes = lanes
+    def __init__(self, plan: ChainPlan, lanes: int, calls: Calls | None = None) -> None:
+        self.lanes, self.calls, self._account = lanes, calls, plan.account
         self.numbers = [0] * told.FIRST
         self.numbers[told.LAST], self.numbers[told.RUNS] = plan.steps, plan.runs
         self.decisions: list[tuple[Sensor, Array]] = []
@@ -76,6 +76,24 @@ class Table:
             runs = Runs.APART if across else Runs.SAME
         return told.Array(place, array.shape[2:], runs, cell == 1)
 
+    def by_runs(self, cells: Array) -> told.Array:
+        """An array (rows, own axes, runs), told."""
+        return self.array(np.moveaxis(cells, -1, 1))
+
+    def called(self, call: Call, lines: told.Lines, why: str) -> told.Called:
+        """A function that is called, and why."""
+        if self.calls is None:
+            raise Uncompiled(f"{call.family.cpd!r}: {why}")
+        self._account.call_back(call.family.cpd.child.name, why)
+        self.calls.each.append(call)
+        places = self.by_runs(call.points[None]), self.by_runs(call.values[None])
+        return told.Called(len(self.calls.each) - 1, *places, lines)
+
+    def count(self, number: int) -> int:
+        """The place in the table of a number."""
+        self.numbers.append(number)
+        return len(self.numbers) - 1
+
     @property
     def whole(self) -> Integers64:
         """The table."""
@@ -94,6 +112,9 @@ def unknown(plan: ChainPlan) -> str | None:
             return f"{sensor.family.cpd!r} has graduated noise"
         if sensor.exact:
             return f"{sensor.family.cpd!r} has a singular noise"
+        rule = sensor.family.lineariser
+        if getattr(rule, "fresh_per_run", False) and max(np.diff(sensor.bounds)) > 1:
+            return f"{sensor.family.cpd!r} draws points anew for each of several sightings"
         if sensor.grouped and max(np.diff(sensor.bounds)) > 1:
             return f"{sensor.family.cpd!r} has several sightings in a group"
     for family in plan.families:
@@ -128,14 +149,15 @@ def motion_of(
 ) -> told.Motion:
     """A CPD of the transition."""
     layout, family = plan.layout, link.family
-    size, turning = layout.state_size + layout.slice_size, ()
+    size = layout.state_size + layout.slice_size
+    turning: tuple[tuple[int, int, int], ...] = ()
     if link.turning and not stored:
         own = places(link.parents, size)
         if any(before not in own for before in link.before.tolist()):
             raise Uncompiled(f"{family.cpd!r} turns an angle of which its function does not know")
         turning = tuple((new, before, own.index(before)) for new, before in link.turning)
     return told.Motion(
-        **_row(family, places(link.parents, size), table, stored=stored, keep=keep),
+        **row_of(family, places(link.parents, size), table, stored=stored, keep=keep),
         bare=family.bare,
         unsure=not family.semidefinite,
         turning=turning,
@@ -172,8 +194,10 @@ def sensor_of(
     loss = None
     if sensor.robust:
         loss = _loss_of(sensor, table, taken is not None, found=stored, controlled=controlled)
+    # Robust sightings of a step are weighed several times, as they were linearised.
+    held = 1 if loss is None else max(1, *np.diff(sensor.bounds).tolist())
     return told.Sensor(
-        **_row(family, places(sensor.parents, size), table, stored=stored, keep=keep),
+        **row_of(family, places(sensor.parents, size), table, stored=stored, keep=keep, held=held),
         readings=table.array(values),
         moved=table.array(sensor.moved) if kept else None,
         missing=taken is not None,
@@ -224,9 +248,19 @@ def decided(table: Table) -> None:
         sensor.taken[...] = sensor.gated.given & ~sensor.gated.rejected[..., None]
 
 
-def _row(
-    family: Family, parents: tuple[int, ...], table: Table, *, stored: bool, keep: bool
+def row_of(
+    family: Family,
+    parents: tuple[int, ...],
+    table: Table,
+    *,
+    stored: bool,
+    keep: bool,
+    held: int = 1,
 ) -> dict[str, Any]:
+    """What is told of a CPD of any kind; see `told.Row`.
+
+    Of a function that is called, `held` rows are linearised before the first is done with.
+    """
     found: dict[str, Any] = {"parents": parents, "height": family.shape[2]}
     if not stored:
         found["angles"] = tuple(np.flatnonzero(family.cpd.child.angle_mask).tolist())
@@ -239,33 +273,58 @@ def _row(
             family.keep_errors()
             found["kept"] = table.array(family.noise)
         return found
-    answers, template = family.trace_whole(), family.template
-    if isinstance(answers, str):
-        raise Uncompiled(f"{family.cpd!r}: {answers}")
-    rule = points_of(family)
-    if isinstance(rule, str):
-        raise Uncompiled(f"{family.cpd!r}: {rule}")
-    inputs = [
-        family.inputs[parent]
-        for parent, place in zip(template.given, template.places, strict=True)
-        if place is None
-    ]
-    found |= {"function": function_of(template, answers.trace), "points": rule}
-    found["noise"], found["inputs"] = table.array(family.own_noise), _joined(inputs, table)
+    found["noise"] = table.array(family.own_noise)
+    curve = _curve(family, table, held)
+    found |= curve
     if keep:
         found["matrix"], found["offset"] = table.array(family.matrix), table.array(family.offset)
-        if rule is not None or family.cpd.noise is not None:
+        called, rule = curve.get("called"), curve.get("points")
+        exact = rule is None if called is None else called.lines.error is None
+        if not exact or family.cpd.noise is not None:
             family.keep_errors()
             found["kept"] = table.array(family.noise)
     return found
 
 
-def _joined(inputs: Sequence[Array], table: Table) -> told.Array | None:
-    """Inputs (rows, runs or 1, d), one after another."""
-    if not inputs:
-        return None
-    if len(inputs) == 1:
-        return table.array(inputs[0])
-    lead = np.broadcast_shapes(*(values.shape[:2] for values in inputs))
-    wide = [np.broadcast_to(values, (*lead, values.shape[2])) for values in inputs]
-    return table.array(np.concatenate(wide, axis=-1))
+def _curve(family: Family, table: Table, held: int) -> dict[str, Any]:
+    """How a CPD is linearised: by its traced function, by values at points, or by NumPy."""
+    rule, template = points_of(family), family.template
+    assert template is not None
+    if isinstance(rule, str):
+        return {"called": _by_numpy(family, table, held, rule)}
+    answers = family.trace_whole()
+    if not isinstance(answers, str):
+        inputs = tuple(
+            table.array(family.inputs[parent])
+            for parent, place in zip(template.given, template.places, strict=True)
+            if place is None
+        )
+        function = function_of(template, answers.trace)
+        return {"function": function, "points": rule, "inputs": inputs}
+    few = template.size <= _FEW and (rule is not None or len(template.numerical) == template.size)
+    if not few:
+        return {"called": _by_numpy(family, table, held, answers)}
+    return {"called": _by_values(family, rule, table, held, answers), "points": rule}
+
+
+def _by_numpy(family: Family, table: Table, held: int, why: str) -> told.Called:
+    """A CPD that is linearised by NumPy, and why."""
+    call = Lines(family, held)
+    cov, value, matrix = map(table.by_runs, (call.cov, call.value, call.matrix))
+    error = None if call.error is None else table.by_runs(call.error)
+    lines = told.Lines(held, cov, value, matrix, error, table.array(np.ones((1, 1, 1))))
+    return table.called(call, lines, why)
+
+
+def _by_values(
+    family: Family, rule: told.Points | None, table: Table, held: int, why: str
+) -> told.Called:
+    """A CPD that is linearised by values of its function at points, and why."""
+    _, runs, height, size = family.shape
+    # Differences are of four points for each component, beside the mean.
+    count = max(4 * size + 1, 0 if rule is None else len(rule.points))
+    own = (height,), (height, size), (height, height), (1,)
+    cells = [table.by_runs(np.zeros((held, *each, runs))) for each in own]
+    value, matrix, error, sure = cells
+    lines = told.Lines(held, None, value, matrix, None if rule is None else error, sure)
+    return table.called(Call(family, count), lines, why)

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextvars import copy_context
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 
+from pgm.beliefs.moments.compiled.called import Calls, Failed
 from pgm.beliefs.moments.compiled.judged import judge
+from pgm.beliefs.moments.compiled.memory import address
 from pgm.beliefs.moments.compiled.plans import (
     Table,
     Uncompiled,
-    address,
     decided,
     motion_of,
     places,
@@ -25,17 +27,20 @@ from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.compile.machine import Compiled
 from pgm.kernels.arrays import Array, Mask, vacant
 from pgm.kernels.machine import sweeps, told
+from pgm.kernels.machine.asking import asking
+from pgm.kernels.machine.extent import is_long
 from pgm.kernels.moments import Conditional
 from pgm.resources import in_threads
 from pgm.schedules.damping import LevenbergMarquardt
 from pgm.schedules.iteration import Anchor
 from pgm.schedules.schedule import ONCE, Filtering, FixedLag
 
-# Machine code repays its making from a tenth of a second of the general kernels on: a step of theirs
-# takes as long as the arithmetic of so many runs, and these so many of half a microsecond each.
+# Machine code repays its making from a tenth of a second of the general kernels on: a step of
+# theirs takes as long as the arithmetic of so many runs, of half a microsecond each.
 _STEP, _LONG = 100, 250_000
 # Why runs are left to the general kernels, going forward and back.
 FAR = "readings are too sharp, a covariance is singular, or numbers are too far apart"
+LONG = "step control, and windows of a lag, are compiled for slices of few components"
 _SINGULAR = "a covariance is singular on the way back"
 
 
@@ -99,8 +104,10 @@ def forward(
         return None
     asked = schedule or ONCE
     stored = schedule is None
-    table = Table(plan, lanes_of(plan))
     controlled = isinstance(asked.damping, LevenbergMarquardt) and asked.iterations > 1
+    calls = Calls(plan.runs)
+    # A step control asks for costs at many points: functions that are called are left to NumPy.
+    table = Table(plan, lanes_of(plan), None if controlled else calls)
     try:
         why = unknown(plan)
         if why is not None:
@@ -116,7 +123,7 @@ def forward(
         return None
     if not predicted and any(f.compiled for f in plan.families):
         predicted = tuple(np.empty_like(part) for part in known[:2])  # for the judge alone
-    iterated = asked.iterations > 1 and any(sensor.function for sensor in sensors)
+    iterated = asked.iterations > 1 and any(sensor.curved for sensor in sensors)
     record = np.zeros((asked.iterations + 1, plan.runs if iterated else 0))
     if iterated:
         table.numbers[told.ITERATIONS] = asked.iterations
@@ -140,8 +147,18 @@ def forward(
         iterated=iterated,
         controlled=iterated and controlled,
         anchor=held,
+        asked=table.array(calls.asked.T[None]) if calls.each else None,
     )
+    if (chain.controlled or held) and is_long(chain, table.lanes):
+        plan.account.leave(LONG)
+        return None
     ended = run(plan, chain, table, (*known, *predicted))
+    failure = calls.failure
+    if isinstance(failure, Failed):
+        plan.account.leave(str(failure))
+        return None
+    if failure is not None:
+        raise failure
     decided(table)
     left = stretches(ended[sweeps.LEFT] != 0.0)
     count(plan, left, FAR)
@@ -204,7 +221,7 @@ def backward(
         known=(table.array(ahead.mean), table.array(ahead.cov)),
         predicted=(table.array(ahead.predicted_mean), table.array(ahead.predicted_cov)),
         motion=(table.array(transition.matrix), table.array(transition.cov)),
-        reversed=tuple(map(table.array, states)),
+        reversed=(table.array(states[0]), table.array(states[1]), table.array(states[2])),
         smoothed=tuple(map(table.array, beliefs or ())),
         controls=tuple(map(table.array, slices or ())) if smooth else (),
     )
@@ -227,7 +244,7 @@ def run(plan: ChainPlan, chain: sweeps.Chain, table: Table, out: Sequence[Array]
     choice, lanes = plan.layout.compiled, table.lanes
     ended = np.zeros((sweeps.TOLD, plan.runs))
     table.put(told.ENDED, ended)
-    whole, sweep = table.whole, sweeps.made(chain, lanes)
+    whole, sweep = table.whole, _sweep(chain, table)
     threads = choice.threads if isinstance(choice, Compiled) else 1
     threads = max(min(threads, plan.runs // lanes), 1)
 
@@ -240,6 +257,21 @@ def run(plan: ChainPlan, chain: sweeps.Chain, table: Table, out: Sequence[Array]
 
     in_threads(work, plan.runs, threads)
     return ended
+
+
+def _sweep(chain: sweeps.Chain, table: Table) -> sweeps.Sweep:
+    """The sweep of a chain, which calls the functions that are to be called."""
+    calls, lanes = table.calls, table.lanes
+    if calls is None or not calls.each:
+        return sweeps.made(chain, lanes)
+    assert isinstance(chain, told.Forward)
+    made, context = asking(chain, lanes), copy_context()
+
+    def sweep(where: int, first: int, last: int) -> None:
+        # As the thread of the program that has begun it, of which NumPy's handling of errors is.
+        context.copy().run(calls.sweep, made, where, first, last, lanes)
+
+    return sweep
 
 
 def count(plan: ChainPlan, left: list[slice], why: str) -> None:

@@ -20,6 +20,7 @@ from pgm.beliefs.moments.compiled.plans import (
 )
 from pgm.beliefs.moments.compiled.sweep import (
     FAR,
+    LONG,
     Swept,
     begun,
     count,
@@ -33,6 +34,7 @@ from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.compile.machine import CONTROL
 from pgm.kernels.arrays import Array, stacked
 from pgm.kernels.machine import sweeps, told
+from pgm.kernels.machine.extent import is_long
 from pgm.schedules.damping import LevenbergMarquardt
 from pgm.schedules.schedule import FixedLag
 
@@ -67,6 +69,9 @@ def slide(plan: ChainPlan, schedule: FixedLag, room: Room) -> Swept | None:
         ahead = _ahead(plan, schedule, room, table)
     except Uncompiled as error:
         plan.account.leave(str(error))
+        return None
+    if is_long(ahead, table.lanes):
+        plan.account.leave(LONG)
         return None
     layout, lag = plan.layout, min(schedule.lag, plan.steps)
     record = np.zeros((schedule.iterations + 1, plan.runs))

@@ -40,8 +40,8 @@ from pgm.beliefs.moments.digits import reversal_rounding
 from pgm.beliefs.moments.passes.forward import Filtered, Forward
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.vector import stacks
-from pgm.kernels import along_runs, last_place, roots
-from pgm.kernels.arrays import Array, apply, deviation, sandwich, variances
+from pgm.kernels import along_runs, last_place, moments, roots
+from pgm.kernels.arrays import Array, apply, deviation, variances
 
 # The largest ratio at which float64 leaves all the digits that are promised.
 MODERATE = 2e7
@@ -163,7 +163,7 @@ def _told_apart(plan: ChainPlan, swept: Forward) -> bool:
     exact = [s for s in plan.sensors if s.exact and s.family.step.size]
     for steps, matrix, _, noise, _ in stacks(plan, exact, swept.predicted_mean) if exact else []:
         cov = swept.predicted_cov[steps]
-        pivots = variances(roots.root(sandwich(matrix, cov) + noise)) ** 2
+        pivots = variances(roots.root(moments.predict(cov, matrix, noise))) ** 2
         size = apply(np.abs(matrix), deviation(cov)) ** 2 + variances(noise)
         if not ((MODERATE * pivots > size) | (size == 0.0)).all():
             return False

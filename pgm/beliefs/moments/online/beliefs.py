@@ -59,20 +59,29 @@ from pgm.variables import Variable
 _REGULAR = 1.0 / certificate.MODERATE
 
 
-# The core of a belief: the compiled steps of its filter, its step, its mean and covariance as one
-# array (n + 1, n), log-evidence, kind and status.
-Core = tuple["Steps", int, Array, float, Kind, Status]
+# The core of a belief: the compiled steps of its filter, its step, its numbers, kind and status.
+Core = tuple["Steps", int, bytes, Kind, Status]
 
 
 class Steps(Protocol):
     """The part of a filter's compiled steps that a belief reads from its core.
 
     `layout` is that of the slices, and `only` the slice's hidden variable if there is just one,
-    else None.
+    else None. `record` says how numbers lie in a core's bytes: the mean (n,), the covariance
+    (n, n), and the log-evidence.
     """
 
     layout: SliceLayout
     only: Variable | None
+    record: Any
+
+
+def opened(steps: Steps, numbers: bytes) -> Any:
+    """The numbers of a core by name, as views that cannot be written to."""
+    return _array((), steps.record, numbers)
+
+
+_array = np.ndarray
 
 
 class _Later:
@@ -90,9 +99,9 @@ class _Later:
         core = None if belief is None else belief._core
         if belief is None or core is None:
             raise AttributeError(self.name)
-        steps, step, both, log_evidence, kind, status = core
-        set_writeable(both, False)
-        parts = step, steps.layout, (), both[0], both[1:], np.array(log_evidence), status, kind
+        steps, step, numbers, kind, status = core
+        parts = tuple(map(opened(steps, numbers).__getitem__, steps.record.names))
+        parts = step, steps.layout, (), *parts, status, kind
         MomentBelief.__init__(belief, *parts)
         put_core(belief, core)
         return belief.__dict__[self.name]
@@ -180,9 +189,8 @@ class MomentBelief(_Kept, OnlineBelief, Immutable):
         """
         core = self._core
         if core is not None and variable is core[0].only:
-            both = core[2]
-            set_writeable(both, False)
-            return Gaussian._sealed((variable,), both[0], both[1:])
+            numbers = opened(core[0], core[2])
+            return Gaussian._sealed((variable,), numbers["mean"], numbers["cov"])
         if type(variable) is not Variable:
             require_variable(variable)
         layout, template = self.layout, variable.template
@@ -327,7 +335,7 @@ def belief_of(
     belief's own arrays have these axes first, as `log_evidence`, (*lead), has them already.
     `careful` are the moments in twice the digits, None if the step was made in float64 alone.
     """
-    lead, (mean, cov, _) = plan.lead, found
+    lead, (mean, cov) = plan.lead, found
     if lead:
         mean, cov = (part.reshape(*lead, *part.shape[1:]) for part in found.by_run)
     told = log_evidence, status, kind, careful, behind

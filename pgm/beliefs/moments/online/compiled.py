@@ -1,10 +1,9 @@
 """Online steps of one robot in machine code.
 
-A step that the machine code cannot make is made by NumPy, in the filter's *general way*. A *kind*
-of step is told by the variables that are given and the shapes of their arrays; each kind has a
-`Layout`, a table that machine code reads, which is made at the first step of that kind. The first
-steps of a kind are made in both ways, and compared. *Sightings* are the measurements of one sensor,
-of which a step may have several (`pgm.sightings`).
+A step that the machine code cannot make is made by NumPy, in the filter's *general way*. Each kind
+of step, by the variables that are given, has machine code of its own (`Kind`), which is made at the
+first step of that kind. The first steps of a kind are made in both ways, and compared. *Sightings*
+are the measurements of one sensor, of which a step may have several (`pgm.sightings`).
 """
 
 from __future__ import annotations
@@ -16,29 +15,31 @@ from typing import Any
 import numpy as np
 
 from pgm.beliefs.moments.compiled.judged import judge
-from pgm.beliefs.moments.online.beliefs import MomentBelief, is_plain, put_core
-from pgm.beliefs.moments.online.layout import Layout
+from pgm.beliefs.moments.online.beliefs import MomentBelief, is_plain, opened, put_core
+from pgm.beliefs.moments.online.kind import Kind, Made
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.compile import SliceLayout
 from pgm.evidence import Sightings
 from pgm.kernels.arrays import Array
 from pgm.posteriors.belief_kind import FILTERED, PREDICTED
 from pgm.posteriors.status import Status
-from pgm.schedules.step_evidence import ARRAY, FLOAT, MOST, Values, numbers
+from pgm.schedules.step_evidence import MOST, Values, numbers
+from pgm.variables import Variable
 
 Make = Callable[[MomentBelief, Any], ChainPlan]
 General = Callable[[MomentBelief, Any], MomentBelief]
+# Of a kind of step: by variable the form of what is given.
+Key = tuple[Any, ...]
 
-_NO_ROWS = np.empty((0, 0))
+_NOTHING: Values = {}
 # Beliefs of both ways are the same to so many standard deviations.
 _CLOSE = 1e-6
-# After the name of a sensor with sightings, before those of the parents given with them.
-_SIGHTED = object()
-_new, _empty = object.__new__, np.empty
+_new = object.__new__
 # Why a step is made the general way.
 _OTHER = "the belief is of many runs, in twice the digits, has lost digits, or is of another filter"
 _START = "an update at step 0"
 _ODD = "values came in another form than numbers or sightings without steps"
+_WAITED = "machine code is made for longer work, or by compiled=True"
 _JUDGED = "a function's trace, or machine code, answered otherwise than the function"
 _FAR = "numbers are too far apart, or a reading is too sharp"
 
@@ -53,7 +54,8 @@ class CompiledSteps:
     made in the general way, by reason: the belief is of many runs or of another filter, or float64
     has too few digits for it; a value is neither an array of numbers nor sightings without steps;
     the update is at step 0; machine code cannot make steps of the kind, or its results, compared
-    with NumPy's, were others; or numbers are too far apart.
+    with NumPy's, were others; or numbers are too far apart. So many steps of a kind as `wait` are
+    made in the general way before there is machine code.
     """
 
     def __init__(
@@ -65,75 +67,48 @@ class CompiledSteps:
         taken: General,
         done: Status,
         linearised: Status,
+        *,
+        wait: int = 0,
     ) -> None:
-        from pgm.kernels.compiled import online  # here, since Numba is slow to import
-
-        self.layout = layout
+        self.layout, model = layout, layout.model
         self.only = layout.slice[0] if len(layout.slice) == 1 else None
-        self._shape = layout.slice_size + 1, layout.slice_size
-        self._predict, self._update = _entry(online.predict), _entry(online.update)
-        self._ways = (seen, taken, self._update), (ahead, moved, self._predict)
+        own = layout.slice_size
+        self.record = np.dtype(
+            [("mean", float, (own,)), ("cov", float, (own, own)), ("total", float)]
+        )
+        self._ways = (seen, taken), (ahead, moved)
         self._statuses = linearised, done
-        # The layouts of the last update and the last prediction, which are looked at first; of all.
-        self._last: list[Layout | None] = [None, None]
-        self._known: dict[Any, Layout] = {}
+        # Machine code tells variables by their identity: those of the model itself.
+        self._own = {variable: variable for variable in (*model.inputs, *model.sensors)}
+        self._grouped = {cpd.child for cpd in model.observation if getattr(cpd, "grouped", False)}
+        # The kinds of the last update and the last prediction, which are looked at first; all.
+        self._last: list[tuple[Made, Status] | None] = [None, None]
+        self._known: dict[Key, Kind] = {}
+        self._wait, self._waited = wait, Counter[Key]()
         # Why steps were made the general way, and how many of them.
         self.left: Counter[str] = Counter()
 
     def predict(self, belief: MomentBelief, inputs: Values | None = None) -> MomentBelief:
-        """Predict one step in machine code if that can be, else in the general way.
-
-        The usual case of a single input, in a prediction of the same kind as the last one, takes a
-        short way; all others go the long way, by `_any`.
-        """
-        core, kind = belief._core if type(belief) is MomentBelief else None, self._last[1]
-        if core and core[0] is self and kind and type(inputs) is dict and len(inputs) == 1:
-            ((variable, row),) = inputs.items()
-            if (
-                variable is kind.first
-                and type(row) is ARRAY
-                and row.dtype is FLOAT
-                and row.ndim == 1
-            ):
-                _, step, known, log_evidence, _, _ = core
-                found = _empty(self._shape)
-                moved = self._predict(kind.step, known, found, row)
-                if moved == 0.0:
-                    after: MomentBelief = _new(MomentBelief)
-                    put_core(after, (self, step + 1, found, log_evidence, PREDICTED, kind.status))
-                    return after
-        return self._any(belief, {} if inputs is None else inputs, moves=True)
+        """Predict one step in machine code if that can be, else in the general way."""
+        core, last = belief._core if type(belief) is MomentBelief else None, self._last[1]
+        values = _NOTHING if inputs is None else inputs
+        if core and last and core[0] is self:
+            found = last[0](core[2], values)
+            if found:
+                after: MomentBelief = _new(MomentBelief)
+                put_core(after, (self, core[1] + 1, found, PREDICTED, last[1]))
+                return after
+        return self._any(belief, values, moves=True)
 
     def update(self, belief: MomentBelief, readings: Values) -> MomentBelief:
-        """Update in machine code if that can be, else in the general way.
-
-        The usual case, sightings of one sensor with one parent given in an update of the same kind
-        as the last one, takes a short way; all others go the long way, by `_any`.
-        """
-        core, kind = belief._core if type(belief) is MomentBelief else None, self._last[0]
-        if core and core[0] is self and kind and type(readings) is dict and len(readings) == 1:
-            _, step, known, log_evidence, _, _ = core
-            ((variable, seen),) = readings.items()
-            if step and variable is kind.first and type(seen) is Sightings and seen.step is None:
-                first, given = seen.values, seen.given
-                if len(given) == 1:
-                    ((parent, second),) = given.items()
-                    if (
-                        parent is kind.second
-                        and type(first) is ARRAY
-                        and first.dtype is FLOAT
-                        and first.ndim == 2
-                        and type(second) is ARRAY
-                        and second.dtype is FLOAT
-                        and second.ndim == 2
-                    ):
-                        found = _empty(self._shape)
-                        density = self._update(kind.step, known, found, first, second)
-                        if density == density:
-                            after: MomentBelief = _new(MomentBelief)
-                            total = log_evidence + density
-                            put_core(after, (self, step, found, total, FILTERED, kind.status))
-                            return after
+        """Update in machine code if that can be, else in the general way."""
+        core, last = belief._core if type(belief) is MomentBelief else None, self._last[0]
+        if core and last and core[0] is self and core[1]:
+            found = last[0](core[2], readings)
+            if found:
+                after: MomentBelief = _new(MomentBelief)
+                put_core(after, (self, core[1], found, FILTERED, last[1]))
+                return after
         return self._any(belief, readings, moves=False)
 
     def adopted(self, belief: MomentBelief) -> MomentBelief:
@@ -142,68 +117,68 @@ class CompiledSteps:
         It gets none if it has axes of runs, or float64 has too few digits for it.
         """
         if not belief.lead and belief.status.digits is None and is_plain(belief):
-            both = np.vstack([belief.mean, belief.cov])
-            told = belief.log_evidence.item(), belief.kind, belief.status
-            put_core(belief, (self, belief.step, both, *told))
+            parts = belief.mean, belief.cov, belief.log_evidence
+            told = b"".join(part.tobytes() for part in parts), belief.kind, belief.status
+            put_core(belief, (self, belief.step, *told))
         return belief
 
     def _any(self, belief: MomentBelief, values: Values, *, moves: bool) -> MomentBelief:
         """A step with values of any kind: a prediction if it `moves`, else an update.
 
-        The layout of the step's kind is looked up, or made. The first few steps of a kind, its
-        *trials*, are made in the general way, too; where the two beliefs differ, the one of the
-        general way is returned.
+        The step's kind is looked up, or made. Its first few steps, its *trials*, are made in the
+        general way, too; where the two beliefs differ, the one of the general way is returned.
         """
         core = belief._core if type(belief) is MomentBelief else None
-        make, general, kernel = self._ways[moves]
-        given, why = None, _OTHER
+        general, given, why = self._ways[moves][1], None, _OTHER
         if core and core[0] is self:
             why = _START
             if moves or core[1]:
-                given, why = _given(values), _ODD
+                given, why = self._given(values), _ODD
         if core and given:
-            names, rows = given
-            key = make, *names, *(row.shape for row in rows)
-            kind = self._known.get(key)
-            if kind is None:
-                if len(self._known) >= MOST:
-                    self._known.clear()
-                kind = self._known[key] = self._laid(make, belief, values, rows)
-            why = kind.why
-            if kind.step is not None:
-                if kind.first is None:
-                    one = len(rows) == 1
-                    row = rows[0].ravel() if one else np.concatenate([_NO_ROWS, *rows], axis=None)
-                    rows = [row] if moves else [row[None], _NO_ROWS]
-                _, step, known, log_evidence, _, _ = core
-                found = _empty(self._shape)
-                density, why = kernel(kind.step, known, found, *rows), _FAR
-                if density == density:
+            kind = self._kind(belief, *given, moves=moves)
+            why = _WAITED if kind is None else kind.why
+            if kind is not None and kind.step is not None:
+                found, why = kind.step(core[2], given[1]), _FAR
+                if found:
                     after: MomentBelief = _new(MomentBelief)
-                    told = log_evidence + density, PREDICTED if moves else FILTERED, kind.status
-                    put_core(after, (self, step + moves, found, *told))
+                    known = PREDICTED if moves else FILTERED
+                    put_core(after, (self, core[1] + moves, found, known, kind.status))
                     if not kind.trials:
-                        self._last[moves] = kind
+                        self._last[moves] = kind.step, kind.status
                         return after
                     due = general(belief, values)
-                    if _tried(kind, found, due):
+                    if _tried(kind, opened(self, found), due):
                         return after
                     self.left[_JUDGED] += 1
                     return self.adopted(due)
         self.left[why] += 1
         return self.adopted(general(belief, values))
 
-    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-    def _laid(self, make: Make, belief: MomentBelief, values: Values, rows: list[Array]) -> Layout:
-        """The layout of a kind of step, without a table where machine code cannot make the step.
+    def _kind(self, belief: MomentBelief, key: Key, values: Values, *, moves: bool) -> Kind | None:
+        """The kind of a step, looked up or made; None as long as it waits."""
+        key = moves, *key
+        kind = self._known.get(key)
+        if kind is None:
+            if len(self._known) + len(self._waited) >= 2 * MOST:
+                self._known.clear()
+                self._waited.clear()
+            if self._waited[key] < self._wait:
+                self._waited[key] += 1
+                return None
+            kind = self._known[key] = self._made(self._ways[moves][0], belief, values)
+        return kind
 
-        `make` makes the plan of the step; `rows` are the arrays of the `values`. A *trace* is a
-        function recorded as a graph of scalar operations. Traces are compared with their functions
-        at the belief, and made anew, once, if one is wrong.
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")
+    def _made(self, make: Make, belief: MomentBelief, values: Values) -> Kind:
+        """A kind of step, without machine code where that cannot make it.
+
+        `make` makes the plan of the step. A *trace* is a function recorded as a graph of scalar
+        operations. Traces are compared with their functions at the belief, and made anew, once, if
+        one is wrong.
         """
         for _ in range(2):  # a trace that is wrong is made anew
             plan = make(belief, values)
-            made = Layout(plan, values, [row.shape for row in rows], self._statuses[plan.linear])
+            made = Kind(plan, values, self._statuses[plan.linear])
             shape = plan.steps + 1, 1
             mean, cov = belief.mean, belief.cov
             here = (
@@ -217,52 +192,57 @@ class CompiledSteps:
             made.step, made.why = None, _JUDGED
         return made
 
+    def _given(self, values: Values) -> tuple[Key, Values] | None:
+        """The kind of the values given, and the values as its machine code takes them.
 
-def _tried(kind: Layout, found: Array, due: MomentBelief) -> bool:
+        A value has to be an array (d,), or sightings without steps: the sensor's array (M, d), and
+        those of the parents given with them. None where one has another form.
+        """
+        if not isinstance(values, dict):
+            return None
+        key: list[Any] = []
+        found: dict[Variable, Any] = {}
+        for variable, value in self._named(values).items():
+            if type(value) is not Sightings:
+                row = _floats(value, 1)
+                if row is None:
+                    return None
+                found[variable] = row
+                key += variable, row.shape
+                continue
+            parts = {None: value.values, **self._named(value.given)}
+            rows = {v: row for v, part in parts.items() if (row := _floats(part, 2)) is not None}
+            if len(rows) < len(parts) or value.step is not None:
+                return None
+            first = rows.pop(None)
+            found[variable] = Sightings(first, None, rows)
+            key += variable, first.shape[1], len(first) == 1 and variable in self._grouped
+            key += [(parent, each.shape[1]) for parent, each in rows.items()]
+        return tuple(key), found
+
+    def _named(self, values: Values) -> dict[Any, Any]:
+        """The same values by the model's own variables."""
+        return {self._own.get(variable, variable): value for variable, value in values.items()}
+
+
+def _floats(value: Any, axes: int) -> Array | None:
+    """A value as an array of floats that lie next to each other; None where it cannot be one."""
+    found = numbers(value, axes)
+    return None if found is None or not found.size else np.ascontiguousarray(found)
+
+
+def _tried(kind: Kind, found: Any, due: MomentBelief) -> bool:
     """Whether machine code and NumPy give the same belief, to 10⁻⁶ standard deviations.
 
-    `found` (n + 1, n) is the result of machine code, the mean in its first row and the covariance
-    below; `due` is the belief by NumPy. The first few steps of a `kind` are such trials, of which
-    one is used up. If the two differ, steps of the kind are made by NumPy from now on.
+    `found` are the numbers of machine code, `due` is the belief by NumPy. The first few steps of a
+    `kind` are such trials, of which one is used up. If the two differ, steps of the kind are made
+    by NumPy from now on.
     """
     std = np.sqrt(np.maximum(due.cov.diagonal(), 0.0))
-    close = np.abs(found[0] - due.mean) <= _CLOSE * std + 1e-12 * np.abs(due.mean)
-    alike = np.abs(found[1:] - due.cov) <= _CLOSE * np.outer(std, std)
+    close = np.abs(found["mean"] - due.mean) <= _CLOSE * std + 1e-12 * np.abs(due.mean)
+    alike = np.abs(found["cov"] - due.cov) <= _CLOSE * np.outer(std, std)
     kind.trials -= 1
     if not (close.all() and alike.all()):
         kind.step, kind.why = None, _JUDGED
         return False
     return True
-
-
-def _given(values: Values) -> tuple[list[Any], list[Array]] | None:
-    """The variables of the values given, and their arrays; None where a value has another form.
-
-    A value has to be an array (d,), or sightings without steps. Sightings have several arrays
-    (M, d), the sensor's first, then those of the parents given with them; among the variables the
-    mark `_SIGHTED` stands after the sensor.
-    """
-    if type(values) is not dict:
-        return None
-    names: list[Any] = []
-    rows: list[Array | None] = []
-    for variable, value in values.items():
-        names.append(variable)
-        if type(value) is not Sightings:
-            rows.append(numbers(value, 1))
-        elif value.step is None:
-            names += [_SIGHTED, *value.given]
-            rows += [numbers(each, 2) for each in (value.values, *value.given.values())]
-        else:
-            return None
-    found = [row for row in rows if row is not None]
-    return (names, found) if len(found) == len(rows) else None
-
-
-def _entry(kernel: Any) -> Any:
-    """A compiled kernel as a function that skips Numba's checks of its arguments' types.
-
-    Calls are quicker, and arguments of other types than it was compiled for are not noticed.
-    """
-    (made,) = kernel.overloads.values()
-    return made.entry_point

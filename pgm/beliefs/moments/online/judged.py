@@ -40,7 +40,7 @@ def of_update(
     gated = tuple(_decided(part) for part in parts if part.gated is not None)
     if watch is None or not parts:
         return gated, watch
-    mean, cov, _ = known
+    mean, cov = known
     matrix, residual, noise, missing = vector([part.seen for part in parts], mean)
     if mean.ndim == 1:
         spread = matrix @ cov @ matrix.T + noise

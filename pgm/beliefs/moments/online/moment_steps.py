@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cached_property
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -42,7 +43,7 @@ from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.readings import Moments
 from pgm.compile import compile
 from pgm.compile.machine import COMPILED, GATE, Choice, as_choice
-from pgm.cpds import NonlinearGaussianCPD
+from pgm.cpds import AffineCPD, NonlinearGaussianCPD
 from pgm.display import InCode
 from pgm.errors import NumericalError
 from pgm.evidence import BoundEvidence
@@ -57,6 +58,9 @@ from pgm.schedules.gates import Gate
 from pgm.schedules.schedule import ONCE, Filtering, FixedLag
 from pgm.variables import Variable
 
+# Steps of a kind that NumPy makes before machine code, unasked, for each four components of a
+# slice: they take as long as its making.
+_LONG = 1000
 # The statuses of one robot's steps in which nothing was to iterate, or CPDs were linearised once.
 _DONE, _LINEARISED = (Status(1, np.empty(0), np.array(converged)) for converged in (True, False))
 # Numbers too large for float64 are refused where they end up, so that NumPy need not warn. A
@@ -71,7 +75,7 @@ class MomentSteps(InCode, Immutable):
     lineariser: Lineariser
     schedule: Filtering | FixedLag
     watch: bool
-    compiled: bool
+    compiled: bool | None
     _steps: CompiledSteps | None = None
 
     def __init__(
@@ -87,11 +91,12 @@ class MomentSteps(InCode, Immutable):
     ) -> None:
         schedule = require_settings(model, lineariser, schedule, lag, gate)
         self._set(model=model, lineariser=lineariser, schedule=schedule, watch=require_watch(watch))
-        self._set(compiled=bool(as_choice(compiled, "OnlineFilter(...)")))
+        choice = as_choice(compiled, "OnlineFilter(...)")
+        self._set(compiled=None if choice is None else bool(choice))
         for cpd in (*model.transition, *model.observation):
             if isinstance(cpd, NonlinearGaussianCPD):
                 cpd._renew()
-        if self.compiled:
+        if self.compiled or (self.compiled is None and self._is_safe):
             self._compile()
 
     @cached_property
@@ -151,12 +156,23 @@ class MomentSteps(InCode, Immutable):
         They allow it if the schedule is a `Filtering` of one linearisation without a gate, and
         there is no watch.
         """
+        layout = self._graph.layout
+        wait = 0 if self.compiled else _LONG * -(-layout.slice_size // 4)
         schedule = self.schedule
         single = isinstance(schedule, Filtering) and schedule.iterations == 1
         if single and schedule.gate is None and not self.watch:
-            plans, ends = (self._ahead, self._seen), (_DONE, _LINEARISED)
-            steps = CompiledSteps(self._graph.layout, *plans, self.predict, self.update, *ends)
+            ways = self._ahead, self._seen, self.predict, self.update
+            statuses = _DONE, _LINEARISED
+            steps = CompiledSteps(layout, *ways, *statuses, wait=wait)
             self._set(_steps=steps, predict=steps.predict, update=steps.update)
+
+    @property
+    def _is_safe(self) -> bool:
+        """Whether machine code may be used unasked: no function can change behind its back."""
+        linear = all(
+            isinstance(cpd, AffineCPD) for cpd in (*self.model.transition, *self.model.observation)
+        )
+        return linear and find_spec("llvmlite") is not None
 
     @property
     def compilation(self) -> str:
@@ -164,8 +180,10 @@ class MomentSteps(InCode, Immutable):
 
         For a compiled filter it tells how many of the steps so far NumPy made, and why.
         """
-        if not self.compiled:
+        if self.compiled is False:
             return "by NumPy: compiled=False"
+        if self.compiled is None and not self._is_safe:
+            return "by NumPy: compiled=True would record the model's functions as they are"
         if self._steps is None:
             schedule, why = self.schedule, []
             if schedule.gate is not None:

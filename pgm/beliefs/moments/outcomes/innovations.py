@@ -11,8 +11,8 @@ from pgm.beliefs.moments.passes.forward import Forward
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.beliefs.moments.steps.vector import stacks
-from pgm.kernels import roots, solving
-from pgm.kernels.arrays import Array, Integers, block, inner, sandwich
+from pgm.kernels import moments, roots, solving
+from pgm.kernels.arrays import Array, Integers, block, inner
 from pgm.posteriors.innovations import Innovations
 
 
@@ -35,7 +35,7 @@ def innovations(plan: ChainPlan, sensor: Sensor, forward: Forward) -> Innovation
     if forward.diffuse is not None:
         reach = forward.diffuse.at(family.step).of(parents).reach(family.matrix)
         taken = taken & ~reach.any(axis=-1)
-    cov = sandwich(family.matrix, spread) + family.noise
+    cov = moments.predict(spread, family.matrix, family.noise)
     nis, dof = by_step(plan, [sensor], forward)
     back = np.argsort(sensor.order)
 
@@ -66,7 +66,7 @@ def by_step(plan: ChainPlan, sensors: list[Sensor], forward: Forward) -> tuple[A
     for steps, matrix, residual, noise, missing in stacks(plan, sensors, forward.predicted_mean):
         unknown: Integers | int = 0
         if forward.diffuse is None:
-            spread = sandwich(matrix, forward.predicted_cov[steps]) + noise
+            spread = moments.predict(forward.predicted_cov[steps], matrix, noise)
         else:
             ahead = forward.diffuse.at(steps)
             residual, spread, unknown = ahead.innovations(matrix, residual, noise)

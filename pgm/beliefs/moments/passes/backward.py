@@ -22,7 +22,7 @@ import numpy as np
 from pgm.beliefs.moments.compiled import sweep as compiled
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.kernels import moments, roots, solving
-from pgm.kernels.arrays import Array, Index, apply, block, room, sandwich, symmetric, transpose
+from pgm.kernels.arrays import Array, Index, apply, block, room, sandwich, transpose
 from pgm.kernels.moments import Conditional
 from pgm.kernels.prefixes import gather, in_chunks, levels, prefixes, take
 from pgm.kernels.segment_maps import Moments, compose_conditionals, push_moments
@@ -221,9 +221,10 @@ def _given_states(plan: ChainPlan, forward: Ahead) -> Conditional:
     gain = np.zeros((*forward.mean.shape[:-1], size, front))
     gain[..., states, :] = np.eye(front)
     gain[..., controls, :] = solving.gain(block(forward.cov, controls, states), lower, known)
-    rest = np.eye(size) - gain @ np.eye(size)[states]
     offset = forward.mean - apply(gain, forward.mean[..., states])
-    return Conditional(gain, offset, symmetric(sandwich(rest, forward.cov)))
+    nothing = np.zeros((front, front))
+    left = moments.squares(forward.cov, gain, np.eye(size)[states], nothing)
+    return Conditional(gain, offset, left)
 
 
 def stepwise_is_faster(steps: int, runs: int) -> bool:

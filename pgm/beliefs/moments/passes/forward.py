@@ -25,7 +25,7 @@ from pgm.beliefs.moments.steps.chain import MomentChain
 from pgm.beliefs.moments.steps.cost import require_cost
 from pgm.beliefs.moments.steps.diffuse import Diffuse
 from pgm.beliefs.moments.steps.plan import ChainPlan
-from pgm.beliefs.moments.steps.readings import Moments, Room
+from pgm.beliefs.moments.steps.readings import Moments
 from pgm.errors import PgmError
 from pgm.kernels import along_runs
 from pgm.kernels.arrays import Array, stacked, vacant
@@ -45,6 +45,10 @@ MOST = 10_000
 # Between mild measurements a `Watch` looks at beliefs every so many steps, at the last, and where a
 # variance has grown by this factor since.
 _EVERY, _GROWN = 8, 1e2
+# The part of a variance that mild measurements leave.
+_MILD = 1e-3
+# Where a mean and a covariance may go.
+Room = tuple[Array, Array]
 # Means, covariances, and log-densities of a record.
 Arrays = tuple[Array, ...]
 
@@ -122,7 +126,7 @@ class Watch:
     """An observer of a sweep, which finds how small a share of a variance is ever left.
 
     The share tells whether float64 had digits enough (`certificate`). A step's measurements are
-    *mild* if they are known to leave a thousandth of each variance or more, else *sharp*. `closest`
+    *mild* if they leave a thousandth of each variance or more, else *sharp*. `closest`
     is the smallest share so far that any component's variance keeps when the components before it
     in the slice are given, or when sharp measurements are. To save time, what components keep given
     those before them is looked at only where measurements are sharp, where a variance has grown by
@@ -133,12 +137,13 @@ class Watch:
         self.closest, self._step = 1.0, 0
         self._level: Array | float = np.inf
 
-    def look(self, predicted: Array, known: Array, mild: bool, *, last: bool) -> None:
+    def look(self, predicted: Array, known: Array, *, last: bool) -> None:
         """Look at the covariances (n, n, runs) of a step, before and after its measurements.
 
-        `mild` says that the measurements were mild, `last` that the step is the last.
+        `last` says that the step is the last.
         """
         spread = np.einsum("iir->ir", predicted)
+        mild = bool((np.einsum("iir->ir", known) >= _MILD * spread).all())
         regular = mild and not (spread > _GROWN * self._level).any()
         if not regular:
             self._level = spread.copy()
@@ -170,15 +175,6 @@ class _Record:
         self.predicted = [_rows(plan, part, own) for own, part in enumerate(predicted, 1)]
         self.mean, self.cov = _rows(plan, known[0], 1), _rows(plan, known[1], 2)
         self.log_density = known[2] if plan.batch else known[2][:, 0]
-        self._room: Room | None = None
-
-    def room(self, step: int) -> Room:
-        """The arrays for the known mean and covariance of a step, which an update may write into.
-
-        They are (n, runs) and (n, n, runs), or (n,) and (n, n) if there is one run.
-        """
-        self._room = self.mean[step], self.cov[step]
-        return self._room
 
     def keep(
         self, step: int, predicted: Moments, known: Moments, log_density: Array | float
@@ -188,8 +184,7 @@ class _Record:
         If predictions are not kept, the watch looks at both covariances, as they are not there
         later.
         """
-        if self._room is None or known.mean is not self._room[0]:
-            self.mean[step], self.cov[step] = known.mean, known.cov
+        self.mean[step], self.cov[step] = known.mean, known.cov
         self.log_density[step] = log_density
         self.reached = step + 1
         if self.predicted:
@@ -197,7 +192,7 @@ class _Record:
         else:
             size = len(known.mean)
             before, after = (each.cov.reshape(size, size, -1) for each in (predicted, known))
-            self.watch.look(before, after, known.mild, last=step == self.plan.steps)
+            self.watch.look(before, after, last=step == self.plan.steps)
 
     @contextmanager
     def refusing(self, schedule: Filtering | None) -> Iterator[None]:
@@ -444,7 +439,7 @@ def _stepwise(
     for runs in counted(list(map(slice, edges, edges[1:])), "parts of the runs"):
         part = plan.of(runs) if parts > 1 else plan
         record = _Record(part, *(tuple(a[:, runs] for a in each) for each in (known, predicted)))
-        chain = MomentChain(part, schedule, keep=keep, room=None if predicted else record.room)
+        chain = MomentChain(part, schedule, keep=keep)
         yield Part(chain, record, others)
         closest, converged[runs] = min(closest, record.watch.closest), chain.converged
         residuals = joined(residuals, chain.residuals, runs, plan.runs)

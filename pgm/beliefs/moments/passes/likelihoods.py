@@ -36,7 +36,6 @@ from pgm.kernels.arrays import (
     inner,
     multiply,
     room,
-    sandwich,
     transpose,
 )
 from pgm.kernels.elements import Belief, Likelihood, condition
@@ -125,7 +124,7 @@ class Readings:
             total += _surplus(sensor)
         for steps, matrix, residual, noise, missing in self.stacks:
             left = residual - apply(matrix, predicted.mean[steps])
-            cov = sandwich(matrix, predicted.cov[steps]) + noise
+            cov = moments.predict(predicted.cov[steps], matrix, noise)
             total[steps] += moments.log_density(left, cov) + 0.5 * LOG_2PI * missing
         return total
 

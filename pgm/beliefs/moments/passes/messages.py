@@ -22,9 +22,10 @@ from pgm.beliefs.moments.passes.reweighting import by_step, surplus
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.readings import stored
 from pgm.beliefs.moments.steps.vector import stacks
-from pgm.kernels import canonical, elements, moments, solving
+from pgm.kernels import canonical, elements, solving, step
 from pgm.kernels.arrays import LOG_2PI, Array, apply, block, inner, sandwich, transpose
 from pgm.kernels.canonical import Canonical
+from pgm.kernels.dense import Stack, StackRoot
 from pgm.kernels.elements import Element
 from pgm.kernels.moments import Conditional
 from pgm.kernels.prefixes import levels, prefixes, take
@@ -171,24 +172,19 @@ def absorb_readings(
     matrix (I − G H) A, the offset G · residual and the covariance (I − G H) Q. All are NaN where
     S is singular.
     """
-    cross = h_matrix @ noise
-    lower = canonical.strict_root(cross @ transpose(h_matrix) + reading_noise)
-    gain = solving.gain(transpose(cross), lower)
-    reach = h_matrix @ matrix
-    white = solving.solve_lower(lower, reach)
-    white_residual = solving.solve_lower(lower, residual[..., None])
-    keep, absorbed = moments.joseph(noise, gain, h_matrix, reading_noise)
-    h = (transpose(white) @ white_residual)[..., 0]
-    white_residual = white_residual[..., 0]
-    g = -0.5 * (
-        inner(white_residual, white_residual)
-        + solving.log_determinant(lower)
-        + residual.shape[-1] * LOG_2PI
-    )
+    start, spread = Stack.column(np.zeros(noise.shape[-1])), Stack(noise, True)
+    slope, off, error = Stack(h_matrix), Stack.column(residual), Stack(reading_noise, True)
+    cross = slope @ spread
+    root = StackRoot(canonical.strict_root((cross.times(slope) + error).array))
+    gain = step.gain(root, cross)
+    after = step.given(start, spread, slope, off, error, root, gain)
+    white = root.solve(slope @ Stack(matrix))
+    g = -0.5 * (after.square + residual.shape[-1] * LOG_2PI) - after.volume
     if missing is not None:
         g = g + 0.5 * LOG_2PI * missing
-    likelihood = (transpose(white) @ white, h, g)
-    return keep @ matrix, apply(gain, residual), absorbed, likelihood
+    likelihood = ((white.T @ white).array, (white.T @ root.solve(off)).vector, g)
+    kept = ((gain @ slope).one_minus() @ Stack(matrix)).array
+    return kept, after.mean.vector, after.cov.array, likelihood
 
 
 def likelihoods(plan: ChainPlan, reference: Array) -> Canonical:

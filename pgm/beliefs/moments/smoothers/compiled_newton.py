@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from pgm.beliefs.moments.compiled.numba_chain import Chain
-from pgm.beliefs.moments.compiled.numba_table import Integers64, Rows, Uncompiled, address, at_least
+from pgm.beliefs.moments.compiled.memory import address
+from pgm.beliefs.moments.compiled.plans import Table, Uncompiled, places, row_of, unknown
 from pgm.beliefs.moments.passes.newton import Means, precision
 from pgm.beliefs.moments.steps.chain import MomentChain
-from pgm.beliefs.moments.steps.plan import ChainPlan
-from pgm.kernels.arrays import Array, Integers, Mask, apply, block, independent, room
-from pgm.kernels.compiled import tables as t
+from pgm.beliefs.moments.steps.plan import ChainPlan, Link
+from pgm.beliefs.moments.steps.sensor import Sensor
+from pgm.compile.machine import Compiled
+from pgm.kernels.arrays import Array, Mask, apply, block, independent, room
+from pgm.kernels.machine import newton, told
+from pgm.kernels.machine.equations import Layout
+from pgm.kernels.machine.squares import is_small
 from pgm.linearisation.family import Family
+from pgm.resources import in_threads
 from pgm.schedules.iteration import Anchor, Point
+
+# Rows that are linearised together.
+_LANES = 8
 
 
 class Newton:
@@ -23,63 +33,41 @@ class Newton:
     """
 
     def __init__(self, plan: ChainPlan) -> None:
+        why = unknown(plan)
+        if why is not None:
+            raise Uncompiled(why)
         layout, steps = plan.layout, plan.steps
         width, states = layout.slice_size, np.arange(layout.slice_size)[layout.state_places]
-        self.pair = layout.state_size + width
-        self.chain = chain = Chain(plan, rows=Rows(together=True, least=t.RUNS))
-        chain.lay_out(False, False)
+        self.plan, self.pair = plan, layout.state_size + width
         self.mean, cov = MomentChain(plan, None).start().by_run
-        begin = np.zeros((plan.runs, 2 * width, _padded(width + 1)))
-        self.first, self.right = begin[:, :width, :width], begin[:, :width, width]
-        self.first[:] = np.eye(width)  # of controls at step 0, which are zero
-        self.first[:, states[:, None], states] = _weight(block(cov, states, states))
-        self._put(t.BEGIN, begin)
-        # Room for each thread, by the share of runs that lie before its first.
-        threads = getattr(layout.compiled, "threads", 1)
-        self.equations = np.empty((threads + 1, steps + 2, begin[0].size))
-        self._put(t.EQUATIONS, self.equations)
-        chain.fields[t.THREADS] = threads
-        here, later = np.arange(width), np.arange(width, 2 * width)
-        pair, table = np.concatenate([states, later]), np.concatenate([chain.sensors, chain.links])
-        for sensor, row in zip(plan.read, table, strict=False):
-            if sensor.variable.angles:
-                moved = at_least(sensor.moved, t.RUNS)
-                sensor.moved = moved[: len(sensor.moved)]
-                row[t.MOVED : t.MOVED + 4] = chain.rows.told(moved, 1)
-            weight = _weight(sensor.family.own_noise, sensor.taken)
-            self._tell(row, sensor.family, plan.first, here[sensor.parents], weight)
-        for link, row in zip(plan.transition, table[len(plan.read) :], strict=True):
-            row[t.STEPS] = chain.rows.at(np.minimum(np.arange(steps + 2), steps))
-            places = np.concatenate([pair[link.parents], pair[link.child]])
-            self._tell(row, link.family, plan.first + 1, places, _weight(link.family.own_noise))
-        chain.fields[t.SENSORS], chain.fields[t.SENSOR_COUNT] = chain.rows.at(table), len(table)
+        self._slice = Layout(width)
+        begin = np.zeros((1, plan.runs, self._slice.length))
+        own = begin[0, :, : self._slice.across].reshape(plan.runs, width, -1)[..., :width]
+        own[:] = np.eye(width)  # of controls at step 0, which are zero
+        own[:, states[:, None], states] = _weight(block(cov, states, states))
+        self.first = own
+        self.right = begin[0, :, self._slice.right :][:, :width]
         self.room, self.turn = np.empty((2, 2, plan.runs, steps + 1, width)), 0
-
-    def _put(self, place: int, array: Array) -> None:
-        """Tell an array (runs, ...), which is not kept."""
-        self.chain.fields[[place, place + 2]] = address(array), array[0].size
-
-    def _tell(
-        self, row: Integers64, family: Family, first: int, places: Integers, weight: Array
-    ) -> None:
-        """Tell of a CPD what sweeps do not know, or know otherwise."""
-        rows, width, count = self.chain.rows, self.chain.plan.layout.slice_size, family.step.size
-        row[t.PARENTS], row[t.ROWS] = rows.at(places), max(count, t.RUNS)
-        row[t.STEP] = rows.at(at_least(family.step - first, t.RUNS))
-        row[t.TARGETS] = rows.at(_targets(places, width))
-        row[t.NOISE : t.NOISE + 4] = rows.told(weight, 2)
-        if family.template is not None:
-            lead, own = (max(count, t.RUNS), family.shape[1]), family.shape[2:]
-            matrix, offset = room(lead, own), room(lead, own[:1])
-            family.matrix, family.offset = matrix[:count], offset[:count]
-            row[t.MATRIX : t.MATRIX + 4] = rows.told(matrix, 2)
-            row[t.OFFSET : t.OFFSET + 4] = rows.told(offset, 1)
-        for place in (t.INPUTS, t.MATRIX, t.OFFSET, t.NOISE, t.READINGS, t.MOVED):
-            row[place + 1], row[place + 2] = row[place + 2], row[place + 1]
+        self.active = np.ones((1, plan.runs, 1))
+        self.table = table = _Table(plan)
+        squares = [_measured(plan, sensor, table) for sensor in plan.read]
+        squares += [_moved(plan, link, table) for link in plan.transition]
+        along = [table.trajectory(each) for each in (self.room[0, 0], *self.room[0])]
+        self.chain = told.Newton(
+            size=width,
+            rows=tuple(squares),
+            active=Table.array(table, self.active),
+            begin=Table.array(table, begin),
+            reference=along[0],
+            found=along[1],
+            variance=along[2],
+        )
+        self.step = newton.made(self.chain)
+        self._rooms: list[tuple[Array, Array]] = []
 
     def linearise(self, at: Point, active: Mask) -> None:
         """Linearise at the next solution, for the runs that are active."""
-        self.at, self.active = at.mean, active
+        self.at, self.active[0, :, 0] = at.mean, active
 
     def settled(self) -> bool:
         """There are no losses that change."""
@@ -87,29 +75,106 @@ class Newton:
 
     def solve(self, anchor: Anchor | None = None) -> Means:
         """Linearise, and solve; of runs that are not active there is the solution before."""
-        from pgm.kernels.compiled.newton import newton  # here, since Numba is slow to import
-
-        chain = self.chain
+        plan, chain, table = self.plan, self.chain, self.table
         self.turn = 1 - self.turn
-        found, rest = self.room[self.turn], ~self.active
+        found, rest = self.room[self.turn], self.active[0, :, 0] == 0.0
         self.right[:] = apply(self.first, self.mean - self.at[0])
         reference = np.ascontiguousarray(self.at.swapaxes(0, 1))
-        self._put(t.REFERENCE, reference)
-        self._put(t.FOUND, found[0])
-        self._put(t.VARIANCE, found[1])
-        chain.status[:] = np.where(rest, t.IDLE, t.DONE)
-        chain.run((newton, newton))
-        chain.count([], "")
+        trajectories = chain.reference, chain.found, chain.variance
+        for array, due in zip(trajectories, (reference, *found), strict=True):
+            table.put(array.place, due)
+        ended = np.zeros((1, plan.runs))
+        table.put(told.ENDED, ended)
+        self._run(table.whole)
+        plan.account.compiled += 1
         found[:, rest] = self.room[1 - self.turn][:, rest]
-        found[1, :, 0, chain.plan.layout.control_places] = 0.0
-        if (chain.status == t.LEFT).any() or not np.isfinite(found.sum()):
+        found[1, :, 0, plan.layout.control_places] = 0.0
+        if ended.any() or not np.isfinite(found.sum()):
             raise Uncompiled("its equations have no solution")
         means, variance = found.swapaxes(1, 2)
         return Means(means, variance, None, self.pair)
 
+    def _run(self, table: Any) -> None:
+        choice = self.plan.layout.compiled
+        threads = choice.threads if isinstance(choice, Compiled) else 1
+        size = self._slice.length * (self.plan.steps + 1)
 
-def _padded(columns: int) -> int:
-    return -(-columns // 4) * 4
+        def work(first: int, last: int) -> None:
+            rooms = self._rooms.pop() if self._rooms else (np.empty(self.step.work), np.empty(size))
+            self.step.call(address(table), first, last, *map(address, rooms))
+            self._rooms.append(rooms)
+
+        in_threads(work, self.plan.runs, max(min(threads, self.plan.runs), 1))
+
+
+class _Table(Table):
+    """A table whose arrays of CPDs have rows in the place of runs, and runs in that of rows.
+
+    `lanes` is how many rows of the CPD at hand are linearised together.
+    """
+
+    def __init__(self, plan: ChainPlan) -> None:
+        super().__init__(plan, 1)
+
+    def array(self, array: Array) -> told.Array:
+        """An array (rows or 1, runs or 1, own axes), told."""
+        return super().array(array.swapaxes(0, 1))
+
+    def trajectory(self, array: Array) -> told.Array:
+        """A trajectory (runs, steps, n), told."""
+        self.lanes = 1
+        return self.array(array)
+
+
+def _measured(plan: ChainPlan, sensor: Sensor, table: _Table) -> told.Squares:
+    """A sensor's residuals."""
+    family, size = sensor.family, plan.layout.slice_size
+    found = _squares(family, places(sensor.parents, size), (), table)
+    found["noise"] = table.array(_weight(family.own_noise, sensor.taken))
+    values = sensor.values
+    if sensor.taken is not None:
+        values = np.where(sensor.taken, values, np.nan)
+    if sensor.bounds != list(range(plan.steps + 2)):
+        found["bounds"] = table.at(np.array(sensor.bounds, dtype=np.int64))
+        found["steps"] = table.at((family.step - plan.first).astype(np.int64))
+    return told.Squares(
+        **found,
+        readings=table.array(values),
+        moved=table.array(sensor.moved) if sensor.variable.angles else None,
+        missing=sensor.taken is not None,
+    )
+
+
+def _moved(plan: ChainPlan, link: Link, table: _Table) -> told.Squares:
+    """The residuals of a CPD of the transition."""
+    layout, family = plan.layout, link.family
+    width = layout.slice_size
+    pair = np.array([*places(layout.state_places, width), *range(width, 2 * width)])
+    parents, child = (tuple(pair[each].tolist()) for each in (link.parents, link.child))
+    found = _squares(family, parents, child, table)
+    if family.template is None:
+        found["angles"] = ()  # of a line no angle is on another branch
+    found["noise"] = table.array(_weight(family.own_noise))
+    return told.Squares(**found)
+
+
+def _squares(
+    family: Family, parents: tuple[int, ...], child: tuple[int, ...], table: _Table
+) -> dict[str, Any]:
+    rows, runs, height, width = family.shape
+    small = is_small(height, len(parents) + len(child))
+    table.lanes = _LANES if small and rows >= _LANES else 1
+    if family.template is not None:
+        # As it is written: rows of numbers side by side, or matrix after matrix.
+        make = room if small else _by_matrix
+        family.matrix = make((rows, runs), (height, width))
+        family.offset = make((rows, runs), (height,))
+    found = row_of(family, parents, table, stored=False, keep=True)
+    return {**found, "child": child, "lanes": table.lanes, "count": table.count(rows)}
+
+
+def _by_matrix(lead: tuple[int, ...], own: tuple[int, ...]) -> Array:
+    return np.empty((*lead, *own))
 
 
 def _weight(noise: Array, taken: Mask | None = None) -> Array:
@@ -118,15 +183,3 @@ def _weight(noise: Array, taken: Mask | None = None) -> Array:
     if found is None:
         raise Uncompiled("a noise is singular")
     return found if taken is None else found * (taken[..., None] & taken[..., None, :])
-
-
-def _targets(places: Integers, width: int) -> Integers:
-    """Where squares of components of a slice and the next, (n, n), and right sides behind go."""
-    wide, count = _padded(width + 1), len(places)
-    first, last = np.minimum.outer(places, places), np.maximum.outer(places, places)
-    part = first // width + last // width
-    square = (part * width + first % width) * wide + last % width
-    right = (2 * (places // width) * width + places % width) * wide + width
-    upper = np.flatnonzero(np.triu(np.ones((count, count))))
-    found = np.concatenate([square.ravel()[upper], right])
-    return np.stack([found, [*upper, *range(count**2, count * (count + 1))]], axis=-1)

@@ -283,7 +283,7 @@ class Beginning(NamedTuple):
         `plan` is that of the whole chain.
         """
         begin = self.over(plan.runs)
-        mean, cov, _ = Moments.of(plan, begin.mean, begin.cov)
+        mean, cov = Moments.of(plan, begin.mean, begin.cov)
         return plan.window(first, last, (mean, cov))
 
     @property

@@ -292,8 +292,7 @@ def _by_machine(plan: ChainPlan) -> Chain[Smoothed] | None:
     try:
         return Chain(plan, swept, machine=Linearised(plan))
     except Uncompiled as error:
-        if str(error) not in plan.account.left:
-            plan.account.leave(str(error))
+        plan.account.leave(str(error))
         return None
 
 

@@ -22,13 +22,12 @@ from pgm.beliefs.moments.digits.careful import Careful
 from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
 from pgm.beliefs.moments.passes import forward
 from pgm.beliefs.moments.passes.backward import Beliefs, Reverse
-from pgm.beliefs.moments.passes.forward import Filtered, Forward
+from pgm.beliefs.moments.passes.forward import Filtered, Forward, Room
 from pgm.beliefs.moments.smoothers import fixed_lag, parallel, smoother
 from pgm.beliefs.moments.smoothers.fixed_lag import Lagged, Windows
 from pgm.beliefs.moments.solvers.balanced import BalancedOutcome
 from pgm.beliefs.moments.steps import gate
 from pgm.beliefs.moments.steps.plan import ChainPlan
-from pgm.beliefs.moments.steps.readings import Room
 from pgm.compile import BalancedGraph, DynamicGraph, SliceLayout
 from pgm.display import titled
 from pgm.errors import EvidenceError, GraphError, ModelError, NumericalError

@@ -16,18 +16,19 @@ not depend on itself a step before.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from pgm.beliefs.moments.steps import gate, readings, refusals
 from pgm.beliefs.moments.steps.iterated_update import MomentUpdate, iterated
 from pgm.beliefs.moments.steps.plan import ChainPlan, Link
-from pgm.beliefs.moments.steps.readings import Moments, Reading, Room
+from pgm.beliefs.moments.steps.readings import Moments, Reading
 from pgm.beliefs.moments.steps.vector import Measured
 from pgm.kernels import gaussian
 from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import Array, Mask, components_first, components_last, times, within
+from pgm.kernels.step import nearest
 from pgm.linearisation.failures import require_finite
 from pgm.linearisation.rows import At
 from pgm.linearisers import Line
@@ -47,8 +48,7 @@ class MomentChain:
     all sensors, a mapping from sensors to theirs, or None for no gates.
 
     An `anchor` is an artificial measurement of all components at each step, which holds beliefs
-    near a point and does not count as evidence; None for none. `room(step)` gives the mean and the
-    covariance that the update of a step may write into; if `room` is None new arrays are made.
+    near a point and does not count as evidence; None for none.
     `check` linearises once at each step, and refuses what is not finite: linearisations with
     LinearisationError, predictions with NumericalError.
 
@@ -63,13 +63,11 @@ class MomentChain:
         *,
         keep: bool = True,
         anchor: Anchor | None = None,
-        room: Callable[[int], Room] | None = None,
         check: bool = False,
         gated: gate.Asked | None = None,
     ) -> None:
         layout = plan.layout
         self.gate = gated if schedule is None else schedule.gate
-        self.room = room
         self.plan, self.schedule, self.anchor, self.check = plan, schedule, anchor, check
         self.linearises, self.keeps = schedule is not None, keep and schedule is not None
         self.states = layout.state_places if layout.control_places.size else None
@@ -132,7 +130,7 @@ class MomentChain:
         """
         if ats is None:
             ats, step = self.motion(step), self.plan.first + step
-        layout, (mean, cov, _) = self.plan.layout, belief
+        layout, (mean, cov) = self.plan.layout, belief
         if self.states is not None:
             mean, cov = mean[self.states], within(cov, self.states)
         if layout.single:
@@ -167,7 +165,7 @@ class MomentChain:
             parts, step = self.readings(step), self.plan.first + step
             if not parts and self.anchor is None:
                 return belief, 0.0
-        mean, cov, _ = belief
+        mean, cov = belief
         schedule = self.schedule
         robust = self.plan.robust
         if schedule is not None and robust and any(part.weights is not None for part in parts):
@@ -184,8 +182,7 @@ class MomentChain:
                     part.require_finite()
             if self.gate is not None:
                 seen = gate.decide(self.gate, parts, seen, mean, cov)
-            room = None if self.room is None else self.room(step)
-            after, density = readings.update(seen, step, belief, room)
+            after, density = readings.update(seen, step, belief)
             if robust:
                 density = density + sum(part.surplus for part in parts)
         else:
@@ -230,7 +227,7 @@ class MomentChain:
         )
         last = found.solution
         shown = found.mean.T if self.plan.batch else found.mean[0]
-        return Moments(shown, last.known.cov, False), last.log_density
+        return Moments(shown, last.known.cov), last.log_density
 
     def _at(self, link: Link, row: int) -> At:
         """A CPD with the evidence of a step: `row` is t − 1 of the transition to t, 0 of the prior.
@@ -316,7 +313,6 @@ def on_chart(link: Link, at: At, before: Array, value: Array) -> Array:
     result a wrapped angle is within half a turn of itself a step before; other components stay.
     """
     assert at.function is not None
-    turned = value[link.angles] - before[link.before]
     # A function that wraps gives the same for an angle a whole turn on; another turns too.
     further = before.copy()
     further[link.before] += TURN
@@ -324,7 +320,8 @@ def on_chart(link: Link, at: At, before: Array, value: Array) -> Array:
     gained = components_first(ends[0] - ends[1], 1)
     wraps = np.abs(gained[link.angles]) < 0.5 * TURN
     moved = value.copy()
-    moved[link.angles] -= np.where(wraps, TURN * np.round(turned / TURN), 0.0)
+    near = nearest(value[link.angles], before[link.before])
+    moved[link.angles] = np.where(wraps, near, value[link.angles])
     return moved
 
 

@@ -20,6 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pgm.kernels import moments
 from pgm.kernels.arrays import (
     Array,
     Index,
@@ -106,7 +107,7 @@ class Diffuse(NamedTuple):
         lead = reach.shape[:-2]
         missing: Integers = np.zeros(lead, dtype=np.intp)
         lost: Mask = np.any(reach, axis=(-2, -1))
-        spread = sandwich(matrix, self.cov) + noise
+        spread = moments.predict(self.cov, matrix, noise)
         if not lost.any():
             return np.broadcast_to(residual, reach.shape[:-1]), spread, missing
         residual = np.broadcast_to(residual, reach.shape[:-1]).copy()
@@ -117,7 +118,7 @@ class Diffuse(NamedTuple):
         )
         turn, known = _combined(reach[lost], noise)
         # C H comes before P, which may be large along what is unknown.
-        turned = sandwich(turn @ matrix, cov) + sandwich(turn, noise)
+        turned = moments.predict(cov, turn @ matrix, sandwich(turn, noise))
         residual[lost] = np.where(known, apply(turn, residual[lost]), 0.0)
         spread[lost] = independent(turned, known)
         missing[lost] = (~known).sum(axis=-1)

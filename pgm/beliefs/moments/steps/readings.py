@@ -38,6 +38,7 @@ from pgm.kernels.arrays import (
 )
 from pgm.kernels.gaussian import NEARLY_SINGULAR
 from pgm.kernels.roots import NEGLIGIBLE
+from pgm.kernels.step import nearest
 from pgm.linearisation.failures import require_finite
 from pgm.linearisation.rows import At
 from pgm.linearisers import Line
@@ -46,20 +47,11 @@ from pgm.schedules.iteration import Anchor
 _HALF_TURN = 0.5 * TURN
 
 
-# Where a mean and a covariance may go.
-Room = tuple[Array, Array]
-
-
 class Moments(NamedTuple):
-    """Mean (n, *batch) and covariance (n, n, *batch) of a slice.
-
-    `mild` says that they come from no measurement update, or from one that surely leaves a
-    thousandth or more of each variance.
-    """
+    """Mean (n, *batch) and covariance (n, n, *batch) of a slice."""
 
     mean: Array
     cov: Array
-    mild: bool = True
 
     @classmethod
     def of(cls, plan: ChainPlan, mean: Array, cov: Array) -> Moments:
@@ -79,8 +71,8 @@ class Moments(NamedTuple):
         """
         mean, cov = anchor.hold(step, *self.by_run)
         if self.mean.ndim == 1:
-            return Moments(mean[0], cov[0], False)
-        return Moments(components_first(mean, 1), components_first(cov, 2), False)
+            return Moments(mean[0], cov[0])
+        return Moments(components_first(mean, 1), components_first(cov, 2))
 
     @property
     def by_run(self) -> tuple[Array, Array]:
@@ -90,16 +82,13 @@ class Moments(NamedTuple):
         return components_last(self.mean, 1), components_last(self.cov, 2)
 
 
-def update(
-    parts: Sequence[Measured], step: int, belief: Moments, room: Room | None = None
-) -> tuple[Moments, Array | float]:
+def update(parts: Sequence[Measured], step: int, belief: Moments) -> tuple[Moments, Array | float]:
     """The belief given linearised sightings of a step, and their log-density (*batch).
 
-    `step` is the number that errors name, and `belief` the predicted one. The moments may be
-    written into the mean and covariance `room`; None makes new ones. Where the joint predictive
-    covariance is nearly singular, as with sharp measurements of a wide belief, exact sensors are
-    taken in together and the other sightings one by one, which is equal but for rounding.
-    NumericalError where that covariance is indefinite or not finite, or an exact model is
+    `step` is the number that errors name, and `belief` the predicted one. Where the joint
+    predictive covariance is nearly singular, as with sharp measurements of a wide belief, exact
+    sensors are taken in together and the other sightings one by one, which is equal but for
+    rounding. NumericalError where that covariance is indefinite or not finite, or an exact model is
     contradicted.
     """
     if not parts:
@@ -113,9 +102,9 @@ def update(
             matrix, residual, noise, _ = vector(parts, mean)
         one = gaussian.update_one(mean, belief.cov, matrix, residual, noise)
         if one is not None and isfinite(one[2]):
-            return Moments(one[0], one[1], False), one[2]
+            return Moments(one[0], one[1]), one[2]
     several = len(parts) > 1 or len(parts[0].value) > parts[0].sensor.height
-    found = _absorb(parts, step, belief, NEARLY_SINGULAR if several else NEGLIGIBLE, room)
+    found = _absorb(parts, step, belief, NEARLY_SINGULAR if several else NEGLIGIBLE)
     if found is not None:
         return found
     exact = [seen for seen in parts if seen.sensor.exact]
@@ -125,33 +114,25 @@ def update(
         then = _absorb(some, step, belief, 0.0)
         assert then is not None
         belief, total = then[0], total + then[1]
-    return belief._replace(mild=False), total
+    return belief, total
 
 
 def _absorb(
-    parts: Sequence[Measured], step: int, belief: Moments, least: float, room: Room | None = None
+    parts: Sequence[Measured], step: int, belief: Moments, least: float
 ) -> tuple[Moments, Array | float] | None:
     """The belief given all sightings, as one vector, and their log-density (*batch); or None.
 
-    `step` is the number that errors name, `belief` the predicted one, and `room` the mean and
-    covariance to write into, None for new ones. The predictive covariance S of the sightings is
-    nearly singular if some component, given those before it, keeps less than `NEARLY_SINGULAR`,
-    10⁻⁶, of its variance in S. The result is then None if `least` is that number. With a smaller
-    `least` it is not None: of several runs, faster formulas are then used as long as each component
-    keeps more than `least`, 0 standing for 10⁻¹³.
+    `step` is the number that errors name, and `belief` the predicted one. The predictive
+    covariance S of the sightings is nearly singular if some component, given those before it, keeps
+    less than `NEARLY_SINGULAR`, 10⁻⁶, of its variance in S. The result is then None if `least` is
+    that number. With a smaller `least` it is not None: of several runs, faster formulas are then
+    used as long as each component keeps more than `least`, 0 standing for 10⁻¹³.
     """
-    mean, cov, _ = belief
-    sharp, first = None, parts[0]
-    if len(parts) > 1:
-        exact = any(seen.sensor.exact for seen in parts)
-    else:
-        exact = first.sensor.exact
-        sharp = first.sensor.sharpness(first.noise) if mean.ndim > 1 else None
+    mean, cov = belief
+    exact = any(seen.sensor.exact for seen in parts)
     matrix, residual, noise, missing = vector(parts, mean)
     least_share = least or NEGLIGIBLE
-    found = gaussian.update(
-        mean, cov, matrix, residual, noise, room, exact=exact, sharp=sharp, least=least_share
-    )
+    found = gaussian.update(mean, cov, matrix, residual, noise, exact=exact, least=least_share)
     density = found.log_density
     finite = isfinite(density) if isinstance(density, float) else np.isfinite(density.sum())
     if not finite:
@@ -162,7 +143,7 @@ def _absorb(
         refusals.contradiction(parts, step, mean, found.left)
     if missing is not None:
         density = density + 0.5 * LOG_2PI * (missing if mean.ndim > 1 else int(missing))
-    return Moments(found.mean, found.cov, found.mild), density
+    return Moments(found.mean, found.cov), density
 
 
 class Reading:
@@ -388,7 +369,7 @@ def _nearest(reading: Array, value: Array, turning: Sequence[int]) -> Array:
         if moved is reading:
             moved = np.empty_like(value)
             moved[...] = reading
-        moved[k] -= TURN * np.round(off / TURN)
+        moved[k] = nearest(reading[k], value[k])
     return moved
 
 

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.beliefs.moments.steps.weights import Weights
-from pgm.kernels import along_runs, roots
+from pgm.kernels import roots
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import (
     Array,
@@ -139,34 +139,6 @@ class Sensor:
     def _angles(self) -> list[int]:
         """The places of angles among the components of a sighting."""
         return [int(k) for k in np.flatnonzero(self.variable.angle_mask)]
-
-    def sharpness(self, noise: Array) -> Array | None:
-        """A bound on det S, (runs or 1,), below which a sighting counts as mild.
-
-        A mild sighting surely leaves a thousandth or more of each variance of the belief. Here
-        S = H P Hᵀ + R is the predictive covariance of a sighting, R = `noise` (d, d, *batch) that
-        of its noise, P that of the belief, and H the linearised sensor's slope. The result is None
-        unless `noise` is the very array that all measurements of the sensor have in common.
-        """
-        return self._sharpness if noise is self._constant else None
-
-    @cached_property
-    def _constant(self) -> Array | None:
-        """The noise covariance (d, d, *batch), if all measurements have the same; else None.
-
-        The batch is () for one run, else one axis of runs, of length one where all have the same.
-        """
-        return self.family._own(0, 1) if len(self.family.own_noise) == 1 else None
-
-    @cached_property
-    def _sharpness(self) -> Array:
-        """A bound on det S, (runs or 1,), for the noise that all measurements have in common.
-
-        A sighting whose predictive covariance S has a smaller determinant surely leaves a
-        thousandth or more of each variance.
-        """
-        assert self._constant is not None
-        return along_runs.sharpness(self._constant)
 
     def at(self, step: int, *, stored: bool) -> tuple[At, Array, Mask | None] | None:
         """The CPD at a step's sightings, their values and mask `taken`; None without sightings.

@@ -1,0 +1,205 @@
+"""A kind of step of an online filter, and its machine code.
+
+Steps are of a *kind* if the same variables are given, in the same form: rows, or sightings, of any
+number. A kind is laid out from the plan of its first step: what the plan takes from the evidence
+comes with each call, all else is bound to the step as constants. A *trace* is a user's function
+recorded as a graph of scalar operations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from pgm.beliefs.moments.compiled.plans import (
+    Table,
+    Uncompiled,
+    motion_of,
+    places,
+    sensor_of,
+    unknown,
+)
+from pgm.beliefs.moments.digits.close_points import families, largest
+from pgm.beliefs.moments.steps.plan import ChainPlan
+from pgm.beliefs.moments.steps.sensor import Sensor
+from pgm.cpds import AffineCPD
+from pgm.evidence import Sightings
+from pgm.kernels.arrays import Array
+from pgm.kernels.machine import online, python, told
+from pgm.kernels.machine.evidence import Evidence
+from pgm.kernels.machine.memory import Runs
+from pgm.kernels.machine.writer import arrays
+from pgm.linearisation.family import Family
+from pgm.posteriors.status import Status
+from pgm.schedules.step_evidence import Values
+from pgm.tracing import Judge
+from pgm.variables import Variable
+
+# From a belief and values to the next belief; see `kernels.machine.online`.
+Made = Callable[[bytes, Any], bytes | None]
+# Steps that are made both ways.
+TRIALS = 5
+# By the sensor with whose sightings an array is given, or None, and the array's variable.
+Where = dict[tuple[Variable | None, Variable], told.Array]
+
+
+class Kind:
+    """A kind of step, made from the plan and the values of its first one.
+
+    `step` is the machine code, a function of a belief and values; None where there is none, for the
+    reason `why`. `status` is that of a belief after the step. The `judge` compares the functions'
+    traces with the functions; `trials` is how many more steps are made in NumPy, too, before
+    machine code is trusted.
+    """
+
+    step: Made | None = None
+    why: str = ""
+    trials: int = TRIALS
+
+    def __init__(self, plan: ChainPlan, values: Values, status: Status) -> None:
+        self.status, self.judge = status, Judge()
+        try:
+            self.step = self._made(plan, values)
+        except Uncompiled as error:
+            self.why = str(error)
+
+    def _made(self, plan: ChainPlan, values: Values) -> Made:
+        why = unknown(plan)
+        if why is None and largest(families(plan)):
+            why = "its sigma points lie close together, and lost digits are to be told"
+        if why is not None:
+            raise Uncompiled(why)
+        table, layout = _Constants(plan), plan.layout
+        given = {place: table.room(width) for place, width in _widths(values)}
+        cpds = {"stored": False, "keep": False}
+        for family in plan.families:
+            family.judge = self.judge
+        motions = tuple(
+            replace(motion_of(plan, link, table, **cpds), **_fed(link.family, None, given, table))
+            for link in plan.transition
+        )
+        bounds: dict[Variable, int] = {}
+        sensors = []
+        for sensor in plan.read:
+            variable = sensor.variable
+            if sensor.robust:
+                raise Uncompiled(f"{sensor.family.cpd!r} has robust noise")
+            if isinstance(values[variable], Sightings) and not sensor.grouped:
+                bounds[variable] = table.at(np.empty(0))
+            sensors.append(
+                replace(
+                    sensor_of(plan, sensor, table, **cpds),
+                    readings=given[None, variable],
+                    missing=True,
+                    bounds=bounds.get(variable),
+                    **_fed(sensor.family, sensor, given, table),
+                )
+            )
+        for family in plan.families:
+            if family.compiled is not None and family.compiled.trace.cast:
+                _require_followed(family)
+        size = layout.slice_size
+        chain = told.Forward(
+            size=size,
+            states=places(layout.state_places, size),
+            single=bool(layout.single),
+            motions=motions,
+            sensors=tuple(sensors),
+            begin=(table.room(size), table.room(size, size)),
+            predicted=(),
+            known=(table.room(size), table.room(size, size)),
+            density=table.room(),
+            iterated=False,
+        )
+        used = set(arrays(chain))
+        if not used.issuperset(given.values()):
+            raise Uncompiled("something that is given is read by no function")
+        constants = {array: each for array, each in table.constants.items() if array in used}
+        evidence = _evidence(values, given, bounds)
+        machine = online.made(online.Step(chain, not plan.read, tuple(constants), evidence))
+        numbers = b"".join(each.tobytes() for each in constants.values())
+        # As of `evidence.VARIABLES` and before.
+        names = "values", "step", "_given"
+        own = numbers, np.ndarray, Sightings, *names, *(variable for _, variable in given)
+        return python.bound(machine, online.STEP, own)
+
+
+class _Constants(Table):
+    """A table whose arrays are constants of a step, or come with each of its calls."""
+
+    def __init__(self, plan: ChainPlan) -> None:
+        super().__init__(plan, 1)
+        self.constants: dict[told.Array, Array] = {}
+
+    def array(self, array: Array) -> told.Array:
+        """An array (rows, runs, own axes), the same at all rows, as constants."""
+        own = array[0, 0]
+        found = self.room(*own.shape)
+        self.constants[found] = own
+        return found
+
+    def room(self, *shape: int) -> told.Array:
+        """An array whose memory is told of when the step is made."""
+        place = len(self.numbers)
+        self.numbers += [0] * (1 + told.CELL)
+        return told.Array(place, shape, Runs.BESIDE, near=True)
+
+
+def _widths(values: Values) -> Iterable[tuple[tuple[Variable | None, Variable], int]]:
+    """What is given at a step, and the width of its rows, in the order in which it is given."""
+    for variable, value in values.items():
+        if not isinstance(value, Sightings):
+            yield (None, variable), len(value)
+            continue
+        yield (None, variable), value.values.shape[1]
+        for parent, each in value.given.items():
+            yield (variable, parent), each.shape[1]
+
+
+def _evidence(values: Values, given: Where, bounds: dict[Variable, int]) -> tuple[Evidence, ...]:
+    found = []
+    for variable, value in values.items():
+        parents = None
+        if isinstance(value, Sightings):
+            parents = tuple(given[variable, parent] for parent in value.given)
+        read = variable in bounds or parents is not None
+        found.append(Evidence(given[None, variable], read, parents, bounds.get(variable)))
+    return tuple(found)
+
+
+def _fed(family: Family, sensor: Sensor | None, given: Where, table: _Constants) -> dict[str, Any]:
+    """The inputs of a CPD as they are given at each step."""
+    if family.noisy:
+        raise Uncompiled(f"{family.cpd!r} has a noise that depends on inputs")
+    own = None if sensor is None else sensor.variable
+    known = [parent for parent in family.cpd.given if parent in family.inputs]
+    inputs = tuple(given.get((own, parent)) or given[None, parent] for parent in known)
+    cpd = family.cpd
+    if not (isinstance(cpd, AffineCPD) and known):
+        return {"inputs": inputs}
+    shifts = tuple(table.array(cpd.matrices[parent][None, None]) for parent in known)
+    return {
+        "inputs": inputs,
+        "shifts": shifts,
+        "offset": table.array(cpd.offset[None, None]),
+    }
+
+
+def _require_followed(family: Family) -> None:
+    """Refuse, by `Uncompiled`, a function that calls float() on its input or has no trace.
+
+    Its branches may change later, and a trace has those that were taken when it was made. Jacobians
+    may call float(): most do so by writing into np.zeros, which they return.
+    """
+    assert family.template is not None
+    assert family.template.tracer is not None
+    alone = family.template.tracer.traced()
+    if isinstance(alone, str) or alone.cast:
+        raise Uncompiled(
+            f"{family.cpd!r}: its function makes floats of its input, by which it may decide "
+            "otherwise in a later step: np.asarray(x) without a dtype, np.zeros_like in place of "
+            "np.zeros"
+        )

@@ -1,1 +1,0 @@
-"""Sweeps of Gaussian chains in machine code, by Numba, which importing this loads."""

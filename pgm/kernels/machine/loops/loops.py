@@ -1,0 +1,237 @@
+"""Matrices of a sweep in memory, by loops, for more than a few components."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
+from typing import Any
+
+from pgm.kernels import step
+from pgm.kernels.machine.code import Code
+from pgm.kernels.machine.kinds import ADDRESS, WHOLE
+from pgm.kernels.machine.loops.frame import Frame
+from pgm.kernels.machine.loops.layout import Layout
+from pgm.kernels.machine.loops.stored import Space, Stored
+from pgm.kernels.machine.loops.transfers import inside, lie, place, read, write
+from pgm.kernels.machine.loops.views import View
+from pgm.kernels.machine.memory import Memory
+from pgm.kernels.machine.numbers import Number, constant
+from pgm.kernels.machine.told import Function
+from pgm.kernels.machine.traces import Inputs, traced
+from pgm.kernels.machine.wholes import Address
+
+
+class Loops:
+    """Matrices in memory, whose numbers are side by side in packs; see `Matrices`."""
+
+    def __init__(self, code: Code, frame: Frame) -> None:
+        self.code, self._frame = code, frame
+        self._space = Space(code, frame, Layout.of(code.lanes))
+        self._functions: dict[Function, int] = {}
+
+    # From arrays and to them
+
+    def column(self, cells: Memory, size: int) -> Stored:
+        """The vector in an array's cells."""
+        return read(self._space, cells, 1, size).T
+
+    def matrix(self, cells: Memory, height: int, width: int) -> Stored:
+        """The matrix in an array's cells."""
+        return read(self._space, cells, height, width)
+
+    def symmetric(self, cells: Memory, size: int) -> Stored:
+        """The symmetric matrix in an array's cells."""
+        return read(self._space, cells, size, size)
+
+    def keep(self, cells: Memory, matrix: Stored) -> None:
+        """Put a vector or a matrix into an array's cells."""
+        write(self._space, cells, matrix)
+
+    def constant(self, rows: Sequence[Sequence[float]]) -> Stored:
+        """The matrix that is known as the code is written."""
+        return self._space.constant(rows, len(rows[0]) if rows else 0)
+
+    def carried(self, mean: Stored, cov: Stored) -> Held:
+        """A vector and a symmetric matrix that may be set anew."""
+        return Held(mean, cov)
+
+    def scratch(self) -> AbstractContextManager[None]:
+        """What is computed inside is not used after it, but for what is kept or carried."""
+        return self._frame.scratch()
+
+    # Numbers of matrices
+
+    def beside(self, vector: Stored) -> list[Number]:
+        """The numbers of a vector, side by side."""
+        return vector.T.row(0)
+
+    def row(self, matrix: Stored, i: int) -> list[Number]:
+        """The numbers of a row, side by side."""
+        return matrix.row(i)
+
+    def diagonal(self, matrix: Stored) -> list[Number]:
+        """The numbers on a diagonal, side by side."""
+        return matrix.diagonal_row().row(0)
+
+    def largest(self, matrix: Stored) -> list[Number]:
+        """The largest magnitude in each column, side by side."""
+        return matrix.largest().row(0)
+
+    def alike(self, value: float, size: int) -> list[Number]:
+        """Equal numbers of a vector, side by side."""
+        layout = self._space.layout
+        return [constant(self.code, value).spread(layout.lanes)] * layout.packs(size)
+
+    # Operations beside those of matrices
+
+    def replaced(self, vector: Stored, numbers: Mapping[int, Any]) -> Stored:
+        """The vector with other numbers at some places."""
+        if not numbers:
+            return vector
+        found = vector.copy()
+        for k, number in numbers.items():
+            found.view.put_entry(k, 0, number)
+        return found
+
+    def with_columns(self, matrix: Stored, columns: Mapping[int, list[Number]]) -> Stored:
+        """The matrix with other columns, whose numbers are side by side, at some places."""
+        found = matrix.T.plain()
+        for j, numbers in columns.items():
+            for q, number in enumerate(numbers):
+                found.view.put(j, q, number)
+        return found.T
+
+    def above(self, one: Stored, other: Stored) -> Stored:
+        """A vector, and below it another."""
+        return one.above(other)
+
+    def shifted(self, matrix: Stored, vector: Stored) -> Stored:
+        """The matrix with a vector added to each of its rows."""
+        ones = self.constant([[1.0]] * matrix.shape[0])
+        return matrix + ones @ vector.T
+
+    def widened(self, matrix: Stored, places: Sequence[int], width: int) -> Stored:
+        """The matrix whose columns stand at some places among `width`, with zeros elsewhere."""
+        return matrix.widened(places, width)
+
+    def seen(
+        self, known: Sequence[Number], residual: Stored, matrix: Stored, noise: Stored
+    ) -> step.Seen:
+        """A measurement of which some components are known; see `step.seen`."""
+        truths = self._row(known, noise.shape[0])
+        alone = self._row([1.0 - each.number() for each in known], noise.shape[0])
+        spread = noise.kept(truths).T.kept(truths).raised(alone)
+        return step.Seen(residual.kept(truths), matrix.kept(truths), spread)
+
+    def kept(self, truths: Sequence[Number], matrix: Stored) -> Stored:
+        """The symmetric matrix with zeros in rows and columns whose truth does not hold."""
+        row = self._row(truths, matrix.shape[0])
+        return matrix.kept(row).T.kept(row)
+
+    def chosen(self, truth: Number, one: Stored, other: Stored) -> Stored:
+        """One matrix where a truth holds, another elsewhere."""
+        return one.chosen(truth, other)
+
+    def open_share(self, cov: Stored) -> Number:
+        """The least share of a variance that is left open; see `step.open_share`."""
+        return cov.open_share()
+
+    # Functions, each one that is called with addresses
+
+    def value(self, function: Function, at: Stored, inputs: Inputs) -> Stored:
+        """The value of a function at a vector."""
+        return self.values(function, at.T, inputs).T
+
+    def slope(self, function: Function, at: Stored, inputs: Inputs) -> tuple[Stored, Stored]:
+        """The value of a function at a vector, and its derivative."""
+        value = self._space.new(1, len(function.value))
+        slope = self._space.new(value.width, at.shape[0])
+        self._apply(function, at.T.plain(), inputs, value, slope)
+        return value.T, slope
+
+    def values(self, function: Function, points: Stored, inputs: Inputs) -> Stored:
+        """The values of a function at points, row by row."""
+        points = points.plain()
+        found = self._space.new(points.height, len(function.value))
+        if points.height == 1:
+            self._apply(function, points, inputs, found)
+            return found
+        with self.code.loop(points.height) as k:
+            point, value = (
+                Stored(self._space, each.view.at(k, 0), 1, each.width) for each in (points, found)
+            )
+            self._apply(function, point, inputs, value)
+        return found
+
+    def _apply(self, function: Function, at: Stored, inputs: Inputs, *out: Stored) -> None:
+        """Write the value, and the slope, if there is room for one, of a function."""
+        number = self._functions.setdefault(function, len(self._functions))
+        memories = list({id(cells): cells for cells, _ in inputs.values()}.values())
+        told = " ".join(map(lie, memories))
+        given = [value for cells in memories for value in place(cells)]
+        kinds = [ADDRESS] * (1 + len(out)) + [ADDRESS, WHOLE, WHOLE] * len(memories)
+        name = f"function {number} {len(out)} {told}"
+        helper = self.code.module.helper(name, kinds, self.code.lanes, None)
+        if helper.fresh:
+            self._write(helper.code, function, at, inputs, memories, out)
+        self.code.call(helper.code, at.address, *(each.address for each in out), *given)
+
+    def _write(
+        self,
+        code: Code,
+        function: Function,
+        at: Stored,
+        inputs: Inputs,
+        memories: Sequence[Memory],
+        out: Sequence[Stored],
+    ) -> None:
+        point, *more = code.arguments
+        results, more = more[: len(out)], more[len(out) :]
+        cells = {
+            id(like): inside(code, like, *more[3 * k : 3 * k + 3])
+            for k, like in enumerate(memories)
+        }
+        here = {column: (cells[id(like)], index) for column, (like, index) in inputs.items()}
+        known = [at.seen(code, point).entry(0, k) for k in range(at.width)]
+        value, slope = traced(code, function, known, here, slope=len(out) > 1)
+        self._lay(code, results[0], [value], out[0])
+        if len(out) > 1:
+            size = at.width
+            rows = [slope[i * size : (i + 1) * size] for i in range(len(value))]
+            self._lay(code, results[1], rows, out[1])
+
+    def _lay(self, code: Code, to: Address, rows: Sequence[Sequence[Any]], like: Stored) -> None:
+        """Write numbers to a matrix: constants at once, and others into them."""
+        space = self._space.inside(code)
+        plain = [[0.0 if isinstance(x, Number) else float(x) for x in row] for row in rows]
+        matrix = Stored(space, to, like.height, like.width)
+        space.constant(plain, like.width).copied_to(matrix)
+        view: View = matrix.view
+        for i, row in enumerate(rows):
+            for j, number in enumerate(row):
+                if isinstance(number, Number):
+                    view.put_entry(i, j, number)
+
+    def _row(self, numbers: Sequence[Number], width: int) -> Stored:
+        """Numbers side by side, in memory."""
+        found = self._space.new(1, width)
+        for q, number in enumerate(numbers):
+            found.view.put(0, q, number)
+        return found
+
+
+class Held:
+    """A vector and a symmetric matrix that are carried from step to step, in memory.
+
+    What it gives is what it holds, until it is set anew.
+    """
+
+    def __init__(self, mean: Stored, cov: Stored) -> None:
+        new, size = mean.space.new, mean.shape[0]
+        self.mean, self.cov = new(1, size).T, new(size, size)
+        self.set(mean, cov)
+
+    def set(self, mean: Stored, cov: Stored) -> None:
+        """Replace both."""
+        mean.copied_to(self.mean)
+        cov.copied_to(self.cov)

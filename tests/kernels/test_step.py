@@ -1,0 +1,598 @@
+"""The steps of a chain: one file, over every kind of numbers, against 60 digits.
+
+Draws are well scaled: covariances A Aᵀ / n + I, of condition numbers below a hundred or so. An
+error is divided by the largest entry of the result that is due, and by the condition number of what
+a root is taken of.
+"""
+
+import ast
+from pathlib import Path
+
+import mpmath
+import numpy as np
+import pytest
+from mpmath import mp
+
+import pgm
+from pgm.kernels import step, written
+from pgm.kernels.dense import Dense, Runs, Stack
+from pgm.kernels.extended import Twofold
+from pgm.kernels.numbers import Matrix
+from pgm.linearisers import Cubature, GaussHermite, Unscented
+from pgm.tracing.traced import Node, Recorder
+
+RUNS = 3
+DIGITS = 60
+
+
+@pytest.fixture(autouse=True)
+def many_digits():
+    """All that is due is computed with 60 digits."""
+    with mp.workdps(DIGITS):
+        yield
+
+
+# ---- the kinds: from arrays (runs, m, n) of float64, with the matrix of run 0 and back to (m, n)
+
+
+class Floats:
+    """Lists of floats."""
+
+    digits = 1e-14
+
+    def matrix(self, arrays):
+        return Matrix(arrays[0].tolist())
+
+    def root(self, arrays):
+        return self.matrix(arrays).root()
+
+    def run(self, function, *arguments):
+        return function(*arguments)
+
+    def numbers(self, found):
+        """Numbers of 60 digits, of each run."""
+        rows = found.rows if isinstance(found, Matrix) else [[found]]
+        return [mp.matrix([[self.number(x) for x in row] for row in rows])]
+
+    def number(self, x):
+        return mp.mpf(float(x))
+
+
+class RowsOfRuns(Floats):
+    """Matrices of arrays, each a row of runs."""
+
+    def matrix(self, arrays):
+        return Matrix([list(row) for row in np.moveaxis(arrays, 0, -1)])
+
+    def numbers(self, found):
+        rows = found.rows if isinstance(found, Matrix) else [[found]]
+        whole = np.array([[np.broadcast_to(x, RUNS) for x in row] for row in rows])
+        return [mp.matrix(whole[..., k].tolist()) for k in range(RUNS)]
+
+
+class OneDense(Floats):
+    """One array, by BLAS and LAPACK."""
+
+    def matrix(self, arrays):
+        return Dense(arrays[0])
+
+    def numbers(self, found):
+        return [mp.matrix(np.atleast_2d(getattr(found, "array", found)).tolist())]
+
+
+class DenseRuns(Floats):
+    """Arrays with the runs last."""
+
+    def matrix(self, arrays):
+        return Runs(np.ascontiguousarray(np.moveaxis(arrays, 0, -1)))
+
+    def numbers(self, found):
+        whole = found.array if isinstance(found, Runs) else np.asarray(found)[None, None]
+        whole = np.broadcast_to(whole, (*whole.shape[:2], RUNS))
+        return [mp.matrix(whole[..., k].tolist()) for k in range(RUNS)]
+
+
+class Stacks(Floats):
+    """Arrays with the runs first."""
+
+    def matrix(self, arrays):
+        return Stack(arrays)
+
+    def numbers(self, found):
+        whole = found.array if isinstance(found, Stack) else np.asarray(found)[..., None, None]
+        whole = np.broadcast_to(whole, (RUNS, *whole.shape[-2:]))
+        return [mp.matrix(each.tolist()) for each in whole]
+
+
+class Lines(Floats):
+    """Lines of Python, which are compiled and called."""
+
+    def run(self, function, *arguments):
+        shapes, values, flat = {}, {}, [each for each in arguments if isinstance(each, Matrix)]
+        for k, each in enumerate(flat):
+            shapes[f"a{k}_"] = each.shape
+            values[f"a{k}_"] = np.array(each.rows)
+        kept, along = [], isinstance(self, LinesOfRuns)
+
+        def body(*matrices):
+            left = iter(matrices)
+            found = function(*(next(left) if isinstance(a, Matrix) else a for a in arguments))
+            kept.extend(found if isinstance(found, tuple) else [found])
+            every = [x for part in kept for row in rows_of(part) for x in row]
+            return every, True
+
+        numbers = written.function(shapes, body, along_runs=along)(**values)
+        return back(kept, iter(numbers if isinstance(numbers, tuple) else (numbers,)))
+
+
+class LinesOfRuns(RowsOfRuns):
+    """Lines of Python over rows of runs."""
+
+    run = Lines.run
+
+
+class Traced(Floats):
+    """Traced numbers, whose graph is evaluated."""
+
+    def run(self, function, *arguments):
+        graph, values = Recorder(), []
+
+        def read(number):
+            values.append(number)
+            return Node(graph, graph.input(0, len(values) - 1))
+
+        traced = [
+            Matrix([[read(x) for x in row] for row in each.rows])
+            if isinstance(each, Matrix)
+            else each
+            for each in arguments
+        ]
+        found = function(*traced)
+        kept = list(found) if isinstance(found, tuple) else [found]
+        known = evaluated(graph, values)
+        every = [
+            known[x.number] if isinstance(x, Node) else x
+            for part in kept
+            for row in rows_of(part)
+            for x in row
+        ]
+        return back(kept, iter(every))
+
+
+class Pairs(Floats):
+    """Numbers of twice the digits, of many runs."""
+
+    digits = 1e-30
+
+    def matrix(self, arrays):
+        rows = np.moveaxis(arrays, 0, -1)
+        return Matrix([[Twofold(x.copy()) for x in row] for row in rows])
+
+    def numbers(self, found):
+        rows = found.rows if isinstance(found, Matrix) else [[found]]
+        return [mp.matrix([[self.number(x, k) for x in row] for row in rows]) for k in range(RUNS)]
+
+    def number(self, x, k):
+        if not isinstance(x, Twofold):
+            return mp.mpf(float(np.broadcast_to(x, RUNS)[k]))
+        return mp.mpf(float(x.hi[k])) + mp.mpf(float(x.lo[k]))
+
+
+def rows_of(part):
+    return part.rows if isinstance(part, Matrix) else [[part]]
+
+
+def back(kept, numbers):
+    """Results in the shape of those kept, of these numbers."""
+    found = [
+        Matrix([[next(numbers) for _ in row] for row in part.rows])
+        if isinstance(part, Matrix)
+        else next(numbers)
+        for part in kept
+    ]
+    return tuple(found) if len(found) > 1 else found[0]
+
+
+def evaluated(graph, values):
+    """The values of all nodes of a graph."""
+    known = []
+    for name, *operands in graph.operations:
+        if name == "constant":
+            known.append(operands[0])
+        elif name == "input":
+            known.append(values[operands[1]])
+        else:
+            known.append(getattr(np, name)(*(known[k] for k in operands)))
+    return known
+
+
+SINGLE = [Floats(), RowsOfRuns(), Lines(), LinesOfRuns(), Traced(), Pairs()]
+ARRAYS = [OneDense(), DenseRuns(), Stacks()]
+KINDS = pytest.mark.parametrize("kind", [*SINGLE, *ARRAYS], ids=lambda kind: type(kind).__name__)
+ONE_BY_ONE = pytest.mark.parametrize("kind", SINGLE, ids=lambda kind: type(kind).__name__)
+SIZES = pytest.mark.parametrize(("size", "height"), [(1, 1), (2, 1), (3, 2), (2, 4), (6, 3)])
+SEEDS = pytest.mark.parametrize("seed", range(3))
+
+
+def drawn(seed, size, height):
+    """The parts m, P, F or H, a residual, N or R and another mean, (runs, m, n) each."""
+    rng = np.random.default_rng([seed, size, height])
+
+    def covariance(n):
+        root = rng.normal(size=(RUNS, n, n))
+        cov = root @ root.swapaxes(-1, -2) / n + np.eye(n)
+        return 0.5 * (cov + cov.swapaxes(-1, -2))
+
+    vector = rng.normal(size=(RUNS, size, 1)), rng.normal(size=(RUNS, height, 1))
+    matrix = rng.normal(size=(RUNS, height, size))
+    return vector[0], covariance(size), matrix, vector[1], covariance(height)
+
+
+def exact(arrays, run):
+    """One run's matrix with 60 digits."""
+    return mp.matrix(arrays[run].tolist())
+
+
+def assert_due(kind, found, due, condition=1.0, share=0.0):
+    """The results of all runs are those due, but for rounding of the kind."""
+    for run, one in enumerate(kind.numbers(found)):
+        wanted = due(run)
+        scale = max(max(map(abs, wanted)), mp.mpf(share))
+        off = max(map(abs, one - wanted))
+        assert off <= kind.digits * condition * scale, mpmath.nstr(off / scale, 5)
+
+
+def condition(arrays):
+    """The largest condition number of a stack."""
+    return float(np.linalg.cond(arrays).max())
+
+
+def identity(size):
+    return mp.eye(size)
+
+
+def updated(mean, cov, matrix, residual, noise):
+    """The textbook's update with inverses: mean, covariance, rᵀ S⁻¹ r and ln |S| / 2."""
+    S = matrix * cov * matrix.T + noise
+    gain = cov * matrix.T * S**-1
+    square = residual.T * S**-1 * residual
+    after = cov - gain * matrix * cov
+    return mean + gain * residual, after, square, mp.matrix([[mp.log(mp.det(S)) / 2]])
+
+
+# ---- the steps
+
+
+@KINDS
+@SIZES
+@SEEDS
+def test_predict_and_push(kind, size, height, seed):
+    mean, cov, matrix, offset, noise = drawn(seed, size, height)
+    parts = [kind.matrix(each) for each in (mean, cov, matrix, offset, noise)]
+
+    def spread(k):
+        return exact(matrix, k) * exact(cov, k) * exact(matrix, k).T + exact(noise, k)
+
+    assert_due(kind, kind.run(step.predict, parts[1], parts[2], parts[4]), spread)
+    found = kind.run(step.push, *parts)
+
+    def moved(k):
+        return exact(matrix, k) * exact(mean, k) + exact(offset, k)
+
+    assert_due(kind, found[0], moved, share=3.0)
+    assert_due(kind, found[1], spread)
+
+
+@KINDS
+@SIZES
+@SEEDS
+def test_squares_of_any_gain(kind, size, height, seed):
+    _, cov, matrix, _, noise = drawn(seed, size, height)
+    gain = np.random.default_rng(seed).normal(size=(RUNS, size, height))
+
+    def due(k):
+        keep = identity(size) - exact(gain, k) * exact(matrix, k)
+        own = exact(gain, k) * exact(noise, k) * exact(gain, k).T
+        return keep * exact(cov, k) * keep.T + own
+
+    parts = [kind.matrix(each) for each in (cov, gain, matrix, noise)]
+    assert_due(kind, kind.run(step.squares, *parts), due, condition=3.0)
+
+
+@KINDS
+@SIZES
+@SEEDS
+def test_update(kind, size, height, seed):
+    arrays = drawn(seed, size, height)
+    _, cov, matrix, _, noise = arrays
+    cost = condition(matrix @ cov @ matrix.swapaxes(-1, -2) + noise)
+    found = kind.run(step.update, *(kind.matrix(each) for each in arrays))
+    for place in range(4):
+
+        def due(k, place=place):
+            return updated(*(exact(each, k) for each in arrays))[place]
+
+        assert_due(kind, found[place], due, condition=cost, share=1.0)
+
+    def share(k):
+        S = exact(matrix, k) * exact(cov, k) * exact(matrix, k).T + exact(noise, k)
+        lower = mp.cholesky(S)
+        return mp.matrix([[min(lower[i, i] ** 2 / S[i, i] for i in range(height))]])
+
+    assert_due(kind, found[4], share, condition=cost)
+
+
+@KINDS
+@SEEDS
+def test_the_difference_is_the_sum_of_squares_where_a_measurement_is_mild(kind, seed):
+    arrays = drawn(seed, 3, 2)
+    arrays = (*arrays[:4], 9.0 * arrays[4])
+
+    def lessened(mean, cov, matrix, residual, noise):
+        cross = matrix @ cov
+        root = (cross.times(matrix) + noise).root()
+        return tuple(step.lessened(mean, cov, residual, root, cross))[:4]
+
+    found = kind.run(lessened, *(kind.matrix(each) for each in arrays))
+    for place in range(4):
+
+        def due(k, place=place):
+            return updated(*(exact(each, k) for each in arrays))[place]
+
+        assert_due(kind, found[place], due, condition=30.0, share=1.0)
+
+
+@KINDS
+@SIZES
+@SEEDS
+def test_reverse_and_the_step_back(kind, size, height, seed):
+    mean, cov, matrix, offset, noise = drawn(seed, size, height)
+    later = matrix @ cov @ matrix.swapaxes(-1, -2) + noise
+    later = 0.5 * (later + later.swapaxes(-1, -2))
+    cost = condition(later)
+
+    def gain(k):
+        return exact(cov, k) * exact(matrix, k).T * exact(later, k) ** -1
+
+    def rest(k):
+        keep = identity(size) - gain(k) * exact(matrix, k)
+        return keep * exact(cov, k) * keep.T + gain(k) * exact(noise, k) * gain(k).T
+
+    parts = [kind.matrix(each) for each in (mean, cov, matrix, noise, offset, later)]
+    found = kind.run(step.reverse, *parts)
+    assert_due(kind, found[0], gain, condition=cost)
+    assert_due(kind, found[1], lambda k: exact(mean, k) - gain(k) * exact(offset, k), cost, 1.0)
+    assert_due(kind, found[2], rest, condition=cost)
+    back_, _ = kind.run(step.gain_back, parts[1], parts[2], parts[5])
+    assert_due(kind, back_, gain, condition=cost)
+
+
+@KINDS
+@SEEDS
+@pytest.mark.parametrize("parents", [(0, 1, 2), (2, 0), (1,)])
+def test_extend(kind, parents, seed):
+    _, cov, matrix, _, noise = drawn(seed, 3, 2)
+    matrix = matrix[..., : len(parents)]
+
+    def due(k):
+        wide = mp.zeros(2, 3)
+        for i in range(2):
+            for place, parent in enumerate(parents):
+                wide[i, parent] = exact(matrix, k)[i, place]
+        whole, own = mp.zeros(5, 3), mp.zeros(5, 5)
+        for i in range(3):
+            whole[i, i] = 1
+        whole[3:, :] = wide
+        own[3:, 3:] = exact(noise, k)
+        return whole * exact(cov, k) * whole.T + own
+
+    parts = [kind.matrix(each) for each in (cov, matrix, noise)]
+    found = kind.run(lambda p, f, n: step.extend(p, parents, f, n), *parts)
+    assert_due(kind, found, due)
+
+
+@ONE_BY_ONE
+@pytest.mark.parametrize("known", [(True, False), (False, True), (True, True), (False, False)])
+def test_components_that_are_missing_say_nothing(kind, known):
+    arrays = drawn(0, 3, 2)
+    seen = [k for k in range(2) if known[k]]
+
+    def read(mean, cov, matrix, residual, noise):
+        left = step.seen(known, residual, matrix, noise)
+        return tuple(step.update(mean, cov, left.matrix, left.residual, left.noise))[:4]
+
+    found = kind.run(read, *(kind.matrix(each) for each in arrays))
+
+    def due(k, place):
+        mean, cov, matrix, residual, noise = arrays
+        if not seen:
+            return (exact(mean, k), exact(cov, k), mp.matrix([[0]]), mp.matrix([[0]]))[place]
+        some = matrix[:, seen], residual[:, seen], noise[:, seen][..., seen]
+        return updated(exact(mean, k), exact(cov, k), *(exact(each, k) for each in some))[place]
+
+    for place in range(4):
+        assert_due(kind, found[place], lambda k, p=place: due(k, p), condition=30.0, share=1.0)
+
+
+@ONE_BY_ONE
+def test_the_nearest_branch_of_an_angle(kind):
+    readings = [0.1, 3.0, -3.1, 9.0, -40.0, 3.1, 1e3]
+    values = [0.2, -3.0, 3.1, 0.0, 1.0, 0.0, -2.0]
+    pairs = np.stack([readings, values], axis=-1)
+    parts = kind.matrix(np.broadcast_to(pairs, (RUNS, 7, 2)))
+
+    def branches(both):
+        return Matrix.column(step.nearest(*row) for row in both.rows)
+
+    found = kind.run(branches, parts)
+    turn = mp.mpf(step.TURN)
+
+    def due(_):
+        moved = [mp.mpf(r) - turn * mp.nint((mp.mpf(r) - mp.mpf(v)) / turn) for r, v in pairs]
+        return mp.matrix(moved)
+
+    assert_due(kind, found, due, condition=20.0)
+
+
+@ONE_BY_ONE
+@SEEDS
+def test_the_bound_of_a_spread(kind, seed):
+    _, cov, matrix, _, _ = drawn(seed, 3, 1)
+    found = kind.run(lambda p, f: step.spread(f.rows[0], p), kind.matrix(cov), kind.matrix(matrix))
+
+    def due(k):
+        terms = zip(exact(matrix, k), [mp.sqrt(exact(cov, k)[i, i]) for i in range(3)], strict=True)
+        return mp.matrix([[sum(abs(f) * s for f, s in terms)]])
+
+    assert_due(kind, found, due)
+
+
+RULES = [Unscented(), Cubature(), GaussHermite(3)]
+
+
+@KINDS
+@pytest.mark.parametrize("rule", RULES, ids=lambda rule: type(rule).__name__)
+@pytest.mark.parametrize("size", [1, 2, 3])
+def test_regress(kind, rule, size):
+    points = rule.points(size, "x", 0)
+    _, cov, _, _, _ = drawn(1, size, 1)
+    count = len(points.points)
+    values = np.random.default_rng(size).normal(size=(RUNS, count, 2))
+    weights, balance = points.mean_weights[None], np.diag(points.cov_weights)
+    constant = [points.points, weights, balance, np.ones((count, 1))]
+    fixed = [kind.matrix(np.broadcast_to(each, (RUNS, *each.shape)).copy()) for each in constant]
+
+    def line(cov, values, *rule):
+        return tuple(step.regress(cov.root(), step.Rule(*rule), values))
+
+    found = kind.run(line, kind.matrix(cov), kind.matrix(values), *fixed)
+    s, w, b, ones = (mp.matrix(each.tolist()) for each in constant)
+
+    def due(k, place):
+        mean = w * exact(values, k)
+        off = exact(values, k) - ones * mean
+        moment = s.T * b * off
+        slope = moment.T * mp.cholesky(exact(cov, k)) ** -1
+        left = off - s * moment
+        return (slope, mean.T, left.T * b * left)[place]
+
+    cost = condition(cov) * max(float(np.abs(points.cov_weights).sum()), 1.0)
+    for place in range(3):
+        assert_due(kind, found[place], lambda k, p=place: due(k, p), condition=cost, share=1.0)
+
+
+@KINDS
+@SIZES
+@SEEDS
+def test_the_square_of_robust_weights(kind, size, height, seed):
+    _, cov, matrix, residual, noise = drawn(seed, size, height)
+    parts = [kind.matrix(each) for each in (residual, noise, matrix, cov)]
+    cost = condition(noise)
+
+    def plain(k):
+        return exact(residual, k).T * exact(noise, k) ** -1 * exact(residual, k)
+
+    def expected(k):
+        spread = exact(matrix, k) * exact(cov, k) * exact(matrix, k).T
+        inside = exact(noise, k) ** -1 * spread
+        return plain(k) + mp.matrix([[sum(inside[i, i] for i in range(height))]])
+
+    assert_due(kind, kind.run(step.weighed_square, *parts[:2]), plain, condition=cost)
+    assert_due(kind, kind.run(step.weighed_square, *parts), expected, condition=cost)
+
+
+@ONE_BY_ONE
+@pytest.mark.parametrize(
+    "matrix", [[[-1.0]], [[0.0]], [[1.0, 2.0], [2.0, 1.0]], [[2.0, 0.0], [0.0, -1.0]]]
+)
+def test_what_is_not_definite_has_no_share(kind, matrix):
+    if isinstance(kind, Lines):
+        pytest.skip("has no root at all")
+    arrays = np.broadcast_to(np.array(matrix), (RUNS, len(matrix), len(matrix)))
+    with np.errstate(all="ignore"):
+        (share, *_) = kind.numbers(kind.run(lambda a: a.root().share, kind.matrix(arrays)))
+    assert not share[0] > 1e-13
+
+
+def test_lines_of_what_is_not_definite_return_nothing():
+    read = written.function({"a": (2, 2)}, lambda a: ([a.root().share], True))
+    assert read(np.eye(2)) == 1.0
+    assert read(-np.eye(2)) is None
+    assert read(np.zeros((2, 2))) is None
+
+
+# ---- once
+
+PACKAGE = Path(pgm.__file__).parent
+# Machine code by Numba has its own, until it goes; in twice the digits one scalar is taken in after
+# another, with the rounding of each.
+APART = {"kernels/compiled", "beliefs/moments/compiled", "beliefs/moments/digits"}
+# Distances with their mean taken off, and a projection: neither has a gain.
+OTHERS = {("viewer/placing.py", "_stressed"), ("kernels/rows.py", "_eliminate_exact")}
+
+
+def sandwiches(source):
+    """The names of functions that write (I − A) P (I − A)ᵀ: one minus A, used on both sides."""
+    tree = ast.parse(source)
+    for function in ast.walk(tree):
+        if isinstance(function, ast.FunctionDef):
+            kept = {
+                target.id
+                for line in ast.walk(function)
+                if isinstance(line, ast.Assign) and is_one_minus(line.value)
+                for target in line.targets
+                if isinstance(target, ast.Name)
+            }
+            for each in ast.walk(function):
+                if isinstance(each, ast.Call | ast.BinOp) and is_sandwich(each, kept):
+                    yield function.name
+                    break
+
+
+def is_one_minus(node):
+    """Whether an expression is `….one_minus()`, `one_minus(…)` or `….eye(…) - …`."""
+    if isinstance(node, ast.Call):
+        return getattr(node.func, "attr", getattr(node.func, "id", "")) == "one_minus"
+    return (
+        isinstance(node, ast.BinOp)
+        and isinstance(node.op, ast.Sub)
+        and isinstance(node.left, ast.Call)
+        and getattr(node.left.func, "attr", getattr(node.left.func, "id", "")) == "eye"
+    )
+
+
+def is_sandwich(node, kept):
+    """Whether a product has a name of `kept` on both sides, or is a call `sandwich(kept, …)`."""
+    if isinstance(node, ast.Call):
+        name = getattr(node.func, "attr", getattr(node.func, "id", ""))
+        first = node.args and isinstance(node.args[0], ast.Name) and node.args[0].id in kept
+        inside = isinstance(node.func, ast.Attribute) and names(node.func.value) & kept
+        return bool(first and (name == "sandwich" or inside))
+    if not isinstance(node.op, ast.MatMult):
+        return False
+    return bool(names(node.left) & names(node.right) & kept)
+
+
+def names(node):
+    return {each.id for each in ast.walk(node) if isinstance(each, ast.Name)}
+
+
+def test_a_sum_of_squares_is_written_once():
+    found = set()
+    for path in PACKAGE.rglob("*.py"):
+        place = path.relative_to(PACKAGE).as_posix()
+        if not any(place.startswith(apart) for apart in APART):
+            found |= {(place, name) for name in sandwiches(path.read_text(encoding="utf-8"))}
+    assert found - OTHERS == {("kernels/step.py", "squares")}
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        "keep = np.eye(3) - gain @ matrix\n    return keep @ cov @ keep.T",
+        "keep = one_minus(multiply(gain, matrix))\n    return sandwich(keep, cov)",
+        "k = (g @ h).one_minus()\n    return (k @ p).times(k)",
+    ],
+)
+def test_another_is_found(lines):
+    assert list(sandwiches(f"def twice(gain, matrix, cov):\n    {lines}\n")) == ["twice"]
