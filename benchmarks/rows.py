@@ -82,6 +82,23 @@ def smoother(rule: str) -> Row:
     )
 
 
+def short() -> Row:
+    """One robot over 60 steps, forward and back: a call that is made many times."""
+    return Row(
+        name="short",
+        unit="step",
+        work=lambda size: robots.draw(1, size),
+        contenders={
+            "pgm": part("pgm_robots", "prepared", "taylor"),
+            "pgm_compiled": part("pgm_robots", "prepared", "taylor", compiled=True),
+            "dynamax": part("dynamax_robots", "smoothing", "taylor"),
+        },
+        check=agreement.beliefs,
+        size=60,
+        quick=60,
+    )
+
+
 def no_jacobian(runs: str) -> Row:
     """Taylor where no Jacobian is given: `pgm` with those of traces, and by differences."""
     one = runs == "one"
@@ -383,6 +400,7 @@ def _taylor_only(rule: str, **contenders: Prepare) -> dict[str, Prepare]:
 
 ROWS = [
     *(make(rule) for make in (one_step, many_robots, smoother, online) for rule in SHORT),
+    short(),
     *(no_jacobian(runs) for runs in ("one", "many")),
     most_probable(),
     linear(),

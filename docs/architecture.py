@@ -67,7 +67,7 @@ LAYERS = [
         "variables, errors, arguments, boundary, immutable, resources, progress, display, workers",
         "names",
     ),
-    Layer("kernels", "mathematics of arrays; Numba"),
+    Layer("kernels", "mathematics of arrays; machine code"),
 ]
 STATIONS = {
     "call": Station("pgm.filter", "inference", 3.3, width=1.2),

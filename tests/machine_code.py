@@ -5,8 +5,8 @@ import pytest
 
 pytest.importorskip("llvmlite", reason="LLVM is driven by llvmlite")
 
-from pgm.kernels.machine.kinds import ADDRESS, WHOLE
-from pgm.kernels.machine.module import Module
+from pgm.kernels.machine.emitter.kinds import ADDRESS, WHOLE
+from pgm.kernels.machine.emitter.module import Module
 
 WIDTHS = (1, 2, 4, 8)
 

@@ -60,6 +60,18 @@ def smoothing(rule: str, work: Robots, *, compiled: Choice = False) -> Contender
     return compiled_or_not(call, work.steps, compiled)
 
 
+def prepared(rule: str, work: Robots, *, compiled: Choice = False) -> Contender:
+    """As `smoothing`, of a call that was prepared."""
+    graph = pgm.compile(work.network, work.steps, compiled=compiled)
+    run = pgm.prepare(graph, work.evidence(0), lineariser=RULES[rule])
+
+    def call() -> tuple[Array, Array]:
+        belief = run(work.evidence(0))[pose]
+        return belief.mean[1:], belief.cov[1:]
+
+    return compiled_or_not(call, work.steps, compiled)
+
+
 def no_jacobian(runs: str, derivatives: str, work: Robots) -> Contender:
     """A smoother of one run, or a filter of many, without Jacobians: traced, or by differences."""
     work = without_jacobians(work, traced=derivatives == "traced")

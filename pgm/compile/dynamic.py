@@ -17,7 +17,8 @@ from pgm.cpds import CPD, NonlinearGaussianCPD
 from pgm.display import InCode
 from pgm.errors import GraphError
 from pgm.factors.scope import Scope, dimension, positions
-from pgm.kernels.arrays import Index, Integers
+from pgm.kernels import roots
+from pgm.kernels.arrays import Array, Index, Integers
 from pgm.linearisers import FunctionTemplate
 from pgm.networks import DynamicBayesianNetwork
 from pgm.variables import Variable
@@ -27,7 +28,8 @@ class Place(NamedTuple):
     """The place of a CPD in the vector of a scope, of the parents that no evidence gives.
 
     `angles` are those of the child, and `before` where those of the step before stand; empty where
-    the child does not depend on itself. A measurement's `child` is empty.
+    the child does not depend on itself. A measurement's `child` is empty. `singular` says whether
+    the CPD's noise is; None where that depends on evidence.
     """
 
     hidden: Scope
@@ -36,6 +38,7 @@ class Place(NamedTuple):
     angles: Integers
     before: Integers
     template: FunctionTemplate | None
+    singular: bool | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +52,15 @@ class SliceLayout:
 
     model: DynamicBayesianNetwork
     compiled: Choice = None
+
+    @classmethod
+    def of(cls, model: DynamicBayesianNetwork, compiled: Choice = None) -> SliceLayout:
+        """The layout of a network, one for all graphs with the same choice of machine code."""
+        found: SliceLayout | None = model.layouts.get(compiled)
+        if found is None:
+            found = cls(model, compiled)
+            model.layouts[compiled] = found
+        return found
 
     @cached_property
     def slice(self) -> Scope:
@@ -102,6 +114,19 @@ class SliceLayout:
         return set()
 
     @cached_property
+    def told(self) -> dict[Any, Any]:
+        """Sweeps in machine code of the forms of plans that there were, with their tables."""
+        return {}
+
+    @cached_property
+    def begun(self) -> list[tuple[Array, Array]]:
+        """The belief that machine code begins with, once it is found, where none has evidence."""
+        return []
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"model": self.model, "compiled": self.compiled}
+
+    @cached_property
     def _places(self) -> dict[CPD, Place]:
         return {}
 
@@ -129,12 +154,21 @@ class SliceLayout:
             angles[: before.size],
             before,
             cpd._template(hidden) if isinstance(cpd, NonlinearGaussianCPD) else None,
+            _is_singular(cpd),
         )
 
     def hidden(self, cpd: CPD) -> Scope:
         """The parents of a CPD's mean that no evidence gives, in the order of its function."""
         slice_ = set(self.slice)
         return tuple(parent for parent in cpd.given if parent.template in slice_)
+
+
+def _is_singular(cpd: CPD) -> bool | None:
+    """Whether a CPD's noise covariance is singular; None where it is not known beforehand."""
+    cov = getattr(cpd, "cov", None)
+    if not isinstance(cov, np.ndarray):
+        return None
+    return bool(roots.determined(roots.root(cov)).any())
 
 
 class DynamicGraph(ClusterGraph, ABC):
@@ -150,7 +184,7 @@ class DynamicGraph(ClusterGraph, ABC):
     layout: SliceLayout
 
     def __init__(self, model: DynamicBayesianNetwork, steps: int, compiled: Choice = None) -> None:
-        self._set(model=model, steps=steps, layout=SliceLayout(model, compiled))
+        self._set(model=model, steps=steps, layout=SliceLayout.of(model, compiled))
 
     # A graph of slices is no graph of a network without time, whatever else it has in common.
     @property

@@ -1,6 +1,7 @@
 """Evidence: values of variables, checked against the model and laid out by step and by run."""
 
 from pgm.evidence.dynamic import BoundEvidence, Reading, bind
+from pgm.evidence.form import Form
 from pgm.evidence.records import records
 from pgm.evidence.static import BoundStates, BoundValues, bind_discrete, bind_values
 from pgm.evidence.values import (
@@ -21,6 +22,7 @@ __all__ = [
     "BoundValues",
     "Constant",
     "Evidence",
+    "Form",
     "Reading",
     "Sightings",
     "Soft",

@@ -82,6 +82,10 @@ _PART = 2**14
 
 def by_row(array: npt.NDArray[Kind], lead: tuple[int, ...], threads: int = 1) -> npt.NDArray[Kind]:
     """A read-only copy of an array (..., rows, d) as (rows, runs or 1, d), runs fastest."""
+    if array.ndim == 2:  # of one run
+        rows = array[:, None].copy()
+        rows.flags.writeable = False
+        return rows
     source = flat(array, lead, 2)
     memory = np.empty((*source.shape[1:], len(source)), source.dtype)
     size = max(_PART // memory[..., 0].size, 256) if memory.size else 1

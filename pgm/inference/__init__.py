@@ -2,9 +2,10 @@
 
 A *schedule* says which messages are sent in which order, and how often nonlinear CPDs are
 linearised. `infer`, `filter` and `smooth` run one on evidence and return a posterior: marginals,
-joints, log-evidence and status. `query` and `most_probable` answer single questions about discrete
-networks, `audit` estimates how far a Gaussian posterior is from the exact one, and an
-`OnlineFilter` takes one step at a time in a robot's loop.
+joints, log-evidence and status; `prepare` has it run many times, with other values. `query` and
+`most_probable` answer single questions about discrete networks, `audit` estimates how far a
+Gaussian posterior is from the exact one, and an `OnlineFilter` takes one step at a time in a
+robot's loop.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -24,6 +25,7 @@ from pgm.inference.audit import Audit, audit
 from pgm.inference.dynamic import filter, smooth
 from pgm.inference.engine import infer
 from pgm.inference.online import OnlineFilter
+from pgm.inference.prepared import Prepared, prepare
 from pgm.inference.query import query
 from pgm.inference.query.most_probable import MostProbable, most_probable
 from pgm.posteriors.associations import Associations
@@ -85,6 +87,7 @@ __all__ = [
     "ParticleFigures",
     "Particles",
     "Posterior",
+    "Prepared",
     "Rejections",
     "Residual",
     "Schedule",
@@ -96,6 +99,7 @@ __all__ = [
     "filter",
     "infer",
     "most_probable",
+    "prepare",
     "query",
     "smooth",
 ]

@@ -302,6 +302,11 @@ def quiet() -> Iterator[None]:
         yield
 
 
+def may_hold(mask: Mask) -> bool:
+    """Whether a mask is true somewhere; one of traced numbers, which are still to come, may be."""
+    return mask.dtype == object or bool(mask.any())
+
+
 def frozen(array: Array) -> Array:
     """A read-only view, safe to hand out."""
     view = array.view()

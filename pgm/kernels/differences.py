@@ -53,20 +53,34 @@ def taken(x: Array, step: Array) -> Array:
 def along(function: Callable[[Array], Array], x: Array, moves: Array, angles: Mask) -> Array:
     """Twelve times the change of a function along moves (..., m, n) from points x (..., n).
 
-    Of each move v it is 12 J v = 8 (f(x + v) − f(x − v)) − (f(x + 2v) − f(x − 2v)), (..., d, m),
-    but for terms in the fifth derivative of the function f, whose Jacobian is J. The function takes
-    points (..., 4m, n) to values (..., 4m, d); `angles` (d,) marks the components of the values
-    that are angles, whose differences are wrapped to [−π, π).
+    Of each move v it is 12 J v, (..., d, m), but for terms in the fifth derivative of the function
+    f, whose Jacobian is J; see `change`. The function takes points (..., 4m, n) to values
+    (..., 4m, d); `angles` (d,) marks the components of the values that are angles, whose
+    differences are wrapped to [−π, π).
     """
     lead, (count, size) = x.shape[:-1], moves.shape[-2:]
-    points = x[..., None, None, :] + _AROUND[:, None] * moves[..., None, :]
+    points = around(x[..., None, :], moves)
     values = function(points.reshape(*lead, 4 * count, size)).reshape(*lead, count, 4, -1)
+    return change(values, angles)
+
+
+def around(x: Array, moves: Array) -> Array:
+    """The points (..., 4, n) about x (..., n), one and two moves (..., n) to either side."""
+    found: Array = x[..., None, :] + _AROUND[:, None] * moves[..., None, :]
+    return found
+
+
+def change(values: Array, angles: Mask) -> Array:
+    """Twelve times the change of a function by its values (..., m, 4, d) `around` m moves.
+
+    Of each move v it is 8 (f(x + v) − f(x − v)) − (f(x + 2v) − f(x − 2v)), (..., d, m).
+    """
     near, far = values[..., 0, :] - values[..., 1, :], values[..., 2, :] - values[..., 3, :]
     for k in np.flatnonzero(angles):
         near[..., k], far[..., k] = wrap(near[..., k]), wrap(far[..., k])
-    change: Array = 8.0 * near - far
-    return change.swapaxes(-1, -2)
+    found: Array = 8.0 * near - far
+    return found.swapaxes(-1, -2)
 
 
-# The multiples of a move at which `along` calls the function.
+# The multiples of a move at which the function is called.
 _AROUND = np.array([1.0, -1.0, 2.0, -2.0])

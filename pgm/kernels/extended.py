@@ -12,12 +12,10 @@ import numpy as np
 
 from pgm.kernels.arrays import Array, Mask
 
-# ln 2 as the sum of two float64.
-_LOG_2 = 0.6931471805599453, 2.3190468138462996e-17
-# Terms of the series of a logarithm, of which the last is below 10⁻³².
-_TERMS = 21
 # 2²⁷ + 1 cuts a number into two halves of 26 bits.
 _CUT = 134217729.0
+# Terms of ln((1 + s)/(1 − s)) up to which |s| < .18 leaves 32 digits.
+_LAST_TERM = 22
 
 
 class Twofold:
@@ -138,30 +136,53 @@ def where(mask: Mask, a: Twofold | float, b: Twofold | float) -> Twofold:
     return Twofold(np.where(mask, a.hi, b.hi), np.where(mask, a.lo, b.lo))
 
 
+def sqrt(x: Twofold) -> Twofold:
+    """√x to 31 digits: that of float64, with one step of Newton's; as NumPy's of special values."""
+    near = np.sqrt(x.hi)
+    proper = (near > 0.0) & (near < np.inf)
+    unit = np.where(proper, near, 1.0)
+    rest = (x - Twofold(unit) * unit).hi / (2.0 * unit)
+    return where(proper, Twofold(*_normal(unit, rest)), Twofold(near))
+
+
+def log(x: Twofold) -> Twofold:
+    """The natural logarithm ln x to 30 digits; as NumPy's of special values.
+
+    With x = 2ᵏ m it is k ln 2 + 2 (s + s³/3 + s⁵/5 + ...), s = (m − 1) / (m + 1), |s| < .18.
+    """
+    near = np.log(x.hi)
+    proper = (x.hi > 0.0) & (x.hi < np.inf)
+    power = np.where(proper, np.rint(np.log2(np.where(proper, x.hi, 1.0))), 0.0)
+    half = np.floor(0.5 * power)
+    first, second = _power_of_two(-half), _power_of_two(half - power)
+    m = Twofold(x.hi * first * second, x.lo * first * second)
+    m = where(proper, m, 1.0)
+    s = (m - 1.0) / (m + 1.0)
+    square, total = s * s, Twofold(np.zeros_like(s.hi))
+    for k in range(_LAST_TERM, -1, -1):
+        total = total * square + 1.0 / _twofold(2.0 * k + 1.0)
+    return where(proper, _LN_2 * power + 2.0 * (s * total), Twofold(near))
+
+
+def _power_of_two(exponent: Array) -> Array:
+    """2ᵏ of whole numbers up to 540 or so, exactly, whatever digits the exponential has."""
+    near = np.exp2(exponent)
+    cut = (2.0**52 + 1.0) * near
+    rounded: Array = cut - (cut - near)
+    return rounded
+
+
 def eye(shape: tuple[int, ...]) -> Twofold:
     """Unit matrices of the shape (..., n, n)."""
     return Twofold(np.broadcast_to(np.eye(shape[-1]), shape).copy())
 
 
-def _sqrt(x: Twofold) -> Twofold:
-    """√x, by a step of Newton's from that of float64 (Karp & Markstein, 1997)."""
-    near = Twofold(np.sqrt(x.hi))
-    moved = near + (x - near * near) / np.where(near.hi > 0.0, 2.0 * near.hi, 1.0)
-    return where((near.hi > 0.0) & np.isfinite(near.hi), moved, near)
-
-
-def _log(x: Twofold) -> Twofold:
-    """The logarithm e ln 2 + 2 artanh (m − 1)/(m + 1) for x = 2ᵉ m, √½ ≤ m < √2, by its series."""
-    part, power = np.frexp(x.hi)
-    power = power - (part < np.sqrt(0.5))
-    unit = Twofold(np.ldexp(x.hi, -power), np.ldexp(x.lo, -power))
-    ratio = (unit - 1.0) / (unit + 1.0)
-    square, series = ratio * ratio, Twofold(np.zeros_like(x.hi))
-    for term in reversed(range(_TERMS)):
-        series = series * square + Twofold(np.ones_like(x.hi)) / (2.0 * term + 1.0)
-    two = Twofold(*(np.full_like(x.hi, half) for half in _LOG_2))
-    found = two * power.astype(float) + ratio * series * 2.0
-    return where((x.hi > 0.0) & np.isfinite(x.hi), found, Twofold(np.log(x.hi)))
+def _eye_like(matrix: Twofold) -> Twofold:
+    """Unit matrices of the shape of others, and of their kind of numbers."""
+    found = Twofold(np.zeros_like(matrix.hi))
+    for k in range(matrix.shape[-1]):
+        found.hi[..., k, k] = 1.0
+    return found
 
 
 def _rint(x: Twofold) -> Twofold:
@@ -173,7 +194,7 @@ def _rint(x: Twofold) -> Twofold:
     return Twofold(nearest) + np.where(nearest == x.hi, low, 0.0)
 
 
-_FUNCTIONS = {"sqrt": _sqrt, "log": _log, "rint": _rint}
+_FUNCTIONS = {"sqrt": sqrt, "log": log, "rint": _rint}
 
 
 def eliminated(
@@ -190,8 +211,8 @@ def eliminated(
     left = _twofold(matrix).copy()
     size = left.shape[-1]
     diagonal = np.abs(np.einsum("...ii->...i", left.hi)) if rounding is None else rounding.copy()
-    unit = eye(left.shape)
-    pivots = Twofold.zeros(left.shape[:-1])
+    unit = _eye_like(left)
+    pivots = Twofold(np.zeros_like(left.hi[..., 0]))
     for j in range(size):
         pivot = left[..., j, j]
         proper = np.abs(pivot.hi) > negligible * diagonal[..., j]
@@ -235,7 +256,7 @@ def solve(unit: Twofold, pivots: Twofold, right: Twofold) -> Twofold:
 
 def inverse_unit(unit: Twofold) -> Twofold:
     """The inverse (..., n, n) of a lower triangular U with ones on its diagonal."""
-    return solve_unit(unit, eye(unit.shape))
+    return solve_unit(unit, _eye_like(unit))
 
 
 def inverse(unit: Twofold, pivots: Twofold) -> Twofold:
@@ -255,7 +276,10 @@ def _divided(rows: Twofold, pivots: Twofold) -> Twofold:
 
 
 def _twofold(value: Any) -> Twofold:
-    return value if isinstance(value, Twofold) else Twofold(np.asarray(value, dtype=np.float64))
+    if isinstance(value, Twofold):
+        return value
+    traced = isinstance(value, np.ndarray) and value.dtype == object
+    return Twofold(value if traced else np.asarray(value, dtype=np.float64))
 
 
 def _normal(high: Array, low: Array) -> tuple[Array, Array]:
@@ -284,10 +308,18 @@ def _product(a: Array, a_low: Array, b: Array, b_low: Array) -> tuple[Array, Arr
     The error of a b is exact; a_low b_low is below the digits kept.
     """
     product = a * b
+    return product, _rounding(a, b, product) + (a * b_low + a_low * b)
+
+
+def _rounding(a: Array, b: Array, product: Array) -> Array:
+    """The error a b − `product`, exactly, of a rounded product."""
+    if product.dtype == object:  # processors have an operation for it
+        traced: Any = product
+        found: Array = traced.fused(a, b)
+        return found
     a_head, a_tail = _halves(a)
     b_head, b_tail = _halves(b)
-    error = ((a_head * b_head - product) + a_head * b_tail + a_tail * b_head) + a_tail * b_tail
-    return product, error + (a * b_low + a_low * b)
+    return ((a_head * b_head - product) + a_head * b_tail + a_tail * b_head) + a_tail * b_tail
 
 
 def _add(a: Array, a_low: Array, b: Array, b_low: Array) -> tuple[Array, Array]:
@@ -313,3 +345,7 @@ def _sum(high: Array, low: Array) -> tuple[Array, Array]:
         empty = np.zeros((*high.shape[:-2], high.shape[-1]))
         return empty, empty.copy()
     return _normal(high[..., 0, :], low[..., 0, :])
+
+
+# ln 2, to 32 digits.
+_LN_2 = Twofold(np.array(0.6931471805599453), np.array(2.3190468138462996e-17))

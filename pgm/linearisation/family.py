@@ -528,6 +528,9 @@ class Family(Rows):
         if self.judge is None or self.template.tracer is None:
             return "its trace has been given up for this call"
         tracer = self.template.whole
+        if tracer is self.template.tracer and self.answers is not None:
+            self.compiled = self.answers
+            return self.answers
         self.compiled = self._asked(self.judge, tracer, list(map(np.zeros, tracer.widths)))
         return self.compiled or str(tracer.reason)
 

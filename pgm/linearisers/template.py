@@ -150,6 +150,8 @@ class FunctionTemplate:
     def whole(self) -> Tracer:
         """The tracer of the value followed by the derivatives that were given, for machine code."""
         given = tuple(by for _, _, _, by in self.derivatives if by is not None)
+        if not given and self.tracer is not None:
+            return self.tracer
         more = self.height * (self.size - len(self.missing))
         widths = [parent.dimension for parent in self.given]
         angles = np.pad(self.child.angle_mask, (0, more))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -131,6 +132,16 @@ class DynamicBayesianNetwork(Drawn, Immutable):
             "discrete": discrete,
         }
         self._set(**values)
+
+    @cached_property
+    def layouts(self) -> dict[Any, Any]:
+        """How its slices are laid out, by the choice of machine code: see `SliceLayout.of`."""
+        return {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        state = super().__getstate__()
+        state.pop("layouts", None)  # which any process finds by itself
+        return state
 
     def replace(self, **changes: Iterable[CPD]) -> DynamicBayesianNetwork:
         """A variant with all CPDs of a part, ``prior=``, ``transition=``, ``observation=``, new."""

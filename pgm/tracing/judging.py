@@ -19,19 +19,16 @@ import numpy as np
 from pgm.errors import PgmError
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Integers, components_last, quiet
+from pgm.tracing.measures import EVEN, OF_LARGEST, OF_VALUE, VALUES_OF_NOISE
 from pgm.tracing.program import Column, Program
-from pgm.tracing.slopes import Points, Slopes, beside, choice, shown
+from pgm.tracing.slopes import Points, beside, choice, shown
 from pgm.tracing.trace import Tracer
 
 # From so many points on, a trace is made anew at each call. Then about so many values are judged,
 # and the slopes of so many points are looked at, or so many entries of slopes.
 LARGE, _VALUES, _SLOPES, _ENTRIES = 2**12, 2**10, 2**13, 2**17
-# So many points are judged at a time; so many, at even distances, have their slopes compared with
-# differences whether they are in doubt or not.
-_BATCH, _EVEN = 4096, 16
-# Values that are the same differ by less: shares of a value, of the largest of a batch, and of the
-# noise's deviation.
-_OF_VALUE, _OF_LARGEST, _OF_NOISE = 1e-9, 1e-12, 1e-6
+# So many points are judged at a time.
+_BATCH = 4096
 
 
 class Answers:
@@ -60,15 +57,14 @@ class Answers:
         assert tracer.trace is not None
         self.tracer, self.trace = tracer, tracer.trace
         self.program = self.trace.by(columns, len(variances))
-        noise = np.sqrt(variances)
-        self.slopes = Slopes(tracer.function, self.program, tracer.angles[: len(noise)], noise)
+        self.slopes = tracer.slopes(self.program, tuple(variances))
         self.fault: str | None = None
         # Whether a value was wrong, as where the function has changed; whether there were any.
         self.moved, self.used = False, False
         # Of so many points one is looked at, and of so many of these the value is judged.
         self.every = self.thin = 1
         self._open, self._passed = True, 0
-        self._places, self._noise = list(places), noise
+        self._places, self._noise = list(places), self.slopes.noise
         # Of single evaluations: arguments, value and derivative, covariance.
         self._asked: list[list[float]] = []
         self._told: list[tuple[float, ...]] = []
@@ -76,8 +72,10 @@ class Answers:
         # Of batches; how many points they have.
         self._batches: list[Points] = []
         self._count = 0
-        self._chosen: list[Points] = []
-        self._doubts: list[Array] = []
+        # Where machine code evaluated: arguments, and deviations if derivatives were used.
+        self._swept: list[tuple[Array, Array | None]] = []
+        # Points whose slopes are held against differences, and their doubts.
+        self._chosen: list[tuple[Points, Array]] = []
 
     def single(self, arguments: Sequence[Array], cov: Array | None) -> tuple[Array, Array, bool]:
         """Evaluate at (width,) each: the value (d,), the derivative (d, n), whether it is finite.
@@ -138,72 +136,125 @@ class Answers:
         if std is None:
             flat = flat[:: self.thin]
         for first in range(0, len(flat), _BATCH):
-            part = flat[first : first + _BATCH]
-            apart, shape = self.slopes.apart(part), (len(part),)
-            told = components_last(self.trace.batch(apart, shape)[0], 1)
-            if std is None:
-                self._compare(part, told)
-                continue
-            slope = components_last(self.program.batch(apart, shape)[1], 2)
-            spread = std[first : first + _BATCH, self._places]
-            self._look(Points(part, told, slope, spread))
+            rows = slice(first, first + _BATCH)
+            self._swept.append((flat[rows], None if std is None else std[rows, self._places]))
+            self._count += len(self._swept[-1][0])
+            if self._count >= _BATCH:
+                self._look_back()
 
     def close(self) -> None:
         """Judge all that has been kept, and keep nothing more."""
-        self._look_back()
-        self._open = False
-        if self.fault is None and self._chosen:
-            found, doubts = Points.joined(self._chosen), np.concatenate(self._doubts)
-            self.fault = self.slopes.fault(found.at(_chosen(doubts)))
-        self._chosen, self._doubts = [], []
+        if self._open:
+            self._look_back(last=True)
+        self._open, self._chosen = False, []
 
-    def _look_back(self) -> None:
-        """Judge what has been kept since this was done last."""
-        parts = self._batches if self.fault is None else []
+    def _look_back(self, *, last: bool = False) -> None:
+        """Judge what has been kept since this was done last; at the `last` slopes as well."""
+        if last and self._is_cleared():
+            self.used = True
+            return
+        parts, alone = self._batches, list[Array]()
         if self._asked:
             told, height = np.array(self._told, dtype=float), len(self.program.value)
             slope = told[:, height:].reshape(len(told), height, -1)
-            std = np.array([self._deviations(cov) for cov in self._covs])
-            parts.append(Points(np.array(self._asked), told[:, :height], slope, std))
-            self._asked, self._told, self._covs = [], [], []
-        self._batches, self._count = [], 0
-        if parts and self.fault is None:
-            self._look(Points.joined(parts))
+            deviations = np.array([self._deviations(cov) for cov in self._covs])
+            parts.append(Points(np.array(self._asked), told[:, :height], slope, deviations))
+        for flat, std in self._swept:
+            if std is None:
+                alone.append(flat)
+            elif len(flat):
+                parts.append(self._points(flat, std))
+        self._asked, self._told, self._covs = [], [], []
+        self._batches, self._swept, self._count = [], [], 0
+        if self.fault is None and (parts or alone or (last and self._chosen)):
+            self._look(Points.joined(parts) if parts else None, alone, last=last)
+
+    def _is_cleared(self) -> bool:
+        """Whether machine code clears all that has been kept.
+
+        It is made for a trace that calls have often found right, as there may be many more.
+        """
+        swept, fresh = self._swept, not (self._batches or self._asked or self._chosen)
+        if not swept or not fresh or self.fault is not None or not self.tracer.often:
+            return False
+        flats, stds = zip(*swept, strict=True)
+        alone = stds[0] is None
+        if any((std is None) is not alone for std in stds) or not all(map(len, flats)):
+            return False
+        clearing = self.slopes.clearing(self.trace, differentiated=not alone)
+        if clearing is None or self.thin > 1:
+            return False
+        flat = flats[0] if len(flats) == 1 else np.concatenate(flats)
+        return clearing.clears(flat, None if alone else np.concatenate(stds))
+
+    def _points(self, flat: Array, std: Array) -> Points:
+        """Points at which machine code evaluated the trace, as it evaluates here."""
+        shape = (len(flat),)
+        if self.program.smooth:  # whose slopes are not looked at
+            steep = np.broadcast_to(0.0, (*shape, len(self._noise), len(self._places)))
+            return Points(flat, self._values(flat), steep, std)
+        value, slope = self.program.batch(self.slopes.apart(flat), shape)
+        told = (
+            self._values(flat) if len(self.trace.value) > len(value) else components_last(value, 1)
+        )
+        return Points(flat, told, components_last(slope, 2), std)
+
+    def _values(self, flat: Array) -> Array:
+        """The trace's values (k, d), followed by derivatives that were given."""
+        return components_last(self.trace.batch(self.slopes.apart(flat), (len(flat),))[0], 1)
 
     def _deviations(self, cov: Array | None) -> Array:
         if cov is None:
             return np.full(len(self._places), np.nan)
         return np.sqrt(np.maximum(cov.diagonal()[self._places], 0.0))
 
-    def _look(self, points: Points) -> None:
-        some = points.at(slice(None, None, self.thin))
-        self._compare(some.arguments, some.value)
-        if self.fault is None and self._places:
-            self._compare_beside(some)
-            if self.program.smooth:
-                return
-            doubts = self.slopes.doubts(points)
-            chosen = _chosen(doubts)
-            self._chosen.append(points.at(chosen))
-            self._doubts.append(doubts[chosen])
+    def _look(self, points: Points | None, alone: Sequence[Array], *, last: bool) -> None:
+        """Look at points, and at others `alone`, whose values were used, at the `last` at slopes.
 
-    def _compare_beside(self, points: Points) -> None:
-        """Compare values where slopes show in them; where the function fails there, it need not."""
+        The function is asked for all of this at once. Values beside points show slopes; where the
+        function fails there, it need not show them.
+        """
+        asked, told = list(alone), [self._values(flat) for flat in alone]
+        first = len(asked)
+        if points is not None:
+            some = points.at(slice(None, None, self.thin))
+            asked.append(some.arguments)
+            told.append(some.value)
+            first += 1
+            if self._places:
+                asked.append(self._beside(some))
+                told.append(self._values(asked[-1]))
+            if self._places and not self.program.smooth:
+                doubts = self.slopes.doubts(points)
+                chosen = _chosen(doubts)
+                self._chosen.append((points.at(chosen), doubts[chosen]))
+        differed = None
+        if last and self._chosen:
+            every = Points.joined([each for each, _ in self._chosen])
+            chosen = _chosen(np.concatenate([doubts for _, doubts in self._chosen]))
+            differed = self.slopes.differed(every.at(chosen))
+            asked.append(differed.points)
+        due = self.slopes.functions(asked)
+        self.used = self.used or first > 0
+        for k, (where, answers) in enumerate(zip(asked, told, strict=False)):
+            values = due[k]
+            if values is not None and values.shape == answers.shape:
+                self._hold(where, answers, values)
+            elif k < first:
+                self.fault = (
+                    "its function fails on a batch of the points at which its trace was used"
+                )
+                self.moved = True
+            if self.fault is not None:
+                return
+        if differed is not None:
+            self.fault = differed.fault(due[-1])
+
+    def _beside(self, points: Points) -> Array:
+        """Points beside some, at which slopes show in values."""
         flat, columns = points.arguments.copy(), self.slopes.columns
         flat[:, columns] = beside(flat[:, columns], points.std)
-        told = components_last(self.trace.batch(self.slopes.apart(flat), (len(flat),))[0], 1)
-        due = self.slopes.function(flat)
-        if due is not None:
-            self._hold(flat, told, due)
-
-    def _compare(self, flat: Array, told: Array) -> None:
-        """Call the user's function at some points; a value unlike the trace's is a fault."""
-        due, self.used = self.slopes.function(flat), True
-        if due is None or due.shape != told.shape:
-            self.fault = "its function fails on a batch of the points at which its trace was used"
-            self.moved = True
-            return
-        self._hold(flat, told, due)
+        return flat
 
     def _hold(self, flat: Array, told: Array, due: Array) -> None:
         """A trace's values `told`, (k, d), unlike the function's are a fault."""
@@ -214,9 +265,9 @@ class Answers:
             height = len(self._noise)
             # Given derivatives, which may follow, have one scale: some are zero but for rounding.
             scale[height:] = scale[height:].max(initial=0.0)
-            least = _OF_LARGEST * np.maximum(scale, self.tracer.angles)
-            least[:height] += _OF_NOISE * self._noise
-            least = least + _OF_VALUE * np.abs(due)
+            least = OF_LARGEST * np.maximum(scale, self.tracer.angles)
+            least[:height] += VALUES_OF_NOISE * self._noise
+            least = least + OF_VALUE * np.abs(due)
             wrong = np.where(known, ~(error <= least), np.isfinite(told)).any(axis=-1)
         if wrong.any():
             row, self.moved = int(wrong.argmax()), True
@@ -280,7 +331,7 @@ class Judge:
             own = alone.trace or alone.traced()
         if large and not (isinstance(own, str) or own.cast):
             slopes = _ENTRIES // max(len(found.program.slope), 1)
-            found.every = math.ceil(count / min(max(slopes, _EVEN), _SLOPES))
+            found.every = math.ceil(count / min(max(slopes, EVEN), _SLOPES))
             found.thin = math.ceil(count / found.every / _VALUES)
         self.answers.append(found)
         return found
@@ -320,5 +371,10 @@ def judged() -> Iterator[Judge]:
 
 def _chosen(doubts: Array) -> Integers:
     """The places of the points most in doubt, and of some at even distances."""
-    some = np.linspace(0, len(doubts) - 1, min(_EVEN, len(doubts))).astype(np.intp)
-    return np.union1d(some, choice(doubts))
+    last = len(doubts) - 1
+    if last < EVEN:
+        return np.arange(last + 1)
+    chosen = np.zeros(last + 1, dtype=bool)
+    chosen[np.arange(EVEN) * last // (EVEN - 1)] = True
+    chosen[choice(doubts)] = True
+    return np.flatnonzero(chosen)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from fractions import Fraction
 from operator import not_
 from typing import Any
 
@@ -57,3 +58,11 @@ PYTHON: dict[str, Callable[..., Any]] = {
     "opposite": not_,
 }
 BATCH: dict[str, Callable[..., Any]] = {name: getattr(np, name) for name in SCALAR}
+
+
+def _fma(a: float, b: float, c: float) -> Any:
+    return np.float64(Fraction(a) * Fraction(b) + Fraction(c))
+
+
+# A product and a sum rounded together, of our own traces alone.
+BATCH["fma"] = _fma

@@ -15,33 +15,41 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from pgm.kernels import differences
-from pgm.kernels.arrays import Array, Integers, Mask, components_last, quiet
+from pgm.kernels.arrays import (
+    Array,
+    Integers,
+    Mask,
+    components_first,
+    components_last,
+    quiet,
+)
+from pgm.tracing.clearing import Clearing
+from pgm.tracing.measures import (
+    ALIKE,
+    APART,
+    ASKED,
+    BESIDE,
+    DOUBT,
+    NEAR,
+    OF_ITSELF,
+    OF_NOISE,
+    OF_PREDICTION,
+    ROUNDING,
+    SCALES,
+    SIDES,
+    UNTOLD,
+    shares,
+)
 from pgm.tracing.program import Program
 
-# Values show slopes so far beside a point, in standard deviations; where nobody has told these they
-# are taken to be so large.
-_BESIDE, _UNTOLD = 1e-2, 1e-2
-# Slopes are compared with those beside them over steps of about these shares of a deviation: of
-# all components at once, with the same sign, and with signs by turns, lest the steps cancel.
-_NEAR = ((1e-2, 1.0), (1e-5, -1.0))
-# Differences are taken over steps of these shares of a standard deviation, and the trace's slopes
-# looked at so many steps away: at two distances, lest a function that swings be taken for straight.
-_SCALES, _SIDES = (1e-2, 1e-4, 1e-6), (1.0, -1.0, 1.6, -1.6)
-# The function is asked for about so many entries of slopes in doubt.
-_ASKED = 256
-# Slopes that are the same differ by less: shares of themselves; of the noise and of the prediction,
-# when they move it. Some are alike that differ by a share of an error, and of themselves.
-_OF_ITSELF, _OF_NOISE, _OF_PREDICTION, _ALIKE = 1e-3, 1e-3, 1e-9, 0.1
-# Slopes are in doubt from so much on.
-_DOUBT = 1e-3
-# The rounding of a value is some units in its last place; a step is at least so many of those of
-# its component, or no difference tells anything.
-_ROUNDING, _APART = 1e-14, 1e3
+# The share of a deviation over which differences are taken, by an axis of points and one of moves.
+_SCALES = np.array(SCALES)[:, None, None]
 
 
 def beside(x: Array, std: Array) -> Array:
@@ -49,14 +57,7 @@ def beside(x: Array, std: Array) -> Array:
 
     So no difference of components is the same there as at x, as it were with equal steps.
     """
-    return x + _BESIDE * _shares(x.shape) * _told(std)
-
-
-def _shares(shape: tuple[int, ...]) -> Array:
-    """Numbers between 0.5 and 1.5, each another, by turns of φ."""
-    numbers = np.arange(1.0, math.prod(shape) + 1.0)
-    found: Array = 0.5 + np.modf(0.6180339887498949 * numbers)[0].reshape(shape)
-    return found
+    return x + BESIDE * shares(x.shape) * _told(std)
 
 
 def _told(std: Array) -> Array:
@@ -65,7 +66,7 @@ def _told(std: Array) -> Array:
     They are zero of all components where a call linearises at points alone, as at a start, and of
     those under a flat prior; NaN where nobody has told them. All of these are taken to be 10⁻².
     """
-    found: Array = np.where(np.isfinite(std) & (std > 0.0), std, _UNTOLD)
+    found: Array = np.where(np.isfinite(std) & (std > 0.0), std, UNTOLD)
     return found
 
 
@@ -87,6 +88,8 @@ class Points(NamedTuple):
     @classmethod
     def joined(cls, parts: Sequence[Points]) -> Points:
         """The points of several parts, one after another."""
+        if len(parts) == 1:
+            return parts[0]
         return cls(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
     @classmethod
@@ -134,14 +137,23 @@ class Slopes:
     def __init__(
         self, function: Callable[..., Any], program: Program, angles: Mask, noise: Array
     ) -> None:
-        self.program, self._angles, self._noise = program, angles, noise
+        self.program, self.angles, self.noise = program, angles, noise
         self._call = function
-        starts = np.cumsum([0, *program.widths])
-        self._cuts = starts[1:-1]
+        starts = [0, *accumulate(program.widths)]
+        self._cuts = list(map(slice, starts, starts[1:]))
         self.columns = np.array([starts[a] + i for a, i in program.columns], dtype=np.intp)
         self._places: list[int] = self.columns.tolist()
-        self._shares: list[float] = _shares(self.columns.shape).tolist()
-        self._least: list[float] = (_OF_NOISE * noise).tolist()
+        self.shares: list[float] = shares(self.columns.shape).tolist()
+        self._clearing: dict[bool, Clearing] = {}
+        self._least: list[float] = (OF_NOISE * noise).tolist()
+
+    def clearing(self, trace: Program, *, differentiated: bool) -> Clearing | None:
+        """What clears points in machine code; None where the trace is too long for that."""
+        found = self._clearing.get(differentiated)
+        if found is None:
+            found = Clearing(trace, self, differentiated=differentiated)
+            self._clearing[differentiated] = found
+        return found if found.able else None
 
     def function(self, flat: Array) -> Array | None:
         """The function's value (..., d) at arguments side by side; None where it fails."""
@@ -153,7 +165,27 @@ class Slopes:
 
     def apart(self, flat: Array) -> list[Array]:
         """The arguments (..., width) each, of those side by side (..., widths)."""
-        return np.split(flat, self._cuts, axis=-1)
+        return [flat[..., cut] for cut in self._cuts]
+
+    def functions(self, parts: Sequence[Array]) -> list[Array | None]:
+        """The function's values (..., d) at parts of points (..., widths), by a single call.
+
+        Where that fails each part is asked for by itself; None is of a part that fails.
+        """
+        flat = [part.reshape(-1, part.shape[-1]) for part in parts]
+        ends = list(accumulate(map(len, flat)))
+        found = self.function(np.concatenate(flat)) if len(parts) > 1 else None
+        values: list[Array | None] = [None] * len(parts)
+        if found is not None and found.ndim == 2 and len(found) == ends[-1]:
+            values[:] = np.split(found, ends[:-1])
+        else:
+            values = [self.function(each) for each in flat]
+        return [
+            None
+            if value is None or value.ndim != 2 or len(value) != part[..., 0].size
+            else value.reshape(*part.shape[:-1], value.shape[-1])
+            for value, part in zip(values, parts, strict=True)
+        ]
 
     def doubts(self, points: Points) -> Array:
         """How far slopes are from those beside them on both sides, at either distance, (k, d, n).
@@ -162,23 +194,20 @@ class Slopes:
         of the noise and of |J₊ + J₋| σ / 2; what is below zero is as a smooth function has it.
         """
         std, x = _told(points.std), points.arguments[:, self.columns]
-        own, shares = std[:, None, :], _shares(x.shape)
-        sides = np.repeat(points.arguments[None], 2 * len(_NEAR), axis=0)
-        for k, (near, sign) in enumerate(_NEAR):
-            step = near * sign ** np.arange(x.shape[-1]) * shares * std
-            sides[2 * k][:, self.columns] += step
-            sides[2 * k + 1][:, self.columns] -= step
+        own_shares = shares(x.shape) * std
+        signs = np.array([near * sign ** np.arange(x.shape[-1]) for near, sign in NEAR])
+        step = signs[:, None] * own_shares  # of either distance, (2, k, n)
+        sides = np.broadcast_to(points.arguments, (2, len(NEAR), *points.arguments.shape)).copy()
+        sides[..., self.columns] += np.array([1.0, -1.0])[:, None, None, None] * step
         slopes = self.program.batch(self.apart(sides), sides.shape[:-1])[1]
-        slopes = np.einsum("ijpk->pkij", slopes)
-        found = np.zeros(points.slope.shape)
+        above, below = slopes[:, :, 0], slopes[:, :, 1]  # (d, n, 2, k)
+        here, own = components_first(points.slope, 2)[:, :, None], std.T[None, :, None]
         with quiet():
-            for above, below in zip(slopes[::2], slopes[1::2], strict=True):
-                middle = 0.5 * (above + below)
-                off = (np.abs(points.slope - middle) - np.abs(above - below)) * own
-                unit = np.abs(middle) * own + self._noise[:, None]
-                doubt = off / np.where(unit > 0.0, unit, 1.0)
-                found = np.maximum(found, np.nan_to_num(doubt))
-        return found
+            middle = 0.5 * (above + below)
+            off = (np.abs(here - middle) - np.abs(above - below)) * own
+            unit = np.abs(middle) * own + self.noise[:, None, None, None]
+            doubt = np.nan_to_num(off / np.where(unit > 0.0, unit, 1.0))
+        return components_last(doubt.max(axis=2, initial=0.0), 2)
 
     def doubtful(self, components: Sequence[float], slope: Array, std: Array) -> bool:
         """Whether the slope (d, n) of one evaluation may be in doubt, as `doubts` of many.
@@ -186,9 +215,9 @@ class Slopes:
         `components` are those of all arguments side by side, `std` (n,) of the columns. Nearly all
         slopes are cleared in plain Python, a few numbers being too few for NumPy.
         """
-        spread = [each if 0.0 < each < math.inf else _UNTOLD for each in std.tolist()]
+        spread = [each if 0.0 < each < math.inf else UNTOLD for each in std.tolist()]
         here = slope.ravel().tolist()
-        return any(self._is_apart(*near, components, here, spread) for near in _NEAR)
+        return any(self._is_apart(*near, components, here, spread) for near in NEAR)
 
     def _is_apart(
         self,
@@ -204,7 +233,7 @@ class Slopes:
         component to the next.
         """
         above, below = list(components), list(components)
-        for column, share, each in zip(self._places, self._shares, spread, strict=True):
+        for column, share, each in zip(self._places, self.shares, spread, strict=True):
             step = near * share * each
             above[column] += step
             below[column] -= step
@@ -228,86 +257,116 @@ class Slopes:
         return self.fault(points.at(chosen)) if chosen.size else None
 
     def fault(self, points: Points) -> str | None:
-        """The words for a slope unlike the function's differences, if there is one.
+        """The words for a slope unlike the function's differences, if there is one."""
+        differed = self.differed(points)
+        return differed.fault(self.function(differed.points))
 
-        They are compared along each component, and along all at once: a branch may hold as long as
-        either of two components is small. Along a move of v (n,) standard deviations the slope is
-        J diag(σ) v = s. It is wrong if |s − D| is more than a thousandth of it, and of the noise.
-        The differences D, over a step, are believed where the trace's own slopes one and 1.6 steps
-        to either side are alike, and D their mean: not at kinks, nor where a function bends within
-        a step. Rounding of values, over a step, is no fault of the slope.
-        """
-        std, x = _told(points.std), points.arguments[:, self.columns]
-        directions = np.eye(len(self.columns))
+    def differed(self, points: Points) -> Differed:
+        """Points about some, at which the function is to be asked for its differences."""
+        return Differed(self, points)
+
+
+class Differed:
+    """The slopes of some points, held against differences of the function.
+
+    They are compared along each component, and along all at once: a branch may hold as long as
+    either of two components is small. Along a move of v (n,) standard deviations the slope is
+    J diag(σ) v = s. It is wrong if |s − D| is more than a thousandth of it, and of the noise. The
+    differences D, over a step, are believed where the trace's own slopes one and 1.6 steps to
+    either side are alike, and D their mean: not at kinks, nor where a function bends within a step.
+    Rounding of values, over a step, is no fault of the slope.
+
+    Attributes
+    ----------
+    points : ndarray
+        (scales, k, moves, 4, widths): at steps of each scale, of k points, along each move.
+    """
+
+    points: Array
+
+    def __init__(self, slopes: Slopes, at: Points) -> None:
+        self._slopes, self._at = slopes, at
+        std, x = _told(at.std), at.arguments[:, slopes.columns]
+        directions = np.eye(len(slopes.columns))
         if len(directions) > 1:
-            directions = np.concatenate([directions, [self._shares]])
-        for scale in _SCALES:
-            steps = np.where(scale * std >= _APART * np.spacing(np.abs(x)), scale * std, 0.0)
-            moves = differences.taken(x[:, None], directions * steps[:, None])
-            found = self._fault_along(points, moves, scale, std)
-            if found is not None:
-                row, part, k, due, slope = found
-                return (
-                    f"at {shown(points.arguments[row])} the derivative of component {part} of its "
-                    f"value, along {shown(moves[row, k] / np.abs(moves[row, k]).max())}, is "
-                    f"{due:.6g} by differences over {scale:g} standard deviations, {slope:.6g} by "
-                    "its trace: its formula cancels there, or is of a branch much narrower than "
-                    "the belief"
-                )
-        return None
+            directions = np.concatenate([directions, [slopes.shares]])
+        steps = _SCALES * std
+        steps = np.where(steps >= APART * np.spacing(np.abs(x)), steps, 0.0)
+        # Along each direction, (scales, k, moves, n).
+        self._moves = differences.taken(x[:, None], directions * steps[:, :, None])
+        around = differences.around(x[:, None], self._moves)
+        self.points = self._wide(around)
 
-    def _fault_along(
-        self, points: Points, moves: Array, scale: float, std: Array
-    ) -> tuple[int, int, int, float, float] | None:
-        """The first wrong slope along moves (k, m, n), of steps of a scale; see `fault`.
+    def _wide(self, moved: Array) -> Array:
+        """Points (scales, k, ..., widths) whose columns are `moved`, (scales, k, ..., n)."""
+        flat = self._at.arguments
+        flat = flat.reshape(len(flat), *(1,) * (moved.ndim - 3), -1)
+        wide = np.broadcast_to(flat, (*moved.shape[:-1], flat.shape[-1])).copy()
+        wide[..., self._slopes.columns] = moved
+        return wide
 
-        Returns
-        -------
-        tuple or None
-            The point, the component of the value, the move, and the derivatives along it, per unit
-            of its longest component: that due, by differences, and that of the trace.
+    def fault(self, values: Array | None) -> str | None:
+        """The words for a wrong slope, by the function's values at `points`, (..., 4, d).
+
+        Values are None where the function fails there, which is no fault of a slope.
         """
-        flat, x = points.arguments, points.arguments[:, self.columns]
-        count = len(self._angles)
-
-        def along(moved: Array) -> Array:
-            wide = np.repeat(flat[:, None], moved.shape[1], axis=1)
-            wide[..., self.columns] = moved
-            due = self.function(wide)
-            if due is None:
-                return np.full((*moved.shape[:-1], count), np.nan)
-            return due[..., :count]
-
+        if values is None:
+            return None
+        slopes, at, moves = self._slopes, self._at, self._moves
+        scales = _SCALES[..., None]
         with quiet():
-            due = differences.along(along, x, moves, self._angles) / (12.0 * scale)
-            told = np.einsum("kij,kmj->kim", points.slope, moves) / scale
-            sides = np.repeat(flat[:, None, None], len(_SIDES), axis=1).repeat(moves.shape[1], 2)
-            for k, side in enumerate(_SIDES):
-                sides[:, k][..., self.columns] += side * moves
-            near = self.program.batch(self.apart(sides), sides.shape[:-1])[1]
-            near = np.einsum("ijpsm,pmj->psim", near, moves) / scale
-            error, doubt = np.abs(told - due), np.abs(near - due[:, None]).max(axis=1)
-            unit = np.sqrt((due**2).sum(axis=-1, keepdims=True))
-            least = np.maximum(_OF_NOISE * self._noise[:, None], _OF_PREDICTION * unit)
-            least = least + _ROUNDING * np.abs(points.value[:, :count, None]) / scale
-            wrong = (error > least) & (error > _OF_ITSELF * np.maximum(np.abs(due), np.abs(told)))
-            wrong &= doubt < _ALIKE * error
-            wrong &= np.abs(near.mean(axis=1) - due) < _ALIKE * np.maximum(np.abs(due), least)
-            wrong &= (moves != 0.0).any(axis=-1)[:, None]
+            due = differences.change(values[..., : len(slopes.angles)], slopes.angles)
+            due /= 12.0 * scales
+            told = at.slope @ moves.swapaxes(-1, -2) / scales
+            error = np.abs(told - due)
+            size = np.sqrt((due**2).sum(axis=-1, keepdims=True))
+            least = np.maximum(OF_NOISE * slopes.noise[:, None], OF_PREDICTION * size)
+            least = least + ROUNDING * np.abs(at.value[:, : len(slopes.angles), None]) / scales
+            wrong = (error > least) & (error > OF_ITSELF * np.maximum(np.abs(due), np.abs(told)))
+            wrong &= (moves != 0.0).any(axis=-1)[:, :, None]
+            if wrong.any():
+                least = np.broadcast_to(least, wrong.shape)[wrong]
+                wrong[wrong] = self._sure(wrong, due[wrong], error[wrong], least)
         if not wrong.any():
             return None
-        row, part, k = (int(axis[0]) for axis in np.nonzero(wrong))
-        unit = np.abs(moves[row, k]).max() / scale
-        return row, part, k, due[row, part, k] / unit, told[row, part, k] / unit
+        scale, row, part, k = where = tuple(int(axis[0]) for axis in np.nonzero(wrong))
+        move, share = moves[scale, row, k], float(_SCALES[scale, 0, 0])
+        unit = np.abs(move).max() / share
+        return (
+            f"at {shown(at.arguments[row])} the derivative of component {part} of its value, along "
+            f"{shown(move / np.abs(move).max())}, is {due[where] / unit:.6g} by differences over "
+            f"{share:g} standard deviations, {told[where] / unit:.6g} by its trace: its formula "
+            "cancels there, or is of a branch much narrower than the belief"
+        )
+
+    def _sure(self, places: Mask, due: Array, error: Array, least: Array) -> Mask:
+        """Whether the trace's slopes to both sides show that differences are right.
+
+        `places` (scales, k, d, moves) marks c slopes; the other arguments, and the result, are
+        (c,).
+        """
+        scale, row, part, k = np.nonzero(places)
+        slopes, move = self._slopes, self._moves[scale, row, k]
+        sides = np.repeat(self._at.arguments[row, None], len(SIDES), axis=1)
+        sides[..., slopes.columns] += np.array(SIDES)[:, None] * move[:, None]
+        steep = slopes.program.batch(slopes.apart(sides), sides.shape[:-1])[1]
+        steep = np.moveaxis(steep, 2, 0)[np.arange(len(part)), part]  # (c, n, sides)
+        near = (move[:, None] @ steep)[:, 0] / _SCALES[scale, 0]
+        found: Mask = np.abs(near - due[:, None]).max(axis=1) < ALIKE * error
+        mean = near.mean(axis=1)
+        found &= np.abs(mean - due) < ALIKE * np.maximum(np.abs(due), least)
+        return found
 
 
 def choice(doubts: Array) -> Integers:
     """The places of the points most in doubt, of each entry some, from doubts (k, d, n)."""
     count, height, width = doubts.shape
-    most = min(max(_ASKED // (height * width), 1), count)
+    if not (doubts > DOUBT).any():
+        return np.empty(0, dtype=np.intp)
+    most = min(max(ASKED // (height * width), 1), count)
     flat = doubts.reshape(count, -1)
     worst = np.argpartition(flat, count - most, axis=0)[count - most :]
-    doubtful = np.take_along_axis(flat, worst, axis=0) > _DOUBT
+    doubtful = np.take_along_axis(flat, worst, axis=0) > DOUBT
     found: Integers = np.unique(worst[doubtful])
     return found
 

@@ -11,6 +11,7 @@ import numpy as np
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Mask, components_last
 from pgm.tracing.program import Program
+from pgm.tracing.slopes import Slopes
 from pgm.tracing.traced import STAND_INS, Node, Recorder, Traced, Untraceable, bare, traced_elements
 
 LIMIT = 2000  # operations
@@ -83,6 +84,8 @@ _SPREAD = np.array([[0.0, 0.01, 1.0], [1.0, 10.0, 100.0]])
 _EQUAL = 1e-12
 # A trace that fails for the n-th time in a row is left out of 2^n − 1 calls, at most so.
 _MOST_FAILURES = 6
+# A trace has been right often after so many calls.
+_OFTEN = 5
 
 
 class Tracer:
@@ -114,7 +117,8 @@ class Tracer:
         self.reason: str | None = None
         # Whether a call has found it right; how often it failed since, and calls to leave out.
         self._proven, self._failures, self._waits = False, 0, 0
-        self._stale = False
+        self._stale, self._calls = False, 0
+        self._slopes: tuple[Program, tuple[float, ...], Slopes] | None = None
 
     def confirm(self, centres: Sequence[Array], *, anew: bool = False) -> bool:
         """Whether there is a trace. A new one must equal its function about some values (width,).
@@ -135,7 +139,7 @@ class Tracer:
             self._fail(_DIFFERS)
             return False
         if repr(found) != repr(self.trace):  # else what was made of it is still good
-            self.trace, self._proven = found, False
+            self.trace, self._proven, self._calls = found, False, 0
         return True
 
     def renew(self) -> None:
@@ -146,6 +150,7 @@ class Tracer:
         """Take a trace for right, since a call has found it so."""
         if self.trace is proven:
             self._proven, self._failures, self.reason = True, 0, None
+            self._calls += 1
 
     def doubt(self, doubted: Program, reason: str, *, moved: bool) -> None:
         """Give up a wrong trace; if the function's values have changed, trace it once more.
@@ -158,6 +163,19 @@ class Tracer:
             else:
                 self._fail(reason)
 
+    @property
+    def often(self) -> bool:
+        """Whether calls have found the trace right so often that there may be many more."""
+        return self._calls >= _OFTEN
+
+    def slopes(self, program: Program, variances: tuple[float, ...]) -> Slopes:
+        """The derivatives of a program of the trace, with the least variances of noise, (d,)."""
+        if self._slopes is None or self._slopes[:2] != (program, variances):
+            noise = np.sqrt(variances)
+            made = Slopes(self.function, program, self.angles[: len(noise)], noise)
+            self._slopes = program, variances, made
+        return self._slopes[2]
+
     def traced(self) -> Program | str:
         """The trace as the function is now, or the reason for none."""
         if self.reason is None:
@@ -165,7 +183,7 @@ class Tracer:
         return str(self.reason) if self.trace is None else self.trace
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_proven": False}
+        return self.__dict__ | {"_proven": False, "_calls": 0, "_slopes": None}
 
     def _fail(self, reason: str) -> None:
         self.trace, self.reason, self._proven = None, reason, False

@@ -154,7 +154,7 @@ def scalar(name: str, *operands: Any) -> Any:
         for i, truth in enumerate(truths):
             if truth and (name, i) != ("where", 0):
                 numbers[i] = g.add("where", numbers[i], g.constant(1.0), g.constant(0.0))
-    if name not in SCALAR:
+    if name not in SCALAR and name != "fma":
         raise g.refuse(f"np.{name} is not traced")
     return Node(g, g.add(name, *numbers))
 
@@ -228,6 +228,10 @@ class Traced(np.ndarray[Any, Any]):
 
     def __iter__(self) -> Iterator[Any]:
         return (self[k] for k in range(len(self)))
+
+    def fused(self, a: Any, b: Any) -> Any:
+        """The numbers a b − x of numbers x, rounded once: where x is a b, the rounding of it."""
+        return elementwise("fma", a, b, -self)
 
     def astype(self, dtype: Any, *_: Any, **__: Any) -> Any:
         """A copy; traced numbers are floats."""

@@ -150,9 +150,9 @@ def test_each_printer_computes_what_the_function_does():
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_machine_code_computes_what_the_function_does():
     pytest.importorskip("llvmlite", reason="machine code is written by LLVM")
-    from pgm.kernels.machine.kinds import ADDRESS
-    from pgm.kernels.machine.module import Module
-    from pgm.kernels.machine.traces import written
+    from pgm.kernels.machine.emitter.kinds import ADDRESS
+    from pgm.kernels.machine.emitter.module import Module
+    from pgm.kernels.machine.emitter.traces import written
 
     pairs_ = np.stack(np.meshgrid(SPECIAL, SPECIAL), axis=-1).reshape(-1, 2)
     points = np.concatenate([pairs_, np.random.default_rng(1).normal(size=(20, 2))])

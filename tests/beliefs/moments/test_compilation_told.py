@@ -86,7 +86,8 @@ def test_cpds_are_told_by_the_graph_and_the_status(name):
         assert why in compilation[model.observation[0]]
         assert why in compilation.under(schedule)
         assert why in status.compilation
-        assert status.compilation.count(why) == 1
+        # A smoother's functions are called back by its filter, and left when it linearises again.
+        assert status.compilation.split("but for: ")[-1].count(why) == 1
 
 
 def test_the_lineariser_of_a_call():
@@ -106,7 +107,9 @@ def test_the_account_of_a_call_is_that_of_its_cpds(name):
     graph = pgm.compile(MODELS[name], 8, compiled=True)
     status = pgm.infer(graph, recording(name), schedule=pgm.Filtering()).status
     whole = set(graph.compilation.values()) == {"compiled"}
-    assert status.compilation.startswith("compiled" if whole else "not compiled: ")
+    assert whole == (status.compilation == "compiled")
+    if not whole:  # a pass in twice the digits may yet be compiled
+        assert status.compilation.startswith(("not compiled: ", "compiled, but for: "))
 
 
 def test_runs_that_are_left_are_counted():

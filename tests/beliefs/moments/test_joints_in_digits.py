@@ -5,7 +5,7 @@ import pytest
 from precise import Reference
 
 import pgm
-from pgm.beliefs.moments.digits.adjoint import Later
+from pgm.beliefs.moments.digits.adjoint_belief import Later
 
 x = pgm.Variable("x", components=("now", "before"))
 y, z = pgm.variables("y z")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from machine_code import WIDTHS, elementwise
 
-from pgm.kernels.machine.kinds import ADDRESS, FLOAT, PACK, TRUTH, WHOLE
-from pgm.kernels.machine.module import Module
+from pgm.kernels.machine.emitter.kinds import ADDRESS, FLOAT, PACK, TRUTH, WHOLE
+from pgm.kernels.machine.emitter.module import Module
 
 PACKS = WIDTHS[1:]
 

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from machine_code import apart, elementwise
 
-from pgm.kernels.machine.kinds import ADDRESS
-from pgm.kernels.machine.module import Module
-from pgm.kernels.machine.traces import written
+from pgm.kernels.machine.emitter.kinds import ADDRESS
+from pgm.kernels.machine.emitter.module import Module
+from pgm.kernels.machine.emitter.traces import written
 from pgm.tracing.graph import Graph
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from machine_code import elementwise
 
-from pgm.kernels.machine.kinds import FLOAT
-from pgm.kernels.machine.module import Module
+from pgm.kernels.machine.emitter.kinds import FLOAT
+from pgm.kernels.machine.emitter.module import Module
 
 
 def affine(factor):

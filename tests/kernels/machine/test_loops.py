@@ -9,15 +9,15 @@ import pgm
 pytest.importorskip("llvmlite", reason="LLVM is driven by llvmlite")
 
 from pgm.kernels import step
-from pgm.kernels.machine import sweeps
-from pgm.kernels.machine.kinds import ADDRESS
+from pgm.kernels.machine.emitter.kinds import ADDRESS
+from pgm.kernels.machine.emitter.memory import Memory, Runs
+from pgm.kernels.machine.emitter.module import Module
 from pgm.kernels.machine.loops.frame import Frame
 from pgm.kernels.machine.loops.layout import Layout
 from pgm.kernels.machine.loops.loops import Loops
 from pgm.kernels.machine.loops.stored import Space, Stored
 from pgm.kernels.machine.loops.transfers import read, write
-from pgm.kernels.machine.memory import Memory, Runs
-from pgm.kernels.machine.module import Module
+from pgm.kernels.machine.sweeps import chain as sweeps
 from pgm.kernels.numbers import Matrix
 
 SIZES = [(1, 1), (2, 1), (3, 2), (4, 4), (5, 3), (7, 9), (8, 8), (13, 5), (24, 12), (60, 33)]

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from machine_code import WIDTHS
 
-from pgm.kernels.machine.kinds import ADDRESS, FLOAT, WHOLE
-from pgm.kernels.machine.memory import Runs
-from pgm.kernels.machine.module import Module
+from pgm.kernels.machine.emitter.kinds import ADDRESS, FLOAT, WHOLE
+from pgm.kernels.machine.emitter.memory import Runs
+from pgm.kernels.machine.emitter.module import Module
 
 PACKS = WIDTHS[1:]
 

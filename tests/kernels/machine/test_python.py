@@ -10,8 +10,8 @@ import pytest
 
 pytest.importorskip("llvmlite")
 
-from pgm.kernels.machine.module import Module
-from pgm.kernels.machine.python import bound, written
+from pgm.kernels.machine.emitter.module import Module
+from pgm.kernels.machine.emitter.python import bound, written
 
 
 def made():

@@ -8,9 +8,9 @@ import numpy as np
 
 from pgm.beliefs.moments.compiled.memory import address, aligned
 from pgm.kernels.arrays import Array, Integers
-from pgm.kernels.machine import told
-from pgm.kernels.machine.asking import Asking
-from pgm.kernels.machine.waiting import ALIGNED
+from pgm.kernels.machine.emitter.waiting import ALIGNED
+from pgm.kernels.machine.sweeps import told
+from pgm.kernels.machine.sweeps.asking import Asking
 from pgm.linearisation.failures import failure
 from pgm.linearisation.family import Family
 from pgm.linearisers import BoundFunction, Taylor

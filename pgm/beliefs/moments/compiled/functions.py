@@ -11,7 +11,8 @@ from pgm.compile.machine import rule_told
 from pgm.cpds import RobustNoise
 from pgm.cpds.radius import kept
 from pgm.kernels.arrays import Array
-from pgm.kernels.machine import told
+from pgm.kernels.machine.emitter.functions import Function
+from pgm.kernels.machine.sweeps import told
 from pgm.linearisation.family import Family
 from pgm.linearisers import FunctionTemplate, Taylor
 from pgm.linearisers.points import Points
@@ -23,18 +24,18 @@ from pgm.tracing.program import Column
 _NOTHING = 1e-15
 
 
-def function_of(template: FunctionTemplate, trace: Program) -> told.Function:
+def function_of(template: FunctionTemplate, trace: Program) -> Function:
     """A function with its whole derivative: given parts from the trace, and its own of the rest.
 
     `trace` is that of the value, followed by the derivatives that were given.
     """
-    known: told.Function | None = template.compiled.get(trace)
+    known: Function | None = template.compiled.get(trace)
     if known is None:
         known = template.compiled[trace] = _function(template, trace)
     return known
 
 
-def _function(template: FunctionTemplate, trace: Program) -> told.Function:
+def _function(template: FunctionTemplate, trace: Program) -> Function:
     height, size = template.height, template.size
     alone = trace.by(template.missing_columns, height)
     slope = np.full((height, size), None)
@@ -59,7 +60,7 @@ def _told_function(
     slope: Sequence[int | None],
     hidden: Sequence[Column],
     observed: Sequence[Column],
-) -> told.Function:
+) -> Function:
     """Some operations of a program, without those on which they do not depend."""
     order = program.graph.reachable([*value, *(k for k in slope if k is not None)])
     new = {number: k for k, number in enumerate(order)}
@@ -68,7 +69,7 @@ def _told_function(
         name, *operands = program.graph.operations[number]
         plain = name in ("constant", "input")
         operations.append((name, *(operands if plain else (new[k] for k in operands))))
-    return told.Function(
+    return Function(
         tuple(operations),
         tuple(new[k] for k in value),
         tuple(None if k is None else new[k] for k in slope),
@@ -78,7 +79,7 @@ def _told_function(
 
 
 @kept
-def loss_of(noise: RobustNoise, count: int) -> tuple[told.Function, ...] | str:
+def loss_of(noise: RobustNoise, count: int) -> tuple[Function, ...] | str:
     """Of sightings of so many components w(s), the surplus of s and w, and 2 ρ(s); or why not."""
 
     def weight(square: Array) -> Array:

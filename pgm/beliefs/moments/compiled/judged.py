@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,28 +26,27 @@ def judge(
     A transition is evaluated at the belief `known` from the measurements of the step before, a
     sensor at the `predicted` one, and `again`, in an iterated update, at the one that is known.
     """
-    layout, runs = plan.layout, np.flatnonzero(done)
-    front, states = layout.state_size, layout.state_places
+    layout, runs = plan.layout, None if done.all() else np.flatnonzero(done)
+    front, states, span = layout.state_size, layout.state_places, np.arange(plan.steps)
     for link in plan.transition:
         family = link.family
         if family.compiled is None or not plan.steps:
             continue
-        row, run = _rows(family, np.arange(plan.steps), runs)
-        before, slice_so_far = known[0][row, run], predicted[0][row + 1, run]
-        mean = np.concatenate([before[:, states], slice_so_far], axis=-1)
-        cov = np.zeros((len(row), mean.shape[1], mean.shape[1]))
-        cov[:, :front, :front] = block(known[1][row, run], states, states)
-        cov[:, front:, front:] = predicted[1][row + 1, run]
-        _judge(family, link.parents, row, run, mean, cov)
+        at = _Points.of(family, plan.runs, runs)
+        before, later = at.moments(known, span), at.moments(predicted, span + 1)
+        mean = np.concatenate([before[0][:, states], later[0]], axis=-1)
+        cov = np.zeros((*mean.shape, mean.shape[1]))
+        cov[:, :front, :front] = block(before[1], states, states)
+        cov[:, front:, front:] = later[1]
+        _judge(family, link.parents, at, mean, cov)
     for sensor in plan.read:
         family = sensor.family
         if family.compiled is None:
             continue
-        row, run = _rows(family, np.arange(family.step.size), runs)
-        step = family.step[row] - plan.first
+        at = _Points.of(family, plan.runs, runs)
+        step = family.step - plan.first
         for moments in (predicted, known) if again else (predicted,):
-            mean, cov = moments[0][step, run], moments[1][step, run]
-            _judge(family, sensor.parents, row, run, mean, cov)
+            _judge(family, sensor.parents, at, *at.moments(moments, step))
 
 
 def judge_at(plan: ChainPlan, mean: Array, std: Array) -> None:
@@ -55,35 +55,67 @@ def judge_at(plan: ChainPlan, mean: Array, std: Array) -> None:
     judge(plan, (mean, cov), (mean, cov), np.ones(plan.runs, dtype=bool))
 
 
-def _rows(family: Family, rows: Integers, runs: Integers) -> tuple[Integers, Integers]:
-    """The rows and runs of a family's evaluations, or, of very many, of a sample of them."""
-    assert family.compiled is not None
-    every = np.arange(len(rows) * len(runs)) if len(runs) else np.arange(0)
-    some = family.compiled.sample(every)
-    return rows[some // max(len(runs), 1)], runs[some % max(len(runs), 1)]
+class _Points(NamedTuple):
+    """The points at which a family was evaluated: the row and the run of each.
+
+    All rows of all runs, if these are None.
+    """
+
+    row: Integers | None
+    run: Integers | None
+
+    @classmethod
+    def of(cls, family: Family, count: int, runs: Integers | None) -> _Points:
+        """The points of `runs`, None for all `count`, or, of very many points, some of them."""
+        assert family.compiled is not None
+        if runs is None and family.compiled.every == 1:
+            return cls(None, None)
+        runs = np.arange(count) if runs is None else runs
+        some = family.compiled.sample(np.arange(family.step.size * len(runs)))
+        return cls(some // max(len(runs), 1), runs[some % max(len(runs), 1)])
+
+    def moments(self, moments: Moments, step: Integers) -> tuple[Array, Array]:
+        """Means (k, n) and covariances (k, n, n) at the points, of rows of these steps."""
+        mean, cov = moments[:2]
+        if self.row is None:
+            size = mean.shape[-1]
+            return mean[step].reshape(-1, size), cov[step].reshape(-1, size, size)
+        where = step[self.row], self.run
+        return mean[where], cov[where]
+
+    def inputs(self, values: Array, shape: tuple[int, ...]) -> Array:
+        """Values (rows or 1, runs or 1, d) at the points, (k, d), by rows and runs."""
+        if self.row is not None:
+            assert self.run is not None
+            rows, runs = values.shape[:2]
+            found = values[self.row if rows > 1 else 0, self.run if runs > 1 else 0]
+            return np.broadcast_to(found, (len(self.row), found.shape[-1]))
+        if values.shape[:2] != shape:
+            values = np.broadcast_to(values, (*shape, values.shape[2]))
+        return values.reshape(-1, values.shape[2])
 
 
-def _judge(
-    family: Family, parents: Index, row: Integers, run: Integers, mean: Array, cov: Array
-) -> None:
+def _judge(family: Family, parents: Index, at: _Points, mean: Array, cov: Array) -> None:
     template, rule, answers = family.template, family.lineariser, family.compiled
     assert template is not None
     assert answers is not None
     x, spread = mean[:, parents], block(cov, parents, parents)
+    known = [
+        None if place is not None else at.inputs(family.inputs[parent], family.shape[:2])
+        for parent, place in zip(template.given, template.places, strict=True)
+    ]
     finite = np.isfinite(x).all(axis=-1)
-    x, spread, row, run = x[finite], spread[finite], row[finite], run[finite]
-    std: Array | None = deviation(spread)
+    if not finite.all():
+        x, spread = x[finite], spread[finite]
+        known = [None if a is None else a[finite] for a in known]
+    std: Array | None = None
     if family.hidden and isinstance(rule, StatisticalRegression) and not isinstance(rule, Taylor):
         points = rule.points(template.size, template.child.name, 0).points
         lower = roots.root(spread)
         x = x[:, None] + np.nan_to_num(times_transposed(points, lower))
-        row, run = (np.repeat(each, x.shape[1]) for each in (row, run))
-        x, std = x.reshape(-1, template.size), None
-    arguments = []
-    for parent, place in zip(template.given, template.places, strict=True):
-        if place is not None:
-            arguments.append(x[:, place])
-            continue
-        values = family.inputs[parent]
-        arguments.append(values[row if len(values) > 1 else 0, run if values.shape[1] > 1 else 0])
-    answers.judge([np.broadcast_to(a, (len(x), a.shape[-1])) for a in arguments], std)
+        known = [None if a is None else a.repeat(x.shape[1], 0) for a in known]
+        x = x.reshape(-1, template.size)
+    else:
+        std = deviation(spread)
+    pairs = zip(template.places, known, strict=True)
+    answers.judge([x[:, place] if a is None else a for place, a in pairs], std)

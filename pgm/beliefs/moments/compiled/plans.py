@@ -1,9 +1,10 @@
-"""Plans of chains, as machine code is told of them: its key, and its table."""
+"""Plans of chains, as machine code is told of them: what decides their code, and their table."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from itertools import pairwise
+from operator import attrgetter, itemgetter
 from typing import Any
 
 import numpy as np
@@ -17,15 +18,23 @@ from pgm.beliefs.moments.steps.plan import ChainPlan, Link
 from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.compile.machine import MOST
 from pgm.kernels.arrays import Array, Index
-from pgm.kernels.machine import told
-from pgm.kernels.machine.memory import Runs
+from pgm.kernels.machine.emitter.memory import Runs
+from pgm.kernels.machine.sweeps import told
 from pgm.linearisation.family import Family
+from pgm.linearisers import Taylor
 from pgm.schedules.gates import gate_of
+from pgm.variables import Variable
 
 # Components of which differences are worth their code.
 _FEW = 12
 
 Integers64 = npt.NDArray[np.int64]
+# By name the arrays that a sweep fills or reads beside those of CPDs and sensors.
+Record = dict[str, Array]
+# What decides how a CPD is linearised whose function is called.
+CALLED = "called"
+# How an array's owner, a CPD, a sensor or a record, is asked for it.
+Get = Callable[[Any], Any]
 
 
 class Uncompiled(Exception):
@@ -35,15 +44,15 @@ class Uncompiled(Exception):
 class Table:
     """A table that is filled, and the arrays that it tells of, which stay in memory as it does.
 
-    `lanes` is how many runs are swept together. `calls` are the functions that are called, None
-    where none may be.
+    `lanes` is how many runs are swept together, `record` the arrays that no CPD and no sensor owns;
+    `calls` are the functions that are called, None where none may be.
     """
 
     def __init__(self, plan: ChainPlan, lanes: int, calls: Calls | None = None) -> None:
         self.lanes, self.calls, self._account = lanes, calls, plan.account
         self.numbers = [0] * told.FIRST
         self.numbers[told.LAST], self.numbers[told.RUNS] = plan.steps, plan.runs
-        self.decisions: list[tuple[Sensor, Array]] = []
+        self.record: Record = {}
         self._kept: list[object] = []
 
     def put(self, place: int, array: npt.NDArray[Any]) -> None:
@@ -59,12 +68,8 @@ class Table:
 
     def array(self, array: Array) -> told.Array:
         """An array (rows or 1, runs or 1, own axes), told."""
-        if not array.size:  # which is never read, and has no distances
-            array = np.zeros((1, *array.shape[1:]))
+        array = readable(array)
         inner = [(k, n) for k, n in zip(array.strides[2:], array.shape[2:], strict=True) if n > 1]
-        for (outer, _), (stride, size) in pairwise(inner):
-            if outer != stride * size:
-                return self.array(np.ascontiguousarray(array))
         down, across = (
             0 if n == 1 else k // 8 for k, n in zip(array.strides, array.shape[:2], strict=False)
         )
@@ -75,6 +80,14 @@ class Table:
         if self.lanes > 1 and across != 1:
             runs = Runs.APART if across else Runs.SAME
         return told.Array(place, array.shape[2:], runs, cell == 1)
+
+    def of(self, owner: Any, get: Get) -> told.Array:
+        """An array that an owner has, told."""
+        return self.array(get(owner))
+
+    def at_of(self, owner: Any, get: Get) -> int:
+        """The place in the table of the address of an array that an owner has."""
+        return self.at(get(owner))
 
     def by_runs(self, cells: Array) -> told.Array:
         """An array (rows, own axes, runs), told."""
@@ -98,6 +111,16 @@ class Table:
     def whole(self) -> Integers64:
         """The table."""
         return np.array(self.numbers, dtype=np.int64)
+
+
+def readable(array: Array) -> Array:
+    """The array, or a copy, in which components of a row are at even distances."""
+    if not array.size:  # which is never read, and has no distances
+        return np.zeros((1, *array.shape[1:]))
+    inner = [(k, n) for k, n in zip(array.strides[2:], array.shape[2:], strict=True) if n > 1]
+    if any(outer != stride * size for (outer, _), (stride, size) in pairwise(inner)):
+        return np.ascontiguousarray(array)
+    return array
 
 
 def places(index: Index, size: int) -> tuple[int, ...]:
@@ -144,6 +167,69 @@ def needed(
     return pairs or expects or any(row.points is not None for row in (*motions, *sensors)), pairs
 
 
+def decisive(
+    plan: ChainPlan, *, stored: bool, keep: bool, gate: gates.Asked | None
+) -> tuple[Hashable, ...]:
+    """What decides the code of a plan's forward sweep, beside the places of its CPDs.
+
+    Functions are traced, if they were not, and CPDs made ready to keep errors of linearisations.
+    """
+    rows: list[Hashable] = [
+        (_function(link.family, stored=stored, keep=keep), len(link.turning))
+        for link in plan.transition
+    ]
+    rows += [
+        (
+            _function(sensor.family, stored=stored, keep=keep),
+            sensor.family.cpd,
+            _gate(sensor, gate, stored=stored),
+            _missing(sensor, gate, stored=stored),
+            _single(sensor, plan.steps),
+        )
+        for sensor in plan.read
+    ]
+    return (*rows, stored, keep)
+
+
+def _function(family: Family, *, stored: bool, keep: bool) -> Hashable:
+    """What decides how a CPD is linearised."""
+    bare = family.bare if family.noisy else None
+    weighed = family.cpd.noise is not None
+    if stored or family.template is None:
+        if keep and weighed and not stored:
+            family.keep_errors()
+        return bare
+    rule = family.lineariser
+    if _has_points(family) and isinstance(points_of(family), str):
+        return CALLED
+    answers = family.trace_whole()
+    if isinstance(answers, str):
+        return CALLED
+    if keep and (weighed or _has_points(family)):
+        family.keep_errors()
+    return answers.trace, rule, bare
+
+
+def _has_points(family: Family) -> bool:
+    return bool(family.hidden) and type(family.lineariser) is not Taylor
+
+
+def _gate(sensor: Sensor, gate: gates.Asked | None, *, stored: bool) -> float | None:
+    return None if gate is None or stored else gate_of(gate, sensor.variable)
+
+
+def _missing(sensor: Sensor, gate: gates.Asked | None, *, stored: bool) -> bool:
+    taken = sensor.taken
+    if _gate(sensor, gate, stored=stored) is not None:
+        assert sensor.gated is not None
+        taken = sensor.gated.given
+    return taken is not None and not taken.all()
+
+
+def _single(sensor: Sensor, steps: int) -> bool:
+    return sensor.bounds == list(range(steps + 2))
+
+
 def motion_of(
     plan: ChainPlan, link: Link, table: Table, *, stored: bool, keep: bool
 ) -> told.Motion:
@@ -179,43 +265,34 @@ def sensor_of(
     `controlled` says that a cost judges where it is linearised.
     """
     family, size = sensor.family, plan.layout.slice_size
-    keep = keep or controlled
-    values, taken, gated = sensor.moved if stored else sensor.values, sensor.taken, None
-    probability = None if gate is None else gate_of(gate, sensor.variable)
-    if probability is not None:
-        assert sensor.gated is not None
-        taken, gated = sensor.gated.given, _gate_of(probability, sensor, table)
-    if taken is not None and taken.all():
-        taken = None
-    if taken is not None:
-        values = np.where(taken, values, np.nan)
-    single = sensor.bounds == list(range(plan.steps + 2))
+    probability = _gate(sensor, gate, stored=stored)
+    missing = _missing(sensor, gate, stored=stored)
+    readings = "moved_marked" if stored else "marked" if probability is None else "given_marked"
     kept = keep and not stored and bool(sensor.variable.angles)
     loss = None
     if sensor.robust:
-        loss = _loss_of(sensor, table, taken is not None, found=stored, controlled=controlled)
+        loss = _loss_of(sensor, table, missing, found=stored, controlled=controlled)
     # Robust sightings of a step are weighed several times, as they were linearised.
     held = 1 if loss is None else max(1, *np.diff(sensor.bounds).tolist())
     return told.Sensor(
         **row_of(family, places(sensor.parents, size), table, stored=stored, keep=keep, held=held),
-        readings=table.array(values),
-        moved=table.array(sensor.moved) if kept else None,
-        missing=taken is not None,
-        bounds=None if single else table.at(np.array(sensor.bounds, dtype=np.int64)),
-        gate=gated,
+        readings=table.of(sensor, attrgetter(readings)),
+        moved=table.of(sensor, attrgetter("moved")) if kept else None,
+        missing=missing,
+        bounds=None if _single(sensor, plan.steps) else table.at_of(sensor, attrgetter("edges")),
+        gate=None if probability is None else _gate_of(probability, sensor, table),
         loss=loss,
     )
 
 
 def _gate_of(probability: float, sensor: Sensor, table: Table) -> told.Gate:
-    """A sensor's gate, whose decisions are gathered for its record; see `decided`."""
-    count, runs, height, _ = sensor.family.shape
-    limits = gates.limits(probability, height)
-    rejected = np.zeros((count, runs))
-    table.decisions.append((sensor, rejected))
-    assert sensor.gated is not None
-    squares = table.array(sensor.gated.square)
-    return told.Gate(table.array(limits[None, None]), squares, table.array(rejected))
+    """A sensor's gate, whose decisions are gathered in the record; see `decided`."""
+    limits = gates.limits(probability, sensor.height)[None, None]
+    return told.Gate(
+        table.of(sensor, lambda _: limits),
+        table.of(sensor, attrgetter("gated.square")),
+        table.of(table.record, itemgetter(rejected_by(sensor))),
+    )
 
 
 def _loss_of(
@@ -230,22 +307,59 @@ def _loss_of(
             raise Uncompiled(f"{family.cpd!r}: its noise: {each}")
     if controlled and family.expects and family.template is not None:
         raise Uncompiled(f"{family.cpd!r} has robust noise, whose expected losses judge steps")
-    places = table.array(weights.weight), table.array(weights.square)
-    trial = [table.array(np.empty_like(weights.weight)) for _ in range(2 if controlled else 0)]
     weight, surplus, cost = zip(*functions, strict=True)
-    expects = family.expects
+    kept, squares = (
+        table.of(sensor, attrgetter(f"weights.{name}")) for name in ("weight", "square")
+    )
+    trial = trials_of(sensor) if controlled else ()
     return told.Loss(
-        weight, surplus, cost, *places, expects=expects, found=found, trial=tuple(trial)
+        weight,
+        surplus,
+        cost,
+        kept,
+        squares,
+        expects=family.expects,
+        found=found,
+        trial=tuple(table.of(table.record, itemgetter(name)) for name in trial),
     )
 
 
-def decided(table: Table) -> None:
+def trials_of(sensor: Sensor) -> tuple[str, str]:
+    """The names in a record of the weights, and their squares, that a step control tries."""
+    return f"tried weight {sensor.variable.name}", f"tried square {sensor.variable.name}"
+
+
+def untried(plan: ChainPlan) -> Record:
+    """Room for the weights of robust noise that a step control tries."""
+    robust = [sensor for sensor in plan.read if sensor.robust]
+    names = [name for sensor in robust for name in trials_of(sensor)]
+    shapes = [sensor.family.shape[:2] for sensor in robust for _ in range(2)]
+    return {name: np.empty(shape) for name, shape in zip(names, shapes, strict=True)}
+
+
+def rejected_by(sensor: Sensor) -> str:
+    """The name in a record of a gate's decisions."""
+    return f"rejected {sensor.variable.name}"
+
+
+def undecided(plan: ChainPlan, gate: gates.Asked | None, *, stored: bool) -> Record:
+    """Room for what gates decide in a sweep: 1 of a sighting that is rejected, else 0."""
+    return {
+        rejected_by(sensor): np.zeros(sensor.family.shape[:2])
+        for sensor in plan.read
+        if _gate(sensor, gate, stored=stored) is not None
+    }
+
+
+def decided(plan: ChainPlan, record: Record) -> None:
     """Record what gates have decided in a sweep."""
-    for sensor, rejected in table.decisions:
-        assert sensor.gated is not None
-        assert sensor.taken is not None
-        sensor.gated.rejected[...] = rejected != 0.0
-        sensor.taken[...] = sensor.gated.given & ~sensor.gated.rejected[..., None]
+    for sensor in plan.read:
+        rejected = record.get(rejected_by(sensor))
+        if rejected is not None:
+            assert sensor.gated is not None
+            assert sensor.taken is not None
+            sensor.gated.rejected[...] = rejected != 0.0
+            sensor.taken[...] = sensor.gated.given & ~sensor.gated.rejected[..., None]
 
 
 def row_of(
@@ -261,28 +375,31 @@ def row_of(
 
     Of a function that is called, `held` rows are linearised before the first is done with.
     """
+
+    def array(name: str) -> told.Array:
+        return table.of(family, attrgetter(name))
+
+    weighed = family.cpd.noise is not None and not stored
     found: dict[str, Any] = {"parents": parents, "height": family.shape[2]}
     if not stored:
         found["angles"] = tuple(np.flatnonzero(family.cpd.child.angle_mask).tolist())
     if stored or family.template is None:
-        for name in ("matrix", "offset"):
-            found[name] = table.array(getattr(family, name))
-        weighed = family.cpd.noise is not None and not stored
-        found["noise"] = table.array(family.own_noise if weighed else family.noise)
+        found["matrix"], found["offset"] = array("matrix"), array("offset")
+        found["noise"] = array("own_noise" if weighed else "noise")
         if weighed and keep:
             family.keep_errors()
-            found["kept"] = table.array(family.noise)
+            found["kept"] = array("noise")
         return found
-    found["noise"] = table.array(family.own_noise)
+    found["noise"] = array("own_noise")
     curve = _curve(family, table, held)
     found |= curve
     if keep:
-        found["matrix"], found["offset"] = table.array(family.matrix), table.array(family.offset)
+        found["matrix"], found["offset"] = array("matrix"), array("offset")
         called, rule = curve.get("called"), curve.get("points")
         exact = rule is None if called is None else called.lines.error is None
-        if not exact or family.cpd.noise is not None:
+        if not exact or weighed:
             family.keep_errors()
-            found["kept"] = table.array(family.noise)
+            found["kept"] = array("noise")
     return found
 
 
@@ -292,10 +409,10 @@ def _curve(family: Family, table: Table, held: int) -> dict[str, Any]:
     assert template is not None
     if isinstance(rule, str):
         return {"called": _by_numpy(family, table, held, rule)}
-    answers = family.trace_whole()
+    answers = family.compiled or family.trace_whole()
     if not isinstance(answers, str):
         inputs = tuple(
-            table.array(family.inputs[parent])
+            table.of(family, _input(parent))
             for parent, place in zip(template.given, template.places, strict=True)
             if place is None
         )
@@ -328,3 +445,7 @@ def _by_values(
     value, matrix, error, sure = cells
     lines = told.Lines(held, None, value, matrix, None if rule is None else error, sure)
     return table.called(Call(family, count), lines, why)
+
+
+def _input(parent: Variable) -> Get:
+    return lambda family: family.inputs[parent]

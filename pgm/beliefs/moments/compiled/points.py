@@ -20,7 +20,8 @@ from pgm.beliefs.moments.compiled.sweep import FAR, lanes_of, run
 from pgm.beliefs.moments.steps import cost
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.kernels.arrays import Array, Mask, vacant
-from pgm.kernels.machine import sweeps, told
+from pgm.kernels.machine.sweeps import chain as sweeps
+from pgm.kernels.machine.sweeps import told
 from pgm.schedules.iteration import Point
 
 
@@ -99,7 +100,8 @@ class _Bound:
     def _run(self, chain: told.Linearised, at: Point) -> bool:
         for mine, its in zip(self._point, (at.mean, at.cov, at.joint), strict=False):
             mine[...] = its
-        left = run(self._plan, chain, self._table, ())[sweeps.LEFT] != 0.0
+        sweep = sweeps.made(chain, self._table.lanes)
+        left = run(self._plan, sweep, self._table.whole, ())[sweeps.LEFT] != 0.0
         if left.any():
             self._plan.account.leave(FAR, int(left.sum()))
         return not left.any()

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from contextvars import copy_context
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
+from operator import attrgetter, itemgetter
 from typing import Any
 
 import numpy as np
@@ -14,21 +15,28 @@ from pgm.beliefs.moments.compiled.called import Calls, Failed
 from pgm.beliefs.moments.compiled.judged import judge
 from pgm.beliefs.moments.compiled.memory import address
 from pgm.beliefs.moments.compiled.plans import (
-    Table,
+    Integers64,
+    Record,
     Uncompiled,
     decided,
+    decisive,
     motion_of,
     places,
     sensor_of,
+    undecided,
     unknown,
+    untried,
 )
+from pgm.beliefs.moments.compiled.table import Filled, NamedTable
 from pgm.beliefs.moments.steps.chain import MomentChain
+from pgm.beliefs.moments.steps.gate import Asked
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.compile.machine import Compiled
 from pgm.kernels.arrays import Array, Mask, vacant
-from pgm.kernels.machine import sweeps, told
-from pgm.kernels.machine.asking import asking
-from pgm.kernels.machine.extent import is_long
+from pgm.kernels.machine.sweeps import chain as sweeps
+from pgm.kernels.machine.sweeps import told
+from pgm.kernels.machine.sweeps.asking import asking
+from pgm.kernels.machine.sweeps.extent import is_long
 from pgm.kernels.moments import Conditional
 from pgm.resources import in_threads
 from pgm.schedules.damping import LevenbergMarquardt
@@ -42,6 +50,15 @@ _STEP, _LONG = 100, 250_000
 FAR = "readings are too sharp, a covariance is singular, or numbers are too far apart"
 LONG = "step control, and windows of a lag, are compiled for slices of few components"
 _SINGULAR = "a covariance is singular on the way back"
+# Sweeps of so many forms of plans are kept by a network's layout.
+_TOLD = 64
+# The names in a record of the belief to begin with, of beliefs, and of densities.
+_BEGIN, _PREDICTED = ("begin mean", "begin cov"), ("predicted mean", "predicted cov")
+_KNOWN = "known mean", "known cov", "density"
+_ANCHOR = "anchor mean", "anchor std", "anchor weight"
+# And those of a sweep back.
+_REVERSED, _SMOOTHED = ("gain", "shift", "cov"), ("smoothed mean", "smoothed cov")
+_CONTROLS = "control matrix", "control offset", "control cov"
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,86 +120,130 @@ def forward(
     if not is_used(plan):
         return None
     asked = schedule or ONCE
-    stored = schedule is None
+    stored, calls = schedule is None, Calls(plan.runs)
     controlled = isinstance(asked.damping, LevenbergMarquardt) and asked.iterations > 1
-    calls = Calls(plan.runs)
-    # A step control asks for costs at many points: functions that are called are left to NumPy.
-    table = Table(plan, lanes_of(plan), None if controlled else calls)
+    keep = keep or controlled  # since trials are made with what is kept
     try:
         why = unknown(plan)
         if why is not None:
             raise Uncompiled(why)
-        cpds = {"stored": stored, "keep": keep}
-        motions = tuple(motion_of(plan, link, table, **cpds) for link in plan.transition)
-        sensors = tuple(
-            sensor_of(plan, sensor, table, **cpds, gate=asked.gate, controlled=controlled)
-            for sensor in plan.read
+        key = decisive(plan, stored=stored, keep=keep, gate=asked.gate)
+        if not predicted and any(f.compiled for f in plan.families):
+            predicted = tuple(np.empty_like(part) for part in known[:2])  # for the judge alone
+        nonlinear = any(sensor.family.template for sensor in plan.read)
+        iterated = asked.iterations > 1 and not stored and nonlinear
+        record: Record = dict(zip(_BEGIN, begun(plan, schedule, keep=keep), strict=True))
+        record |= zip(_KNOWN, known, strict=True)
+        record |= zip(_PREDICTED, predicted, strict=False)
+        record |= undecided(plan, asked.gate, stored=stored)
+        residuals = np.zeros((asked.iterations + 1, plan.runs if iterated else 0))
+        if iterated:
+            record |= {"settings": settings(asked), "residuals": residuals}
+        if anchor is not None:
+            weight = np.ascontiguousarray(np.broadcast_to(anchor.weight, plan.runs))[None]
+            record |= zip(_ANCHOR, (anchor.mean, anchor.std, weight), strict=True)
+        record |= untried(plan) if controlled else {}
+        control = controlled and iterated
+
+        def tell(table: NamedTable) -> told.Forward:
+            cpds = {"stored": stored, "keep": keep, "controlled": control}
+            chain = _told(plan, table, **cpds, gate=asked.gate)
+            if (control or chain.anchor) and is_long(chain, table.lanes):
+                raise Uncompiled(LONG)
+            return chain
+
+        owners = (
+            *(link.family for link in plan.transition),
+            *(sensor.family for sensor in plan.read),
+            *plan.read,
+            record,
         )
+        out = (*known, *predicted)
+        # A step control asks for costs at many points: functions that are called are left to NumPy.
+        rest = record, None if controlled else calls, asked.iterations
+        ended = _run(plan, (*key, control, *record), tell, owners, out, *rest)
     except Uncompiled as error:
         plan.account.leave(str(error))
         return None
-    if not predicted and any(f.compiled for f in plan.families):
-        predicted = tuple(np.empty_like(part) for part in known[:2])  # for the judge alone
-    iterated = asked.iterations > 1 and any(sensor.curved for sensor in sensors)
-    record = np.zeros((asked.iterations + 1, plan.runs if iterated else 0))
-    if iterated:
-        table.numbers[told.ITERATIONS] = asked.iterations
-        table.put(told.SETTINGS, settings(asked))
-        table.put(told.RESIDUALS, record)
-    layout = plan.layout
-    held: tuple[told.Array, ...] = ()
-    if anchor is not None:
-        weight = np.ascontiguousarray(np.broadcast_to(anchor.weight, plan.runs))[None]
-        held = table.array(anchor.mean), table.array(anchor.std), table.array(weight)
-    chain = told.Forward(
-        size=layout.slice_size,
-        states=places(layout.state_places, layout.slice_size),
-        single=bool(layout.single),
-        motions=motions,
-        sensors=sensors,
-        begin=begun(plan, schedule, table, keep=keep),
-        predicted=tuple(map(table.array, predicted)),
-        known=(table.array(known[0]), table.array(known[1])),
-        density=table.array(known[2]),
-        iterated=iterated,
-        controlled=iterated and controlled,
-        anchor=held,
-        asked=table.array(calls.asked.T[None]) if calls.each else None,
-    )
-    if (chain.controlled or held) and is_long(chain, table.lanes):
-        plan.account.leave(LONG)
+    if isinstance(calls.failure, Failed):
+        plan.account.leave(str(calls.failure))
         return None
-    ended = run(plan, chain, table, (*known, *predicted))
-    failure = calls.failure
-    if isinstance(failure, Failed):
-        plan.account.leave(str(failure))
-        return None
-    if failure is not None:
-        raise failure
-    decided(table)
+    if calls.failure is not None:
+        raise calls.failure
+    decided(plan, record)
     left = stretches(ended[sweeps.LEFT] != 0.0)
     count(plan, left, FAR)
     if schedule is not None:
         done = ended[sweeps.LEFT] == 0.0
         judge(plan, known, predicted or known, done, again=asked.iterations > 1)
-    longest = int(record[-2].max(initial=0.0))
+    longest = int(residuals[-2].max(initial=0.0))
     converged = np.full(plan.runs, plan.linear)
     if iterated:
-        converged = record[-1] == 0.0
+        converged = residuals[-1] == 0.0
     converged &= ended[sweeps.MOVING] == 0.0
     closest, far = float(ended[sweeps.CLOSEST].min(initial=1.0)), bool(ended[sweeps.FAR].any())
-    return Swept(left, list(record[:longest]), converged, closest, far)
+    return Swept(left, list(residuals[:longest]), converged, closest, far)
 
 
-def begun(
-    plan: ChainPlan, schedule: Filtering | None, table: Table, *, keep: bool
-) -> tuple[told.Array, told.Array]:
-    """The moments of the belief with which a plan begins, told."""
+def _told(
+    plan: ChainPlan,
+    table: NamedTable,
+    *,
+    stored: bool,
+    keep: bool,
+    gate: Asked | None,
+    controlled: bool,
+) -> told.Forward:
+    """A forward sweep, told; see `forward`."""
+    layout, record, calls = plan.layout, table.record, table.calls
+
+    def array(name: str) -> told.Array:
+        return table.of(record, itemgetter(name))
+
+    cpds = {"stored": stored, "keep": keep}
+    motions = tuple(motion_of(plan, link, table, **cpds) for link in plan.transition)
+    sensors = tuple(
+        sensor_of(plan, sensor, table, **cpds, gate=gate, controlled=controlled)
+        for sensor in plan.read
+    )
+    iterated = "residuals" in record
+    if iterated:
+        table.put_of(told.SETTINGS, record, itemgetter("settings"))
+        table.put_of(told.RESIDUALS, record, itemgetter("residuals"))
+    return told.Forward(
+        size=layout.slice_size,
+        states=places(layout.state_places, layout.slice_size),
+        single=bool(layout.single),
+        motions=motions,
+        sensors=sensors,
+        begin=(array(_BEGIN[0]), array(_BEGIN[1])),
+        predicted=tuple(array(name) for name in _PREDICTED if name in record),
+        known=(array(_KNOWN[0]), array(_KNOWN[1])),
+        density=array(_KNOWN[2]),
+        iterated=iterated,
+        controlled=controlled,
+        anchor=tuple(array(name) for name in _ANCHOR if name in record),
+        asked=table.array(calls.asked.T[None]) if calls is not None and calls.each else None,
+    )
+
+
+def begun(plan: ChainPlan, schedule: Filtering | None, *, keep: bool) -> tuple[Array, Array]:
+    """The belief that a sweep begins with, (1, runs or 1, ...).
+
+    Without evidence, and with runs that are all alike, it is the model's own, and kept.
+    """
+    alike = plan.begin is None and all(link.family.uniform for link in plan.prior)
+    own = alike and plan.prior and not any(link.family.inputs for link in plan.prior)
+    if own and plan.layout.begun:
+        return plan.layout.begun[0]
     first = replace(plan, transition=[], sensors=[])
-    if plan.batch and plan.begin is None and all(link.family.uniform for link in plan.prior):
+    if plan.batch and alike:
         first = first.of(slice(0, 1))  # which is as all are
-    belief = MomentChain(first, schedule, keep=keep).start()
-    return table.array(_by_row(first, belief.mean, 1)), table.array(_by_row(first, belief.cov, 2))
+    begin = MomentChain(first, schedule, keep=keep).start()
+    found = _by_row(first, begin.mean, 1), _by_row(first, begin.cov, 2)
+    if own:
+        plan.layout.begun.append(found)
+    return found
 
 
 def settings(schedule: Filtering | FixedLag) -> Array:
@@ -208,27 +269,74 @@ def backward(
     """
     if not is_used(plan):
         return None
-    table, layout = Table(plan, lanes_of(plan)), plan.layout
+    layout = plan.layout
     lead, front, width = (plan.steps, plan.runs), layout.state_size, layout.slice_size
     states = Conditional(*(vacant(lead, own) for own in ((front, width), (front,), (front, front))))
     beliefs = None
     if smooth:
         every = plan.steps + 1, plan.runs
         beliefs = vacant(every, (width,)), vacant(every, (width, width))
-    chain = told.Backward(
-        size=width,
-        states=places(layout.state_places, width),
-        known=(table.array(ahead.mean), table.array(ahead.cov)),
-        predicted=(table.array(ahead.predicted_mean), table.array(ahead.predicted_cov)),
-        motion=(table.array(transition.matrix), table.array(transition.cov)),
-        reversed=(table.array(states[0]), table.array(states[1]), table.array(states[2])),
-        smoothed=tuple(map(table.array, beliefs or ())),
-        controls=tuple(map(table.array, slices or ())) if smooth else (),
-    )
-    ended = run(plan, chain, table, (*states, *(beliefs or ())))
+    record = dict(zip(_REVERSED, states, strict=True))
+    record |= zip(_SMOOTHED, beliefs or (), strict=False)
+    record |= zip(_CONTROLS, (slices or ()) if smooth else (), strict=False)
+
+    def tell(table: NamedTable) -> told.Backward:
+        def of(name: str) -> told.Array:
+            return table.of(record, itemgetter(name))
+
+        def pair(owner: Any, one: str, other: str) -> tuple[told.Array, told.Array]:
+            return table.of(owner, attrgetter(one)), table.of(owner, attrgetter(other))
+
+        gain, shift, cov = map(of, _REVERSED)
+        return told.Backward(
+            size=width,
+            states=places(layout.state_places, width),
+            known=pair(ahead, "mean", "cov"),
+            predicted=pair(ahead, "predicted_mean", "predicted_cov"),
+            motion=pair(transition, "matrix", "cov"),
+            reversed=(gain, shift, cov),
+            smoothed=tuple(of(name) for name in _SMOOTHED if name in record),
+            controls=tuple(of(name) for name in _CONTROLS if name in record),
+        )
+
+    owners = ahead, transition, record
+    ended = _run(plan, ("back", *record), tell, owners, (*states, *(beliefs or ())))
     left = bool(ended[sweeps.LEFT].any())
     count(plan, [slice(0, plan.runs)] if left else [], _SINGULAR)
     return None if left else (states, beliefs)
+
+
+def _run(
+    plan: ChainPlan,
+    key: Hashable,
+    tell: Callable[[NamedTable], told.Forward | told.Backward],
+    owners: Sequence[Any],
+    out: Sequence[Array],
+    record: Record | None = None,
+    calls: Calls | None = None,
+    iterations: int = 1,
+) -> Array:
+    """Run a sweep on all runs of a plan; what it tells of each, (`sweeps.TOLD`, runs).
+
+    `key` is what decides its code, and `tell` tells that, if no such plan was told before. `out`
+    are the arrays that it fills.
+    """
+    lanes = lanes_of(plan)
+    first, before = (plan.steps, plan.runs, iterations), plan.layout.told
+    sweep, form = before.get((key, lanes), (None, None))
+    filled: Filled | None = None if form is None else form.filled(owners, *first)
+    if filled is None:
+        table = NamedTable(plan, lanes, owners, record, calls)
+        chain = tell(table)
+        filled = table.filled(*first)
+        if calls is not None and calls.each:  # which are of this sweep alone
+            sweep = _asking(chain, lanes, calls)
+        else:
+            sweep = sweeps.made(chain, lanes)
+            if len(before) >= _TOLD:
+                before.clear()
+            before[key, lanes] = sweep, table.form
+    return run(plan, sweep, filled.numbers, out)
 
 
 def lanes_of(plan: ChainPlan) -> int:
@@ -236,15 +344,14 @@ def lanes_of(plan: ChainPlan) -> int:
     return sweeps.LANES if plan.runs >= sweeps.LANES else 1
 
 
-def run(plan: ChainPlan, chain: sweeps.Chain, table: Table, out: Sequence[Array]) -> Array:
-    """Run a sweep on all runs of a plan; what it tells of each, (`sweeps.TOLD`, runs).
+def run(plan: ChainPlan, sweep: sweeps.Sweep, numbers: Integers64, out: Sequence[Array]) -> Array:
+    """Run a sweep of a table of numbers on all runs of a plan; what it tells of each.
 
-    `out` are the arrays that it fills.
+    That is (`sweeps.TOLD`, runs). `out` are the arrays that it fills.
     """
-    choice, lanes = plan.layout.compiled, table.lanes
+    choice, lanes = plan.layout.compiled, lanes_of(plan)
     ended = np.zeros((sweeps.TOLD, plan.runs))
-    table.put(told.ENDED, ended)
-    whole, sweep = table.whole, _sweep(chain, table)
+    numbers[told.ENDED] = address(ended)
     threads = choice.threads if isinstance(choice, Compiled) else 1
     threads = max(min(threads, plan.runs // lanes), 1)
 
@@ -253,17 +360,14 @@ def run(plan: ChainPlan, chain: sweeps.Chain, table: Table, out: Sequence[Array]
         for array in out if threads > 1 else ():
             begin, end = (runs * len(array) // plan.runs for runs in (first, last))
             array[begin:end, first:last:512] = 0.0
-        sweep(address(whole), first, last)
+        sweep(address(numbers), first, last)
 
     in_threads(work, plan.runs, threads)
     return ended
 
 
-def _sweep(chain: sweeps.Chain, table: Table) -> sweeps.Sweep:
-    """The sweep of a chain, which calls the functions that are to be called."""
-    calls, lanes = table.calls, table.lanes
-    if calls is None or not calls.each:
-        return sweeps.made(chain, lanes)
+def _asking(chain: told.Forward | told.Backward, lanes: int, calls: Calls) -> sweeps.Sweep:
+    """The sweep of a chain which calls the functions that are to be called."""
     assert isinstance(chain, told.Forward)
     made, context = asking(chain, lanes), copy_context()
 

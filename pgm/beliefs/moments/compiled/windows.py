@@ -16,6 +16,7 @@ from pgm.beliefs.moments.compiled.plans import (
     places,
     require_affine_prior,
     sensor_of,
+    undecided,
     unknown,
 )
 from pgm.beliefs.moments.compiled.sweep import (
@@ -33,8 +34,9 @@ from pgm.beliefs.moments.compiled.sweep import (
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.compile.machine import CONTROL
 from pgm.kernels.arrays import Array, stacked
-from pgm.kernels.machine import sweeps, told
-from pgm.kernels.machine.extent import is_long
+from pgm.kernels.machine.sweeps import chain as sweeps
+from pgm.kernels.machine.sweeps import told
+from pgm.kernels.machine.sweeps.extent import is_long
 from pgm.schedules.damping import LevenbergMarquardt
 from pgm.schedules.schedule import FixedLag
 
@@ -97,8 +99,8 @@ def slide(plan: ChainPlan, schedule: FixedLag, room: Room) -> Swept | None:
         point=tuple(windowed(lag + 1, *own) for own in owns),
         joint=windowed(lag + 1, pair, pair) if joint else None,
     )
-    ended = run(plan, chain, table, ())
-    decided(table)
+    ended = run(plan, sweeps.made(chain, table.lanes), table.whole, ())
+    decided(plan, table.record)
     left = stretches(ended[sweeps.LEFT] != 0.0)
     count(plan, left, FAR)
     done = ended[sweeps.LEFT] == 0.0
@@ -119,19 +121,20 @@ def _ahead(plan: ChainPlan, schedule: FixedLag, room: Room, table: Table) -> tol
     for link in plan.prior:
         if np.isinf(link.family.own_noise).any():
             raise Uncompiled(_FLAT)
+    table.record |= undecided(plan, schedule.gate, stored=False)
     motions = [motion_of(plan, link, table, stored=False, keep=True) for link in plan.transition]
     sensors = [
         sensor_of(plan, sensor, table, stored=False, keep=True, gate=schedule.gate)
         for sensor in plan.read
     ]
-    layout = plan.layout
+    layout, begin = plan.layout, begun(plan, schedule.first, keep=True)
     return told.Forward(
         size=layout.slice_size,
         states=places(layout.state_places, layout.slice_size),
         single=bool(layout.single),
         motions=tuple(motions),
         sensors=tuple(sensors),
-        begin=begun(plan, schedule.first, table, keep=True),
+        begin=(table.array(begin[0]), table.array(begin[1])),
         predicted=(),
         known=(table.array(room.known[0]), table.array(room.known[1])),
         density=table.array(room.density),

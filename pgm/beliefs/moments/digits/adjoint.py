@@ -27,111 +27,29 @@ Arrays of one slice have the runs first.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
-from pgm.beliefs.moments.digits.careful import Careful, Step
+from pgm.beliefs.moments.digits import compiled
+from pgm.beliefs.moments.digits.adjoint_belief import Later, Smooth, closer, given, is_close
 from pgm.beliefs.moments.digits.careful_belief import (
-    CLEAR,
-    ROUNDING,
-    Belief,
-    Component,
-    diagonal,
     moments,
-    rounded,
-    rounded_belief,
-    through,
 )
+from pgm.beliefs.moments.digits.careful_pass import Careful
+from pgm.beliefs.moments.digits.laid_out import piled
+from pgm.beliefs.moments.digits.record import Record, Slices, row, shown
 from pgm.beliefs.moments.passes.backward import Beliefs
 from pgm.beliefs.moments.steps import refusals
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.compile import SliceLayout
 from pgm.kernels import extended
-from pgm.kernels.arrays import Array, Mask, apply, block, quiet, sandwich, stacked, variances
+from pgm.kernels.arrays import Array, block, quiet, stacked, variances
 from pgm.kernels.extended import Twofold
 from pgm.progress import counted
 from pgm.schedules.iteration import Point
-
-# Bayes' rule is tried where more than this share of a smoothed variance may be rounding.
-_CLOSE = 1e-12
-
-
-class Later(NamedTuple):
-    """The message of later measurements to a belief over a slice: r as a function of δ, and N.
-
-    `vector` has the columns [r R] (runs, n, 1 + q) of r + R δ; `matrix` is N (runs, n, n).
-    `rounding` B (runs, n, n) bounds the rounding error E of N, −B ≤ E ≤ B in the order of
-    semidefinite matrices; `drift` (runs, n, n) is the covariance of the rounding error of r, as if
-    that were random. Of each later measurement's innovation variance S a share may be rounding;
-    `blurred` (runs,) is the largest of these shares.
-    """
-
-    vector: Twofold
-    matrix: Twofold
-    rounding: Array
-    drift: Array
-    blurred: Array
-
-    def before(self, components: list[Component]) -> Later:
-        """Carry the message back through the measurements of a step.
-
-        This message is to the belief after those measurements. The result is to the step's
-        predicted belief, and includes them. `components` are the measurements as scalars, in the
-        order in which the forward pass took them in.
-        """
-        vector, matrix, rounding, drift, blurred = self
-        for row, keep, innovation, weight, error, blur, moved in reversed(components):
-            said = innovation * weight[:, None]
-            lost = (blur * np.abs(vector.hi[..., 0])).sum(-1) + np.abs(said.hi[:, 0]) * error
-            along = row.hi * lost[:, None]
-            drift = drift + sandwich(matrix.hi, diagonal(moved**2))
-            drift = through(keep.hi.mT, drift) + along[..., None] * along[..., None, :]
-            own = (row * weight[:, None])[..., None] * row[:, None, :]
-            rounding = through(keep.hi.mT, rounding) + rounded(keep.hi.mT, matrix.hi, own.hi)
-            vector = keep.mT @ vector + row[..., None] * said[:, None, :]
-            matrix = keep.mT @ matrix @ keep + own
-            blurred = np.maximum(blurred, error)
-        return Later(vector, matrix, rounding, drift, blurred)
-
-    def back(self, matrix: Twofold) -> Later:
-        """The message Aᵀ r, Aᵀ N A to the slice one step before.
-
-        A = `matrix` (runs or 1, n, n) is the transition from that slice to the present one.
-        """
-        slope, said = matrix.hi.mT, self.matrix
-        rounding = through(slope, self.rounding) + rounded(slope, said.hi)
-        drift = through(slope, self.drift)
-        said = matrix.mT @ said @ matrix
-        return Later(matrix.mT @ self.vector, said, rounding, drift, self.blurred)
-
-
-class Back(NamedTuple):
-    """The gain G of Bayes' rule, by which a smoothed belief follows from the next slice's.
-
-    `gain` is (runs, n, n), with rows of the slice and columns of the next; `lost` (runs, 1, 1)
-    marks the runs in which this gain was used, since P − P N P would have left fewer digits.
-    """
-
-    gain: Twofold
-    lost: Mask
-
-
-class Smooth(NamedTuple):
-    """The smoothed belief over the slice at `step`, given the measurements up to some last step.
-
-    `here` is the message to the predicted belief at `step`, of the measurements from `step` itself
-    up to that last step. `back` has the gains of Bayes' rule from the next slice, None if that rule
-    was not tried. `parts` (runs, n) are the shares of the belief's variances that may be rounding.
-    """
-
-    step: int
-    belief: Belief
-    here: Later
-    back: Back | None
-    parts: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +65,7 @@ class CarefulSmoothed:
     """
 
     careful: Careful
-    slices: list[Smooth]
+    slices: Slices
     beliefs: Beliefs
     layout: SliceLayout
     proper: Array | None = None
@@ -161,25 +79,26 @@ class CarefulSmoothed:
         variances that a flat prior leaves.
         """
         shape = careful.forward.mean.shape
+        last, steps = shape[0] - 1, careful.steps
+        lag = last if lag is None else min(lag, last)
+        until = np.minimum(np.arange(last + 1) + lag, last)
+        if isinstance(steps, Record):
+            slices = compiled.smoothed(steps, lag, 0, last - lag + 1)
+            unknown = row(steps.unknown, until)
+        else:
+            found = [smoothed(careful, step + lag, step)[0] for step in range(last - lag)]
+            slices = Slices.of([*found, *smoothed(careful, last, last - lag)])
+            unknown = piled([steps[step].taken.unknown for step in until])
+        mean, spread = shown(slices.belief, unknown)
+        finite = np.isfinite(mean.sum(axis=(1, 2)) + spread.cov.sum(axis=(1, 2, 3)))
+        if not finite.all():
+            refusals.infinite("the smoothed belief", plan.first + int(finite.argmin()))
         beliefs = Beliefs(stacked(shape[:2], shape[2:]), stacked(shape[:2], shape[2:] * 2))
-        proper: dict[int, Array] = {}
-        last = shape[0] - 1
-        lag = last if lag is None else lag
-        slices = smoothed(careful, last, max(last - lag, 0))
-        slices = [smoothed(careful, step + lag, step)[0] for step in range(last - lag)] + slices
-        for step, each in enumerate(slices):
-            known = careful.steps[min(step + lag, last)].taken
-            mean, spread = rounded_belief(each.belief, known.unknown)
-            if not np.isfinite(mean.sum() + spread.cov.sum()):
-                refusals.infinite("the smoothed belief", plan.first + step)
-            beliefs.mean[step], beliefs.cov[step] = mean, spread.shown
-            if spread.open.any():
-                proper[step] = spread.cov
-        whole = None
-        if proper:
-            whole = beliefs.cov.copy()
-            whole[list(proper)] = list(proper.values())
-        return cls(careful, slices, beliefs, plan.layout, whole)
+        beliefs.mean[...], beliefs.cov[...] = mean, spread.shown
+        open_, proper = np.asarray(spread.open.any(axis=(1, 2, 3))), None
+        if open_.any():
+            proper = np.where(open_[:, None, None, None], spread.cov, beliefs.cov)
+        return cls(careful, slices, beliefs, plan.layout, proper)
 
     @property
     def error(self) -> Array:
@@ -188,7 +107,7 @@ class CarefulSmoothed:
         An error is divided by the standard deviation of its component, or, if larger, by 10⁻⁹ of
         the largest standard deviation that was predicted for the component up to that step.
         """
-        largest: Array = np.max([each.belief.error(each.parts) for each in self.slices], axis=0)
+        largest: Array = self.slices.belief.error(self.slices.parts).max(axis=0)
         return np.maximum(largest, self.careful.error)
 
     @property
@@ -230,21 +149,19 @@ class CarefulSmoothed:
         Covariances stay as they are. `plan` is not used; the results of other smoothers need it.
         """
         shift = mean - self.beliefs.mean
-        slices = [
-            each._replace(belief=each.belief.shifted(own))
-            for each, own in zip(self.slices, shift, strict=True)
-        ]
-        beliefs = Beliefs(mean, self.beliefs.cov)
-        return replace(self, slices=slices, beliefs=beliefs)
+        slices = replace(self.slices, belief=self.slices.belief.shifted(shift))
+        return replace(self, slices=slices, beliefs=Beliefs(mean, self.beliefs.cov))
 
 
 @quiet()
-def smoothed(careful: Careful, last: int, first: int = 0) -> list[Smooth]:
+def smoothed(careful: Careful, last: int, first: int = 0) -> Sequence[Smooth]:
     """The slices at the steps `first`..`last` in order, given the measurements up to `last`.
 
     Where more than 10⁻¹² of a variance may be rounding, Bayes' rule from the next slice is tried
     too, and used in the runs in which it leaves a smaller share.
     """
+    if isinstance(careful.steps, Record):
+        return compiled.smoothed(careful.steps, last, first)
     columns, cov, *_ = careful.steps[last].predicted
     nothing = np.zeros(cov.shape)
     said = Twofold.zeros(columns.shape), Twofold.zeros(cov.shape)
@@ -252,13 +169,12 @@ def smoothed(careful: Careful, last: int, first: int = 0) -> list[Smooth]:
     out: list[Smooth] = []
     for step in counted(range(last, first - 1, -1), "back, in twice the digits"):
         move, _, taken = careful.steps[step]
-        belief, parts, back = *_given(taken.belief, later), None
-        if out and (parts > _CLOSE).any():
-            gain, other, error = _reversed(taken.belief, careful.steps[step + 1], out[-1])
-            lost = error < parts.max(axis=-1)
-            back = Back(gain, lost[:, None, None])
-            belief = _either(back.lost, other, belief)
-            parts = np.where(lost[:, None], error[:, None], parts)
+        belief, parts, back = *given(taken.belief, later), None
+        if out and is_close(parts).any():
+            ahead, after = careful.steps[step + 1], out[-1]
+            assert ahead.move is not None
+            next_ = ahead.move, ahead.predicted, after.belief, after.parts
+            belief, parts, back = closer(taken.belief, belief, parts, *next_)
         here = later.before(taken.components)
         out.append(Smooth(step, belief, here, back, parts))
         if move is not None:
@@ -267,7 +183,7 @@ def smoothed(careful: Careful, last: int, first: int = 0) -> list[Smooth]:
 
 
 @quiet()
-def joint(careful: Careful, steps: list[int], slices: list[Smooth]) -> tuple[Array, Array]:
+def joint(careful: Careful, steps: list[int], slices: Sequence[Smooth]) -> tuple[Array, Array]:
     """The joint mean (runs, k n) and covariance (runs, k n, k n) of the slices at k `steps`.
 
     The steps ascend. `slices` are those of consecutive steps, as `smoothed` finds them, from
@@ -294,7 +210,9 @@ def joint(careful: Careful, steps: list[int], slices: list[Smooth]) -> tuple[Arr
     return mean.reshape(runs, whole), total
 
 
-def _across(careful: Careful, slices: list[Smooth], first: int, second: int) -> dict[int, Twofold]:
+def _across(
+    careful: Careful, slices: Sequence[Smooth], first: int, second: int
+) -> dict[int, Twofold]:
     """Cross-covariances of slice s with slice `second`, (runs, n, n), by s = `first`..second − 1.
 
     Rows are of slice s, columns of `second`. Both slices know the measurements up to the last of
@@ -322,81 +240,3 @@ def _across(careful: Careful, slices: list[Smooth], first: int, second: int) -> 
                 weight = component.keep.mT @ weight
             weight = move.matrix.mT @ weight
     return found
-
-
-def _given(known: Belief, later: Later) -> tuple[Belief, Array]:
-    """The smoothed belief m + P r, P − P N P over a slice, from its filtered belief `known`, m, P.
-
-    `later` is the message r, N of the measurements after the slice's own. Returns the belief, with
-    its own bounds of rounding, and the shares of its variances that may be rounding, (runs, n).
-    """
-    columns, cov, own, drift, largest = known
-    left = _symmetric(cov - cov @ later.matrix @ cov)
-    before = variances(cov.hi)
-    changed = through(cov.hi, later.rounding) + rounded(cov.hi, later.matrix.hi, cov.hi)
-    rounding = later.blurred[:, None] * before + variances(changed)
-    pull = later.vector.hi[..., 0]
-    size = np.abs(columns.hi[..., 0]) + apply(np.abs(cov.hi), np.abs(pull))
-    # A change E of P within its bound changes P r by E r.
-    along = variances(sandwich(pull[..., None, :], own))
-    moved = np.sqrt(np.maximum(variances(own) * along, 0.0)) + ROUNDING * size
-    drift = through(np.eye(cov.shape[-1]) - cov.hi @ later.matrix.hi, drift)
-    drift = drift + through(cov.hi, later.drift) + diagonal(moved**2)
-    found = Belief(columns + cov @ later.vector, left, diagonal(rounding), drift, largest)
-    after = np.maximum(variances(left.hi), rounding)
-    return found.certain(), rounding / np.where(after > 0.0, after, np.inf)
-
-
-def _reversed(known: Belief, after: Step, later: Smooth) -> tuple[Twofold, Belief, Array]:
-    """The smoothed belief over a slice by Bayes' rule, from that of the slice after it.
-
-    The filtered belief `known` has the moments m, P. The step `after` has the transition's matrix A
-    and noise covariance Q, and the predicted moments m⁻, P⁻; `later` has the smoothed ones m′, P′.
-    With the gain G = P Aᵀ (P⁻)⁺ the smoothed mean is m + G (m′ − m⁻), and the covariance
-    (1 − G A) P (1 − G A)ᵀ + G (Q + P′) Gᵀ, which subtracts nothing. Returns first G (runs, n, n),
-    then the belief, then the largest share of a variance that may be rounding, (runs,).
-    """
-    belief, predicted = later.belief, after.predicted
-    columns, cov, own, drift, largest = known
-    assert after.move is not None
-    matrix, noise = after.move.matrix, after.move.cov
-    floor = variances(predicted.rounding)
-    unit, pivots = extended.eliminated(predicted.cov, CLEAR, floor)
-    gain = extended.solve(unit, pivots, matrix @ cov).mT
-    keep = np.eye(cov.shape[-1]) - gain @ matrix
-    other = noise + belief.cov
-    left = keep @ cov @ keep.mT + gain @ other @ gain.mT
-    # Changes E of P and E′ of Q change G (x − m) by (1 − G A) E Aᵀ y − G E′ y.
-    kept = through(keep.hi, own)
-    summed = np.maximum(floor - variances(sandwich(matrix.hi, own)), 0.0)
-    rounding = kept + through(gain.hi, belief.rounding + diagonal(summed))
-    rounding = rounding + rounded(keep.hi, cov.hi, cov.hi) + rounded(gain.hi, other.hi, cov.hi)
-    shift = belief.columns - predicted.columns
-    pull = extended.solve(unit, pivots, shift).hi[..., 0]
-    along = sandwich(apply(matrix.hi.mT, pull)[:, None, :], own)[:, 0]
-    moved = np.sqrt(np.maximum(variances(kept) * along, 0.0))
-    across = apply(gain.hi**2, summed) * (pull**2 * summed).sum(axis=-1, keepdims=True)
-    moved = moved + np.sqrt(across)
-    inverse = np.abs(extended.inverse(unit, pivots).hi)
-    size = np.abs(cov.hi) @ np.abs(matrix.hi.mT) @ inverse @ np.abs(shift.hi)
-    moved = moved + ROUNDING * (size[..., 0] + np.abs(columns.hi[..., 0]))
-    drift = through(keep.hi, drift) + through(gain.hi, belief.drift) + diagonal(moved**2)
-    proper = np.where(pivots.hi > 0.0, pivots.hi, np.inf)
-    error = (floor / proper).max(axis=-1) + later.parts.max(axis=-1)
-    found = Belief(columns + gain @ shift, _symmetric(left), rounding, drift, largest)
-    return gain, found.certain(), error
-
-
-def _either(mask: Mask, a: Belief, b: Belief) -> Belief:
-    """Belief `a` in the runs that the mask (runs, 1, 1) marks, `b` in the rest."""
-    return b._replace(
-        columns=extended.where(mask, a.columns, b.columns),
-        cov=extended.where(mask, a.cov, b.cov),
-        rounding=np.where(mask, a.rounding, b.rounding),
-        drift=np.where(mask, a.drift, b.drift),
-    )
-
-
-def _symmetric(cov: Twofold) -> Twofold:
-    """(P + Pᵀ) / 2 of a covariance P (..., n, n), since rounding makes products unsymmetric."""
-    return 0.5 * (cov + cov.mT)

@@ -24,6 +24,7 @@ from pgm.kernels.arrays import (
     Mask,
     components_last,
     independent,
+    may_hold,
     quiet,
     sandwich,
     variances,
@@ -126,7 +127,7 @@ class Belief(NamedTuple):
         """
         floor = CLEAR * variances(self.rounding)
         open_ = np.abs(variances(self.cov.hi)) > floor
-        if open_.all():
+        if not may_hold(~open_):
             return self
         both = open_[..., None] & open_[..., None, :]
         sunk = np.where(open_ | (variances(self.cov.hi) == 0.0), 0.0, _SUNK * floor)
@@ -279,9 +280,11 @@ def solved(whole: Twofold) -> Solved:
     weights[:, 1:] = mean
     level = -(whole[:, :1, 1:] @ mean).hi[:, 0, 0]
     log_det = np.log(np.where(known, pivots.hi, 1.0)).sum(axis=-1)
-    if not known.all():
-        spanned = np.where(known[:, None, :], unit.hi, 0.0)
-        log_det += np.linalg.slogdet(spanned.mT @ spanned + np.eye(size) * ~known[:, None, :])[1]
+    lost = ~known.all(axis=-1)
+    if lost.any():  # elsewhere that is the determinant of U, of which rounding is all that differs
+        there = known[lost, None]
+        spanned = np.where(there, unit.hi[lost], 0.0)
+        log_det[lost] += np.linalg.slogdet(spanned.mT @ spanned + np.eye(size) * ~there)[1]
     open_ = np.where(known[:, None, :], 0.0, extended.inverse_unit(unit).mT.hi)
     return Solved(weights, cov, open_, 0.5 * (level - log_det))
 
@@ -332,15 +335,15 @@ class Component(NamedTuple):
 
 def take(
     belief: Belief, row: Twofold, value: Twofold, noise: Twofold, seen: Mask
-) -> tuple[Belief, Component, Array, bool]:
+) -> tuple[Belief, Component, Array, Mask]:
     """Condition a belief on one scalar measurement z = h x + e, e ~ N(0, r), of each run.
 
     `row` is h (runs, n), `value` z and `noise` r (runs,); `seen` (runs,) marks the runs that have
     the measurement. The predictive variance is S = h P hᵀ + r. An h P hᵀ that may be rounding alone
     counts as zero; where S is then zero, the belief stays as it is. Returns four values: first the
-    updated belief, second the measurement as a `Component`, third S (runs,). The fourth is true if
-    S is improper in some run. It is if h P hᵀ or S is negative beyond rounding or not finite, or if
-    S ≤ 0 because r is negative, as the error of a lineariser may make it.
+    updated belief, second the measurement as a `Component`, third S (runs,). The fourth is the mask
+    (runs,) of the runs in which S is improper: in which h P hᵀ or S is negative beyond rounding or
+    not finite, or S ≤ 0 because r is negative, as the error of a lineariser may make it.
     """
     columns, cov, rounding, drift, _ = belief
     cross = (cov @ row[..., None])[..., 0]
@@ -349,8 +352,8 @@ def take(
     variance = np.maximum(variances(cov.hi), 0.0)
     blurred = np.maximum(sandwich(line, rounding)[:, 0, 0], 0.0)
     floor = blurred + rounded(line, cov.hi)[:, 0, 0]
-    negative = (np.minimum(spread.hi, spread.hi + noise.hi) < -CLEAR * floor).any()
-    indefinite = bool(negative) or not np.isfinite(floor).all()
+    negative = np.minimum(spread.hi, spread.hi + noise.hi) < -CLEAR * floor
+    improper = negative | ~np.isfinite(floor)
     # h P hᵀ may be rounding alone; the noise variance is exact.
     open_ = spread.hi > CLEAR * floor
     # Even so P hᵀ may hold more than rounding of a component: that is lost with it.
@@ -360,7 +363,7 @@ def take(
     cross = extended.where(open_[:, None], cross, 0.0)
     predictive = extended.where(open_, spread, 0.0) + noise
     # A lineariser's error may be negative, and larger than h P hᵀ and the CPD's own noise.
-    indefinite |= bool((seen & (noise.hi < 0.0) & (predictive.hi <= 0.0)).any())
+    improper = improper | (seen & (noise.hi < 0.0) & (predictive.hi <= 0.0))
     read = seen & (predictive.hi > 0.0)
     weight = extended.where(read, 1.0 / extended.where(read, predictive, 1.0), 0.0)
     summed = floor - blurred + ROUNDING * np.abs(noise.hi)
@@ -381,7 +384,7 @@ def take(
     moved = moved + np.where(said & (seen & ~read)[:, None], np.sqrt(variance), 0.0)
     # A noise that S does not tell from rounding leaves no digit of what float64 tells at all.
     untold = read & (noise.hi > 0.0) & (noise.hi < CLEAR * summed)
-    if untold.any():
+    if may_hold(untold):
         moved = moved + _TOLD * np.sqrt(variance) * (gain.hi != 0.0) * untold[:, None]
     terms = np.abs(gain.hi)[..., None] * (np.abs(line) @ np.abs(columns.hi))
     columns = cancelled(columns + gain[..., None] * innovation[:, None, :], columns, terms)
@@ -392,7 +395,13 @@ def take(
     cov = keep @ cov @ keep.mT + own
     after = Belief(columns, cov, rounding, drift, belief.largest).certain()
     component = Component(row, keep, innovation, weight, floor * weight.hi, blur, moved)
-    return after, component, predictive.hi, indefinite
+    return after, component, predictive.hi, improper
+
+
+def informed(information: Twofold, component: Component) -> Twofold:
+    """The sum Σ [v V]ᵀ[v V] / S, (runs, 1 + q, 1 + q), with one scalar measurement more."""
+    row = component.innovation[:, None, :]
+    return information + row.mT @ (row * component.weight[:, None, None])
 
 
 def decorrelated(parts: Sequence[Measured], runs: int, width: int) -> tuple[Twofold, Twofold, Mask]:
@@ -419,11 +428,19 @@ def decorrelated(parts: Sequence[Measured], runs: int, width: int) -> tuple[Twof
             taken[:, place] = there
             rows[:, place] = extended.where(there[..., None], rows[:, place], 0.0)
             noise[:, place, place] = independent(noise[:, place, place], there)
+    return *uncorrelated(rows, noise), taken
+
+
+def uncorrelated(rows: Twofold, noise: Array) -> tuple[Twofold, Twofold]:
+    """Measurements [h z] (..., k, n + 1) by their noise covariances (..., k, k), decorrelated.
+
+    Returns the rows and the variances (..., k) of independent errors; see `decorrelated`.
+    """
     own = variances(noise)
     if np.count_nonzero(noise) == np.count_nonzero(own):
-        return rows, Twofold(own.copy()), taken
+        return rows, Twofold(own.copy())
     unit, noises = extended.eliminated(noise, NEGLIGIBLE)
-    return extended.solve_unit(unit, rows), noises, taken
+    return extended.solve_unit(unit, rows), noises
 
 
 def _by_run(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:

@@ -28,17 +28,18 @@ from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.cpds import AffineCPD
 from pgm.evidence import Sightings
 from pgm.kernels.arrays import Array
-from pgm.kernels.machine import online, python, told
-from pgm.kernels.machine.evidence import Evidence
-from pgm.kernels.machine.memory import Runs
-from pgm.kernels.machine.writer import arrays
+from pgm.kernels.machine.emitter import python
+from pgm.kernels.machine.emitter.memory import Runs
+from pgm.kernels.machine.sweeps import online, told
+from pgm.kernels.machine.sweeps.evidence import Evidence
+from pgm.kernels.machine.sweeps.writer import arrays
 from pgm.linearisation.family import Family
 from pgm.posteriors.status import Status
 from pgm.schedules.step_evidence import Values
 from pgm.tracing import Judge
 from pgm.variables import Variable
 
-# From a belief and values to the next belief; see `kernels.machine.online`.
+# From a belief and values to the next belief; see `kernels.machine.sweeps.online`.
 Made = Callable[[bytes, Any], bytes | None]
 # Steps that are made both ways.
 TRIALS = 5

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from pgm.beliefs.moments.digits import careful
+from pgm.beliefs.moments.digits import careful, careful_chain
 from pgm.beliefs.moments.online.associating import associated, leaves_open
 from pgm.beliefs.moments.online.beliefs import (
     MomentBelief,
@@ -222,7 +222,7 @@ class MomentSteps(InCode, Immutable):
         plan = self._plan(BoundEvidence(0, lead, (), ()), 0, prior=True)
         found = MomentChain(plan, ONCE, keep=False).start()
         log_evidence, status = np.zeros(lead), nothing_to_iterate(lead)
-        carried = careful.start(plan, linearise=True)
+        carried = careful_chain.start(plan, linearise=True)
         if is_moderate(found, found):
             return belief_of(plan, 0, found, log_evidence, status, PREDICTED, self._behind, carried)
         return careful_belief(plan, 0, carried, log_evidence, status, PREDICTED, self._behind)

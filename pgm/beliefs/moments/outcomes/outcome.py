@@ -14,7 +14,7 @@ twice the digits; and `_windows`, the results of a fixed lag's sliding windows.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar
@@ -22,7 +22,8 @@ from typing import ClassVar
 import numpy as np
 
 from pgm.beliefs.moments.digits import adjoint
-from pgm.beliefs.moments.digits.careful import Careful
+from pgm.beliefs.moments.digits.adjoint_belief import Smooth
+from pgm.beliefs.moments.digits.careful_pass import Careful
 from pgm.beliefs.moments.outcomes.innovated import Innovated
 from pgm.beliefs.moments.outcomes.marginals import Marginals
 from pgm.beliefs.moments.outcomes.shown_slices import ShownMoments
@@ -253,7 +254,7 @@ class ChainOutcome(Innovated, Outcome[Gaussian]):
         )
 
     @cached_property
-    def _careful_slices(self) -> list[adjoint.Smooth] | None:
+    def _careful_slices(self) -> Sequence[Smooth] | None:
         """The beliefs over the slices given all measurements, in twice the digits, one a step.
 
         None if the pass was in float64, or did not smooth.

@@ -14,9 +14,10 @@ from pgm.beliefs.moments.steps.plan import ChainPlan, Link
 from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.compile.machine import Compiled
 from pgm.kernels.arrays import Array, Mask, apply, block, independent, room
-from pgm.kernels.machine import newton, told
-from pgm.kernels.machine.equations import Layout
-from pgm.kernels.machine.squares import is_small
+from pgm.kernels.machine.newton import steps as newton
+from pgm.kernels.machine.newton.equations import Layout
+from pgm.kernels.machine.newton.squares import is_small
+from pgm.kernels.machine.sweeps import told
 from pgm.linearisation.family import Family
 from pgm.resources import in_threads
 from pgm.schedules.iteration import Anchor, Point
@@ -36,6 +37,8 @@ class Newton:
         why = unknown(plan)
         if why is not None:
             raise Uncompiled(why)
+        for sensor in plan.robust:
+            raise Uncompiled(f"{sensor.family.cpd!r} has robust noise")
         layout, steps = plan.layout, plan.steps
         width, states = layout.slice_size, np.arange(layout.slice_size)[layout.state_places]
         self.plan, self.pair = plan, layout.state_size + width

@@ -17,8 +17,8 @@ import numpy as np
 from pgm.beliefs.moments.compiled import windows
 from pgm.beliefs.moments.digits import careful, certificate
 from pgm.beliefs.moments.digits.adjoint import CarefulSmoothed
-from pgm.beliefs.moments.digits.careful import Begin, Careful
 from pgm.beliefs.moments.digits.careful_belief import Belief, over
+from pgm.beliefs.moments.digits.careful_pass import Begin, Careful
 from pgm.beliefs.moments.passes import backward, forward
 from pgm.beliefs.moments.passes.backward import Beliefs, Reverse
 from pgm.beliefs.moments.passes.forward import Forward, joined

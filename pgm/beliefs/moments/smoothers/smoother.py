@@ -28,7 +28,7 @@ from pgm.beliefs.moments.compiled import sweep as compiled
 from pgm.beliefs.moments.compiled.judged import judge, judge_at
 from pgm.beliefs.moments.compiled.plans import Uncompiled, unknown
 from pgm.beliefs.moments.compiled.points import Linearised
-from pgm.beliefs.moments.digits import careful
+from pgm.beliefs.moments.digits import careful, careful_chain
 from pgm.beliefs.moments.digits.adjoint import CarefulSmoothed
 from pgm.beliefs.moments.passes import backward, forward, newton
 from pgm.beliefs.moments.passes.backward import Ahead, Beliefs, Reverse
@@ -519,7 +519,7 @@ def _start(plan: ChainPlan, start: Array) -> Point:
         return _without_spread(plan, start)
     mean = start.copy()
     prior = mean[0].copy()
-    prior[:, layout.state_places] = careful.prior_mean(plan)
+    prior[:, layout.state_places] = careful_chain.prior_mean(plan)
     mean[0] = nearest_branch(mean[0], prior, angles)
     mean[..., angles] = np.unwrap(mean[..., angles], axis=0)
     return _without_spread(plan, mean)
@@ -533,7 +533,7 @@ def dead_reckoning(plan: ChainPlan) -> Point:
     layout = plan.layout
     front, states = layout.state_size, layout.state_places
     mean = np.zeros((plan.steps + 1, plan.runs, layout.slice_size))
-    mean[0][:, states] = careful.prior_mean(plan)
+    mean[0][:, states] = careful_chain.prior_mean(plan)
     rows = mean.transpose(0, 2, 1) if plan.batch else mean[:, 0]
     pair = np.empty((front + layout.slice_size, *plan.batch))
     for row in counted(range(plan.steps), "dead reckoning"):

@@ -16,9 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from pgm.beliefs.moments.compiled import sweep as compiled
 from pgm.beliefs.moments.digits import careful, certificate, close_points, last_places
-from pgm.beliefs.moments.digits.careful import Careful
+from pgm.beliefs.moments.digits.careful_pass import Careful
 from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
 from pgm.beliefs.moments.passes import forward
 from pgm.beliefs.moments.passes.backward import Beliefs, Reverse
@@ -254,7 +253,9 @@ def run(
                     swept = _fitting(solver.solve(plan, given, room), schedule)
                     found = _told(swept) if _suffices(swept) else None
                 if found is None:
+                    account = plan.account
                     plan = _plan(graph, bound, lineariser, schedule, judge, probe=False)
+                    plan.account.left.update(account.left)
             if found is None:
                 found = _carefully(solver, plan, given)
     assert found is not None
@@ -312,8 +313,6 @@ def _carefully(solver: Solver, plan: ChainPlan, given: Array | None) -> ChainOut
     `given` (T+1, runs, n) are the means of the slices at which to linearise first, None if the user
     gave none.
     """
-    if compiled.is_used(plan):
-        plan.account.leave("float64 has too few digits, and twice as many are computed by NumPy")
     found = solver.carefully(plan, given)
     _refuse_infinite(found)
     return _told(found)

@@ -266,6 +266,8 @@ class ChainPlan:
             if isinstance(cpd, AffineCPD)
         }
         for made in plan.families:
+            if made.exact:
+                continue
             # A graph is probed once; what comes back is checked in every call.
             if probe and made.cpd not in layout.probed:
                 made.probe(means)
@@ -293,7 +295,7 @@ def _sensor(
                 step=0,
             )
     bounds = np.searchsorted(reading.step, np.arange(steps + 2)).tolist()
-    return Sensor(
+    made = Sensor(
         family,
         place.parents,
         reading.order,
@@ -303,3 +305,6 @@ def _sensor(
         {},
         isinstance(place.parents, slice) and place.parents == slice(0, layout.slice_size),
     )
+    if place.singular is not None:
+        made.exact = place.singular
+    return made

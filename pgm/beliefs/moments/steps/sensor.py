@@ -110,6 +110,27 @@ class Sensor:
         wide = np.broadcast_to(self.values, (count, runs, height))
         return wide.copy("K") if self.variable.angles else wide
 
+    @property
+    def marked(self) -> Array:
+        """The measured values, NaN where nothing was measured, or a gate has rejected it."""
+        return _marked(self.values, self.taken)
+
+    @property
+    def given_marked(self) -> Array:
+        """The measured values, NaN where nothing was measured, whatever the gate has decided."""
+        assert self.gated is not None
+        return _marked(self.values, self.gated.given)
+
+    @property
+    def moved_marked(self) -> Array:
+        """The values as `moved`, NaN as of `marked`."""
+        return _marked(self.moved, self.taken)
+
+    @cached_property
+    def edges(self) -> npt.NDArray[np.int64]:
+        """The rows at which each step's sightings begin, (T + 2,), as `bounds`."""
+        return np.array(self.bounds, dtype=np.int64)
+
     @cached_property
     def height(self) -> int:
         """The number d of components of a sighting."""
@@ -205,7 +226,8 @@ class Sensor:
         """
         begin = self.bounds[first + after]
         rows, part = slice(begin, self.bounds[last + 1]), copy(self)
-        part.__dict__.pop("_by_row", None)
+        for name in ("_by_row", "edges"):
+            part.__dict__.pop(name, None)
         if self.robust:
             part.weights = self.weights.rows(rows)
         part.family = self.family.window(rows.start, rows.stop)
@@ -341,3 +363,11 @@ def linearise_grouped(
         if active is not None:
             new = np.where(active[:, None, None], new, sensor.cross.get(number, 0.0))
         sensor.cross[number] = new
+
+
+def _marked(values: Array, taken: Mask | None) -> Array:
+    """Values (M, runs or 1, d), NaN where not taken."""
+    if taken is None or taken.all():
+        return values
+    found: Array = np.where(taken, values, np.nan)
+    return found

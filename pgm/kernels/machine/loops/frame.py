@@ -7,8 +7,8 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from pgm.kernels.machine.code import Code
-from pgm.kernels.machine.wholes import Address
+from pgm.kernels.machine.emitter.code import Code
+from pgm.kernels.machine.emitter.wholes import Address
 
 # Floats of a line of the cache, where each matrix begins.
 LINE = 8

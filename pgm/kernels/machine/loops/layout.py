@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pgm.kernels.machine.processor import registers
+from pgm.kernels.machine.emitter.processor import registers
 
 
 class Layout(NamedTuple):

@@ -7,18 +7,18 @@ from contextlib import AbstractContextManager
 from typing import Any
 
 from pgm.kernels import step
-from pgm.kernels.machine.code import Code
-from pgm.kernels.machine.kinds import ADDRESS, WHOLE
+from pgm.kernels.machine.emitter.code import Code
+from pgm.kernels.machine.emitter.functions import Function
+from pgm.kernels.machine.emitter.kinds import ADDRESS, WHOLE
+from pgm.kernels.machine.emitter.memory import Memory
+from pgm.kernels.machine.emitter.numbers import Number, constant
+from pgm.kernels.machine.emitter.traces import Inputs, traced
+from pgm.kernels.machine.emitter.wholes import Address
 from pgm.kernels.machine.loops.frame import Frame
 from pgm.kernels.machine.loops.layout import Layout
 from pgm.kernels.machine.loops.stored import Space, Stored
 from pgm.kernels.machine.loops.transfers import inside, lie, place, read, write
 from pgm.kernels.machine.loops.views import View
-from pgm.kernels.machine.memory import Memory
-from pgm.kernels.machine.numbers import Number, constant
-from pgm.kernels.machine.told import Function
-from pgm.kernels.machine.traces import Inputs, traced
-from pgm.kernels.machine.wholes import Address
 
 
 class Loops:

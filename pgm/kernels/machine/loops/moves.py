@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from itertools import groupby
 
-from pgm.kernels.machine.code import Code
+from pgm.kernels.machine.emitter.code import Code
+from pgm.kernels.machine.emitter.numbers import Number
+from pgm.kernels.machine.emitter.wholes import Whole
 from pgm.kernels.machine.loops.views import View
-from pgm.kernels.machine.numbers import Number
-from pgm.kernels.machine.wholes import Whole
 from pgm.kernels.numbers import most
 
 

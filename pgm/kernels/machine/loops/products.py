@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pgm.kernels.machine.code import Code
+from pgm.kernels.machine.emitter.code import Code
+from pgm.kernels.machine.emitter.numbers import Number
+from pgm.kernels.machine.emitter.wholes import Whole
 from pgm.kernels.machine.loops.views import Index, View, lanes_where, size_of, tiled, transposed
-from pgm.kernels.machine.numbers import Number
-from pgm.kernels.machine.wholes import Whole
 
 
 class Plan(NamedTuple):

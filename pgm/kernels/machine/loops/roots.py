@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from pgm.kernels.machine.code import Code
-from pgm.kernels.machine.elementary import elementary
+from pgm.kernels.machine.emitter.code import Code
+from pgm.kernels.machine.emitter.elementary import elementary
+from pgm.kernels.machine.emitter.numbers import Number
 from pgm.kernels.machine.loops.views import Index, View, size_of, tiled
-from pgm.kernels.machine.numbers import Number
 from pgm.kernels.numbers import inner, inverse, least, sqrt, where
 
 # Rows that are eliminated at once.

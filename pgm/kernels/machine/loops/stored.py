@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from pgm.kernels.machine.code import Code
-from pgm.kernels.machine.kinds import ADDRESS, FLOAT, WHOLE, Kind
+from pgm.kernels.machine.emitter.code import Code
+from pgm.kernels.machine.emitter.kinds import ADDRESS, FLOAT, WHOLE, Kind
+from pgm.kernels.machine.emitter.numbers import Number, Operand, constant
+from pgm.kernels.machine.emitter.wholes import Address, Whole
 from pgm.kernels.machine.loops import moves, products, roots
 from pgm.kernels.machine.loops.frame import Frame
 from pgm.kernels.machine.loops.layout import Layout
 from pgm.kernels.machine.loops.views import View
-from pgm.kernels.machine.numbers import Number, Operand, constant
-from pgm.kernels.machine.wholes import Address, Whole
 
 # Rows or columns from which on matrices are transposed by packs.
 _FEW = 4

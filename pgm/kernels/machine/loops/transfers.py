@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from pgm.kernels.machine.code import Code
+from pgm.kernels.machine.emitter.code import Code
+from pgm.kernels.machine.emitter.memory import Memory
+from pgm.kernels.machine.emitter.numbers import Number
+from pgm.kernels.machine.emitter.wholes import Address, Whole
 from pgm.kernels.machine.loops.stored import Space, Stored
 from pgm.kernels.machine.loops.views import Index, View, shuffled
-from pgm.kernels.machine.memory import Memory
-from pgm.kernels.machine.numbers import Number
-from pgm.kernels.machine.wholes import Address, Whole
 
 
 def read(space: Space, cells: Memory, height: int, width: int) -> Stored:

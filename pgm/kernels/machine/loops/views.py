@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from pgm.kernels.machine.code import Code
-from pgm.kernels.machine.kinds import packed
+from pgm.kernels.machine.emitter.code import Code
+from pgm.kernels.machine.emitter.kinds import packed
+from pgm.kernels.machine.emitter.numbers import Number, Operand, constant
+from pgm.kernels.machine.emitter.wholes import Address, Whole
 from pgm.kernels.machine.loops.layout import Layout
-from pgm.kernels.machine.numbers import Number, Operand, constant
-from pgm.kernels.machine.wholes import Address, Whole
 
 Index = Whole | int
 

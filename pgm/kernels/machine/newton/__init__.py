@@ -1,0 +1,1 @@
+"""Gauss–Newton steps of chains in machine code, by normal equations."""

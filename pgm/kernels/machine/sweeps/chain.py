@@ -1,0 +1,161 @@
+"""Sweeps of a chain in machine code, forward and back, written for it and compiled once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import lru_cache, partial
+from typing import Any
+
+from pgm.kernels import step
+from pgm.kernels.machine.emitter.kinds import ADDRESS, WHOLE
+from pgm.kernels.machine.emitter.module import Module
+from pgm.kernels.machine.emitter.wholes import Whole
+from pgm.kernels.machine.loops.frame import Frame
+from pgm.kernels.machine.loops.loops import Loops
+from pgm.kernels.machine.sweeps import costs, relinearising, windows
+from pgm.kernels.machine.sweeps.extent import is_long
+from pgm.kernels.machine.sweeps.lines import Lines
+from pgm.kernels.machine.sweeps.motion import predicted
+from pgm.kernels.machine.sweeps.reading import taken
+from pgm.kernels.machine.sweeps.told import Backward, Forward, Linearised, Windows
+from pgm.kernels.machine.sweeps.watch import Watch
+from pgm.kernels.machine.sweeps.writer import Writer
+from pgm.kernels.numbers import where
+
+# Runs that are swept together, as the lanes of packs.
+LANES = 8
+# What a sweep tells of each run: whether it is left to be swept with more care, the least share of
+# a variance, whether a mean is far from zero, and whether weights have not settled.
+LEFT, CLOSEST, FAR, MOVING = range(4)
+TOLD = 4
+# A number from which on little or nothing can be told.
+_LARGEST = 1e150
+# The least share of a root on the way back, as of `backward`.
+_CORRELATED = 3e-5
+
+Sweep = Callable[[int, int, int], None]
+Chain = Forward | Backward | Windows | Linearised
+
+
+@lru_cache(maxsize=128)
+def made(chain: Chain, lanes: int, loops: bool | None = None) -> Sweep:
+    """The sweep of a chain, of single runs or of packs: ``sweep(table, first, last)``.
+
+    It sweeps the runs from `first` to below `last`, of which there are as many as lanes at least.
+    `loops` says whether it is written in loops or in straight lines; by default its size decides.
+    """
+    module = Module()
+    code = module.function("sweep", (ADDRESS, WHOLE, WHOLE, ADDRESS), lanes=lanes)
+    table, first, last, room = code.arguments
+    frame = Frame(code, room)
+    looped = is_long(chain, lanes) if loops is None else loops
+    w = Writer(code, table, chain, Loops(code, frame) if looped else Lines(code))
+    with each_run(w, first, last):
+        if isinstance(chain, Forward):
+            forward(w, chain)
+        elif isinstance(chain, Windows):
+            _tell(w, LEFT, where(windows.written(w, chain), 0.0, 1.0))
+        elif isinstance(chain, Linearised):
+            written = relinearising.written if chain.cost is None else costs.written
+            _tell(w, LEFT, where(written(w, chain), 0.0, 1.0))
+        else:
+            _backward(w, chain)
+    # Of straight lines all of LLVM's passes make faster code; of loops they only take longer.
+    function = module.compile(1 if looped else 2).callable("sweep")
+    return frame.with_room(function) if looped else partial(_without_room, function)
+
+
+def _without_room(function: Callable[..., None], table: int, first: int, last: int) -> None:
+    function(table, first, last, None)
+
+
+@contextmanager
+def each_run(w: Writer, first: Whole, last: Whole) -> Iterator[None]:
+    """The runs of a call, one after another, or pack by pack: the last may share runs."""
+    code = w.code
+    with code.loop((last - first + (code.lanes - 1)) // code.lanes) as k:
+        run = code.variable(first + k * code.lanes)
+        with code.when(run.get() > last - code.lanes):
+            run.set(last - code.lanes)
+        w.run = run.get()
+        yield
+
+
+def forward(w: Writer, chain: Forward) -> None:
+    """Write the forward sweep of the runs at hand."""
+    code, last = w.code, w.last
+    begin = w.column(chain.begin[0]), w.symmetric(chain.begin[1])
+    belief = w.matrices.carried(*begin)
+    sure, settled = code.variable(True), code.variable(True)
+    watch = Watch(w, chain.size)
+    with code.loop(last + 1) as at, w.matrices.scratch():
+        w.reach(at.number(), sure.get())
+        with code.when(at > 0), w.matrices.scratch():
+            moved = predicted(w, chain, at - 1, belief.mean, belief.cov)
+            belief.set(moved.mean, moved.cov)
+            sure.set(sure.get() & moved.sure)
+            w.reach(at.number(), sure.get())
+        mean, cov = belief.mean, belief.cov
+        for array, part in zip(chain.predicted, (mean, cov), strict=False):
+            w.keep(array, part, at)
+        found = taken(w, chain, at, mean, cov)
+        known, spread = found.moments.mean, found.moments.cov
+        numbers = [abs(x) for vector in (mean, known) for x in w.matrices.beside(vector)]
+        numbers += [x for matrix in (cov, spread) for x in w.matrices.diagonal(matrix)]
+        total = found.density + w.sum(numbers)
+        sure.set(sure.get() & found.sure & (abs(total) < _LARGEST))
+        settled.set(settled.get() & found.settled)
+        w.keep(chain.known[0], known, at)
+        w.keep(chain.known[1], spread, at)
+        w.at(chain.density, at).store(0, found.density)
+        watch.look(at, last, known, cov, spread)
+        belief.set(known, spread)
+        code.leave_unless(code.some(sure.get()))
+    w.reach(float("inf"), sure.get())
+    _tell(w, LEFT, where(sure.get(), 0.0, 1.0))
+    _tell(w, CLOSEST, watch.closest)
+    _tell(w, FAR, where(watch.far, 1.0, 0.0))
+    _tell(w, MOVING, where(settled.get(), 0.0, 1.0))
+
+
+def _backward(w: Writer, chain: Backward) -> None:
+    """Write the sweep back of the runs at hand."""
+    code, last = w.code, w.last
+    final = w.column(chain.known[0], last), w.symmetric(chain.known[1], last)
+    later = w.matrices.carried(*final)
+    for array, part in zip(chain.smoothed, final, strict=False):
+        w.keep(array, part, last)
+    sure = code.variable(True)
+    with code.loop(last, down=True) as at, w.matrices.scratch():
+        states = chain.states
+        mean = w.column(chain.known[0], at).part(states, (0,))
+        cov = w.symmetric(chain.known[1], at).part(states, states)
+        back = step.reverse(
+            mean,
+            cov,
+            w.matrix(chain.motion[0], at),
+            w.symmetric(chain.motion[1], at),
+            w.column(chain.predicted[0], at + 1),
+            w.symmetric(chain.predicted[1], at + 1),
+        )
+        for array, part in zip(chain.reversed, back[:3], strict=True):
+            w.keep(array, part, at)
+        shift = w.sum([abs(x) for x in w.matrices.beside(back.offset)])
+        sure.set(sure.get() & (back.share > _CORRELATED) & (shift < _LARGEST))
+        if chain.smoothed:
+            moments = step.push(later.mean, later.cov, *back[:3])
+            if chain.controls:
+                matrix, offset, noise = chain.controls
+                own = w.matrix(matrix, at), w.column(offset, at), w.symmetric(noise, at)
+                moments = step.push(*moments, *own)
+            for array, part in zip(chain.smoothed, moments, strict=True):
+                w.keep(array, part, at)
+            later.set(*moments)
+        code.leave_unless(code.some(sure.get()))
+    _tell(w, LEFT, where(sure.get(), 0.0, 1.0))
+
+
+def _tell(w: Writer, what: int, number: Any) -> None:
+    """Tell something of each of the runs at hand."""
+    w.ended(what).store(0, number)

@@ -1,0 +1,221 @@
+"""A CPD at one of its rows, linearised at a belief over its parents."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from functools import reduce
+from math import pi
+from operator import or_
+from typing import NamedTuple
+
+from pgm.kernels import step
+from pgm.kernels.machine.emitter.numbers import Number
+from pgm.kernels.machine.emitter.traces import Inputs
+from pgm.kernels.machine.emitter.wholes import Whole
+from pgm.kernels.machine.sweeps.called import tangent, values_at
+from pgm.kernels.machine.sweeps.lines import held
+from pgm.kernels.machine.sweeps.told import Points, Row
+from pgm.kernels.machine.sweeps.writer import Writer
+from pgm.kernels.numbers import inner, nearest_whole, where
+from pgm.kernels.step import AnyMatrix
+
+# As of `gaussian` and `linearisers.regression`: the least share of a root that is regular; and the
+# error of a line that is none of rounding, as a part of a value's square, or of the square of what
+# rounding may be at most.
+REGULAR, _PLAIN, _SURELY = 1e-11, 1e-16, 1.0 / 64.0
+
+
+class Line(NamedTuple):
+    """A linearisation y = F (x − m) + value + e at a mean m, F being (d, n).
+
+    The covariance of e is that of the CPD's `own` noise, and that of the line's `error`, None for
+    zero. `sure` is a truth: whether all of it is right, so far as can be told.
+    """
+
+    matrix: AnyMatrix
+    value: AnyMatrix
+    own: AnyMatrix
+    error: AnyMatrix | None
+    sure: Number
+
+    @property
+    def noise(self) -> AnyMatrix:
+        """The covariance of e."""
+        return self.own if self.error is None else self.own + self.error
+
+
+def inputs(w: Writer, row: Row, at: Whole) -> Inputs:
+    """Where the observed arguments of a CPD's function are, at its row."""
+    if row.function is None:
+        return {}
+    observed = dict.fromkeys(argument for argument, _ in row.function.observed)
+    cells = {a: w.at(array, at) for a, array in zip(observed, row.inputs, strict=True)}
+    return {column: (cells[column[0]], column[1]) for column in row.function.observed}
+
+
+def value_at(w: Writer, row: Row, at: Whole, mean: AnyMatrix) -> AnyMatrix:
+    """The value of a CPD's function at its row."""
+    if row.called is not None:
+        return values_at(w, row.called, at, mean.T).T
+    assert row.function is not None
+    return w.matrices.value(row.function, mean, inputs(w, row, at))
+
+
+def linearised(
+    w: Writer,
+    row: Row,
+    at: Whole,
+    mean: AnyMatrix,
+    cov: AnyMatrix,
+    again: Number | None = None,
+) -> Line:
+    """A CPD linearised at a belief over its parents, a mean (n × 1) and a covariance (n × n).
+
+    `again` says that it has been, in this step and at this belief; None that it has not.
+    """
+    noise = w.symmetric(row.noise, at)
+    if row.called is not None:
+        return _called(w, row, at, mean, cov, noise, again)
+    if row.function is None:
+        assert row.matrix is not None
+        assert row.offset is not None
+        matrix = w.matrix(row.matrix, at)
+        offset = w.column(row.offset, at)
+        for shift, values in zip(row.shifts, row.inputs, strict=False):
+            offset = offset + w.matrix(shift) @ w.column(values, at)
+        return Line(matrix, matrix @ mean + offset, noise, None, w.true)
+    if row.points is not None and mean.shape[0]:
+        return _regressed(w, row, at, mean, cov, noise)
+    value, matrix = w.matrices.slope(row.function, mean, inputs(w, row, at))
+    return Line(matrix, value, noise, None, w.true)
+
+
+def _called(
+    w: Writer,
+    row: Row,
+    at: Whole,
+    mean: AnyMatrix,
+    cov: AnyMatrix,
+    noise: AnyMatrix,
+    again: Number | None,
+) -> Line:
+    called = row.called
+    assert called is not None
+    lines = called.lines
+    place = at % lines.rows
+    with nullcontext() if again is None else w.code.when(~again), w.matrices.scratch():
+        if lines.cov is not None:
+            w.keep(called.points, mean)
+            w.keep(lines.cov, cov)
+            w.ask(called.number, 0, at)
+        elif row.points is not None and mean.shape[0]:
+            line = _regressed(w, row, at, mean, cov, noise)
+            w.keep(lines.value, line.value, place)
+            w.keep(lines.matrix, line.matrix, place)
+            w.keep(lines.error, line.error, place)
+            w.at(lines.sure, place).store(0, line.sure.number())
+        else:
+            tangent(w, row, at, mean, cov)
+            w.at(lines.sure, place).store(0, 1.0)
+    error = None if lines.error is None else w.symmetric(lines.error, place)
+    matrix, value = w.matrix(lines.matrix, place), w.column(lines.value, place)
+    return Line(matrix, value, noise, error, w.at(lines.sure, place).load(0) > 0.0)
+
+
+def keep(w: Writer, row: Row, at: Whole, mean: AnyMatrix, line: Line) -> None:
+    """Keep a linearisation, where that is asked for; its noise is kept by whoever weighs it."""
+    if row.curved and row.matrix is not None:
+        assert row.offset is not None
+        w.keep(row.matrix, line.matrix, at)
+        w.keep(row.offset, line.value - line.matrix @ mean, at)
+
+
+def _regressed(
+    w: Writer, row: Row, at: Whole, mean: AnyMatrix, cov: AnyMatrix, noise: AnyMatrix
+) -> Line:
+    rule, m = row.points, w.matrices
+    assert rule is not None
+    root = cov.root()
+    moves = m.constant(rule.points) @ root.matrix.T
+    points = m.shifted(moves, mean)
+    if row.called is not None:
+        values = values_at(w, row.called, at, points)
+    else:
+        assert row.function is not None
+        values = m.values(row.function, points, inputs(w, row, at))
+    if rule.centred or not row.angles:
+        reference = values.part((0,), range(row.height)).T
+    else:
+        reference = value_at(w, row, at, mean)
+    off = m.shifted(values, reference.scaled(-1.0))
+    if row.angles:
+        off = _about(w, row, at, mean, cov, moves, off)
+    found = step.regress(root, _constant(w, rule), off)
+    error = _told_from_rounding(w, row, mean, reference, off, found)
+    return Line(found.matrix, reference + found.value, noise, error, root.share > REGULAR)
+
+
+def _constant(w: Writer, rule: Points) -> step.Rule:
+    size = range(len(rule.signs))
+    constant = w.matrices.constant
+    signs = [[rule.signs[i] if i == j else 0.0 for j in size] for i in size]
+    mean, slope, rest = constant(rule.mean), constant(rule.slope), constant(rule.rest)
+    return step.Rule(mean, slope, rest, constant(signs) if signs else None)
+
+
+def _about(
+    w: Writer,
+    row: Row,
+    at: Whole,
+    mean: AnyMatrix,
+    cov: AnyMatrix,
+    moves: AnyMatrix,
+    off: AnyMatrix,
+) -> AnyMatrix:
+    """Offsets of angles about their tangent, where some of them exceed half a turn."""
+    m = w.matrices
+    columns = {i: m.beside(off.part(range(off.shape[0]), (i,))) for i in row.angles}
+    far = {i: w.together(or_, [abs(x) > pi for x in columns[i]]) for i in row.angles}
+    wrapped = {i: [held(w.code, x) for x in columns[i]] for i in row.angles}
+    with w.code.when(w.code.some(reduce(or_, far.values()))):
+        if row.called is not None:
+            slope = tangent(w, row, at, mean, cov)
+        else:
+            assert row.function is not None
+            slope = m.slope(row.function, mean, inputs(w, row, at))[1]
+        for i in row.angles:
+            lines = m.beside(moves @ slope.part((i,), range(mean.shape[0])).T)
+            for variable, x, line in zip(wrapped[i], columns[i], lines, strict=True):
+                rest = x - line
+                turned = rest - step.TURN * nearest_whole(rest / step.TURN) + line
+                variable.set(where(far[i], turned, x))
+    return m.with_columns(off, {i: [x.get() for x in wrapped[i]] for i in row.angles})
+
+
+def _told_from_rounding(
+    w: Writer,
+    row: Row,
+    mean: AnyMatrix,
+    reference: AnyMatrix,
+    off: AnyMatrix,
+    found: step.Regressed,
+) -> AnyMatrix:
+    """The error of a line, zero in components in which it may be rounding of the values."""
+    rule, error, m = row.points, found.error, w.matrices
+    assert rule is not None
+    plain = max(_PLAIN, _SURELY * rule.rounding**2)
+    size = range(mean.shape[0])
+    values, farthest = m.beside(reference), m.largest(off)
+    slopes = list(zip(*(m.row(found.moment, j) for j in size), strict=True))
+    lines = list(zip(*(m.row(found.matrix.T, j) for j in size), strict=True))
+    least_of = m.beside(m.constant([rule.variances]).T)
+    x = [abs(mean[j, 0]) for j in size]
+    sound = []
+    for k, variance in enumerate(m.diagonal(error)):
+        whole = values[k] * values[k] + inner(slopes[k], slopes[k])
+        summands = abs(values[k]) + inner([abs(f) for f in lines[k]], x) + farthest[k]
+        rounding = rule.rounding * summands
+        sound.append(
+            (variance + least_of[k] > plain * whole) | (abs(variance) > rounding * rounding)
+        )
+    return m.kept(sound, error)

@@ -1,0 +1,116 @@
+"""A step of an online filter in machine code: from a belief and the evidence given to the next one.
+
+A belief is one bytes object: the mean (n,), the covariance (n, n), and the log-evidence. Python
+calls ``step(belief, values)``, in which `values` is the mapping from variables to their evidence.
+The answer is the next belief; None where the evidence is of another kind than the step is made
+for; and no bytes, ``b""``, where more care is needed: numbers are too far apart for float64, or
+some are not finite.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import accumulate
+from math import inf, prod
+from operator import and_
+from typing import TYPE_CHECKING, Any
+
+from pgm.kernels.machine.emitter.module import Module
+from pgm.kernels.machine.emitter.python import Python, written
+from pgm.kernels.machine.loops.frame import Frame
+from pgm.kernels.machine.loops.loops import Loops
+from pgm.kernels.machine.sweeps import told
+from pgm.kernels.machine.sweeps.evidence import CONSTANTS, Evidence, Table, read
+from pgm.kernels.machine.sweeps.extent import is_long
+from pgm.kernels.machine.sweeps.lines import Lines
+from pgm.kernels.machine.sweeps.motion import predicted
+from pgm.kernels.machine.sweeps.reading import taken
+from pgm.kernels.machine.sweeps.writer import Writer
+from pgm.kernels.step import AnyMatrix
+
+if TYPE_CHECKING:
+    from pgm.kernels.machine.emitter.compiled import Compiled
+
+STEP = "step"
+# As of `beliefs.is_moderate`, and of `last_places.of_step`, which tells what has lost digits.
+_REGULAR, _FAR = 1.0 / 2e7, (2e-6 / 2.0**-52) ** 2
+
+
+@dataclass(frozen=True)
+class Step:
+    """A prediction, if it `moves`, or an update: its chain of one step, and what it is made from.
+
+    `constants` are the arrays whose numbers the step is bound to, one after another.
+    """
+
+    chain: told.Forward
+    moves: bool
+    constants: tuple[told.Array, ...]
+    evidence: tuple[Evidence, ...]
+
+
+@lru_cache(maxsize=128)
+def made(online: Step) -> Compiled:
+    """The machine code of a step; see `python.bound`."""
+    module = Module()
+    written(module, STEP, 2, lambda python: _write(python, online))
+    return module.compile()
+
+
+def _write(python: Python, online: Step) -> None:
+    code, chain = python.code, online.chain
+    known, values = python.given
+    size = chain.size
+    count = size + size * size + 1
+    table = Table(code, chain)
+    begin = python.bytes(known, 8 * count)
+    table.put(chain.begin[0], begin)
+    table.put(chain.begin[1], begin + size)
+    _constants(python, online, table)
+    finite = read(python, online.evidence, table, values)
+    later = python.call("PyBytes_FromStringAndSize", python.null, 8 * count)
+    python.give_null_if(later.is_null())
+    end = python.call("PyBytes_AsString", later)
+    table.put(chain.known[0], end)
+    table.put(chain.known[1], end + size)
+    table.put(chain.density, end + (count - 1))
+
+    frame = Frame.of_function(code)
+    w = Writer(code, table.address, chain, Loops(code, frame) if is_long(chain, 1) else Lines(code))
+    mean, cov = w.column(chain.begin[0]), w.symmetric(chain.begin[1])
+    total, at = code.memory(begin).load(count - 1), code.whole(0)
+    if online.moves:
+        moved = predicted(w, chain, at, mean, cov)
+        after, spread, sure = moved.mean, moved.cov, moved.sure
+        cov = spread
+    else:
+        found = taken(w, chain, at, mean, cov)
+        after, spread, sure = found.moments.mean, found.moments.cov, found.sure
+        total = total + found.density
+    sure = sure & finite & (abs(total) < inf) & _is_moderate(w, after, spread, cov)
+    w.keep(chain.known[0], after)
+    w.keep(chain.known[1], spread)
+    w.at(chain.density).store(0, total)
+    with code.when(~sure):
+        python.call("Py_DecRef", later, result=None)
+        code.give(python.call("PyBytes_FromStringAndSize", python.null, 0))
+    code.give(later)
+    frame.settle()
+
+
+def _constants(python: Python, online: Step, table: Table) -> None:
+    sizes = [prod(array.shape) for array in online.constants]
+    *places, count = accumulate(sizes, initial=0)
+    begin = python.bytes(python.mine(CONSTANTS), 8 * count)
+    for array, place in zip(online.constants, places, strict=True):
+        table.put(array, begin + place)
+
+
+def _is_moderate(w: Writer, mean: AnyMatrix, cov: AnyMatrix, before: AnyMatrix) -> Any:
+    """Whether float64 has digits enough for a belief after a step from a covariance."""
+    m, found = w.matrices, []
+    for x, variance, old in zip(m.beside(mean), m.diagonal(cov), m.diagonal(before), strict=True):
+        none = (x == 0.0) & (variance == 0.0) & (old == 0.0)  # as behind the last component
+        found.append(none | ((variance > _REGULAR * old) & (x * x < _FAR * variance)))
+    return w.together(and_, found) & (m.open_share(cov) > _REGULAR)

@@ -1,0 +1,353 @@
+"""The measurements of a step taken into its belief, one sighting after another."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from pgm.kernels import step
+from pgm.kernels.arrays import LOG_2PI
+from pgm.kernels.gaussian import NEARLY_SINGULAR
+from pgm.kernels.machine.emitter.numbers import Number
+from pgm.kernels.machine.emitter.wholes import Whole
+from pgm.kernels.machine.sweeps.control import Anchor, Control, Solve, tried
+from pgm.kernels.machine.sweeps.cpd import REGULAR, Line, keep, linearised
+from pgm.kernels.machine.sweeps.matrices import Belief
+from pgm.kernels.machine.sweeps.outliers import REWEIGHINGS, Weighing, gated, kept_surplus, surplus
+from pgm.kernels.machine.sweeps.settling import Settling, moved
+from pgm.kernels.machine.sweeps.told import Forward, Sensor
+from pgm.kernels.machine.sweeps.writer import Writer
+from pgm.kernels.numbers import least, where
+from pgm.kernels.step import AnyMatrix
+
+# The part of S (10 + rᵀ S⁻¹ r) that noise has to exceed in all directions. Below, a belief that is
+# linearised again, or any, is not known to a billionth of a deviation: an order of sums shows. A
+# measurement that leaves a thousandth of each variance is never so sharp.
+_CURVED, _STRAIGHT, _MILD = 1e-6, 1e-8, 1e-3
+# A length rᵀ S⁻¹ r from which on little or nothing can be told.
+_FARTHEST = 1e12
+
+
+class Taken:
+    """A belief that takes in measurements: moments, their log-density, and whether it is sure."""
+
+    def __init__(self, w: Writer, mean: AnyMatrix, cov: AnyMatrix) -> None:
+        self.moments = w.matrices.carried(mean, cov)
+        self._density, self._sure = w.code.variable(0.0), w.code.variable(True)
+        self._settled = w.code.variable(True)
+
+    @property
+    def density(self) -> Number:
+        """The log-density of the measurements that are taken in."""
+        return self._density.get()
+
+    @property
+    def sure(self) -> Number:
+        """Whether all of it is right, so far as can be told."""
+        return self._sure.get()
+
+    @property
+    def settled(self) -> Number:
+        """Whether the weights of robust noise have settled."""
+        return self._settled.get()
+
+    def begin(self, mean: AnyMatrix, cov: AnyMatrix) -> None:
+        """Begin again, at a predicted belief."""
+        self.moments.set(mean, cov)
+        self._density.set(0.0)
+        self._sure.set(True)
+
+    def take(self, mean: AnyMatrix, cov: AnyMatrix, density: Any, sure: Number) -> None:
+        """Go on to a belief that knows one measurement more."""
+        self.moments.set(mean, cov)
+        self._density.set(self.density + density)
+        self._sure.set(self.sure & sure)
+
+    def hold(self, anchor: Anchor) -> None:
+        """Take in the measurement of an anchor, which has no density."""
+        after = anchor.hold(self.moments.mean, self.moments.cov)
+        self.take(after.mean, after.cov, 0.0, after.share > REGULAR)
+
+    def doubt(self, sure: Number) -> None:
+        """Note that all of it is right only if this is."""
+        self._sure.set(self.sure & sure)
+
+    def settle(self, settled: Any) -> None:
+        """Note whether weights have settled."""
+        self._settled.set(settled)
+
+
+class Point(NamedTuple):
+    """Where the measurements of a step are linearised, and what they are taken into.
+
+    `mean` and `cov` are the predicted moments, `at` and `about` those of the linearisation. `first`
+    is whether this is the first linearisation, None if there is one alone. An `anchor` is taken in
+    as well.
+    """
+
+    mean: AnyMatrix
+    cov: AnyMatrix
+    at: AnyMatrix
+    about: AnyMatrix
+    first: Number | None
+    anchor: Anchor | None = None
+
+
+def taken(
+    w: Writer, chain: Forward, at: Whole, mean: AnyMatrix, cov: AnyMatrix, *, decided: bool = False
+) -> Taken:
+    """The belief given the measurements of a step, whose predicted moments are N(mean, cov).
+
+    `decided` says that gates have decided before.
+    """
+    found = Taken(w, mean, cov)
+    weighing = None
+    if any(sensor.weighs for sensor in chain.sensors):
+        weighing = Weighing(w, mean, cov)
+    anchor = None
+    if chain.anchor:
+        means, std, weight = chain.anchor
+        deviations = [s for (s,) in w.column(std, at).rows]
+        anchor = Anchor(w.column(means, at), deviations, w.at(weight).load(0))
+    if chain.iterated:
+        _iterated(w, chain, at, found, mean, cov, weighing)
+    else:
+        first = w.code.constant(False).lane(0) if decided else None
+        _solved(w, chain, at, found, Point(mean, cov, mean, cov, first, anchor), weighing)
+    return found
+
+
+def _iterated(
+    w: Writer,
+    chain: Forward,
+    at: Whole,
+    found: Taken,
+    mean: AnyMatrix,
+    cov: AnyMatrix,
+    weighing: Weighing | None,
+) -> None:
+    """Linearise again at what was found, until a belief settles."""
+    code = w.code
+    point, damping, settling = w.matrices.carried(mean, cov), w.settings.load(1), Settling(w)
+    most_often = code.variable(code.whole(1))
+    with code.when(_are_curved(w, chain, at)):
+        most_often.set(w.iterations)
+    control = Control(w, chain, at, mean, cov) if chain.controlled else None
+    active = code.variable(True)
+    with code.loop(most_often.get()) as k:
+        active.set(~settling.settled)
+        if control is None:
+            with code.when(k > 0), w.matrices.scratch():
+                _move(w, point, found.moments, damping, settling.settled)
+        here = Point(mean, cov, point.mean, point.cov, k == 0)
+        _solved(w, chain, at, found, here, weighing)
+        with code.when(k > 0), w.matrices.scratch():
+            far = moved(w, found.moments.mean, found.moments.cov, point.mean)
+            settling.note(k, far, found.settled)
+        if control is not None:
+            with code.when(most_often.get() > 1):
+                parts = point, found.moments, active.get(), settling.settled
+                found.doubt(control.step(*parts, _trial(w, chain, at, mean, cov)))
+        code.leave_when(code.every(settling.settled))
+        code.leave_unless(code.some(found.sure))
+    with code.when(most_often.get() > 1):
+        if control is not None:  # the means that were accepted last
+            found.moments.set(control.shown, found.moments.cov)
+        settling.close(most_often.get())
+
+
+def _trial(w: Writer, chain: Forward, at: Whole, mean: AnyMatrix, cov: AnyMatrix) -> Solve:
+    """The measurements of a step, as they were linearised last, solved with an anchor."""
+
+    def solve(anchor: Anchor) -> tuple[AnyMatrix, Number]:
+        found, weighing = Taken(w, mean, cov), None
+        if any(sensor.weighs for sensor in chain.sensors):
+            weighing = Weighing(w, mean, cov, trial=True)
+        point = Point(mean, cov, mean, cov, w.code.constant(False).lane(0), anchor)
+        _solved(w, tried(chain), at, found, point, weighing)
+        return found.moments.mean, found.sure
+
+    return solve
+
+
+def _solved(
+    w: Writer, chain: Forward, at: Whole, found: Taken, point: Point, weighing: Weighing | None
+) -> None:
+    """Take in the measurements of a step, the robust ones by weights that have settled."""
+    if weighing is None:
+        found.begin(point.mean, point.cov)
+        _once(w, chain, at, found, point, None)
+        return
+    weighing.begin()
+    with w.code.loop(w.code.whole(REWEIGHINGS + 1)) as turn:
+        weighing.turn(turn)
+        found.begin(point.mean, point.cov)
+        _once(w, chain, at, found, point, weighing)
+        w.code.leave_unless(weighing.turned(found.moments))
+        w.code.leave_unless(w.code.some(found.sure))
+    found.settle(weighing.settled)
+
+
+def _are_curved(w: Writer, chain: Forward, at: Whole) -> Number:
+    """Whether some measurement of a step has to be linearised."""
+    found = w.code.constant(False).lane(0)
+    for sensor in chain.sensors:
+        if not sensor.curved:
+            continue
+        if sensor.bounds is None:
+            return w.code.constant(True).lane(0)
+        first, last = w.sightings(sensor, at)
+        found = found | (first < last)
+    return found
+
+
+def _move(w: Writer, point: Belief, found: Belief, damping: Number, settled: Number) -> None:
+    """Move the point of linearisation to the belief that was found, where it has not settled."""
+
+    def mixed(a: AnyMatrix, b: AnyMatrix) -> AnyMatrix:
+        between = a.scaled(damping) + b.scaled(1.0 - damping)
+        return w.matrices.chosen(settled, a, between)
+
+    point.set(mixed(point.mean, found.mean), mixed(point.cov, found.cov))
+
+
+def _once(
+    w: Writer, chain: Forward, at: Whole, found: Taken, point: Point, weighing: Weighing | None
+) -> None:
+    """Take in the measurements of a step, linearised at a point."""
+    fresh = point.first is None  # no measurement has moved the belief from the point yet
+    for sensor in chain.sensors:
+        if sensor.bounds is None:
+            with w.matrices.scratch():
+                _read(w, sensor, at, found, point, weighing, fresh=fresh)
+        else:
+            first, last = w.sightings(sensor, at)
+            with w.code.loop(last, first) as row, w.matrices.scratch():
+                _read(w, sensor, row, found, point, weighing)
+        fresh = False
+    if point.anchor is not None:
+        found.hold(point.anchor)
+
+
+def _read(
+    w: Writer,
+    sensor: Sensor,
+    at: Whole,
+    found: Taken,
+    point: Point,
+    weighing: Weighing | None,
+    *,
+    fresh: bool = False,
+) -> None:
+    """Take in a sighting; `fresh` says that no other of its step is taken in yet."""
+    parents = sensor.parents
+    x = point.at.part(parents, (0,))
+    again = None if weighing is None else weighing.again
+    line = linearised(w, sensor, at, x, point.about.part(parents, parents), again)
+    keep(w, sensor, at, x, line)
+    values = w.column(sensor.readings, at)
+    near = {k: step.nearest(values[k, 0], line.value[k, 0]) for k in sensor.angles}
+    values = w.matrices.replaced(values, near)
+    w.keep(sensor.moved, values, at)
+    left = values - line.value
+    sighting = _Sighting.of(w, sensor, line, left, point.at.shape[0], values)
+    noise = sighting.noise
+    begins = point.first
+    if weighing is not None:
+        begins = ~weighing.again if begins is None else begins & ~weighing.again
+    surplus_of: Any = 0.0
+    if sensor.loss is not None:
+        count = sighting.count
+        if sensor.weighs:
+            assert weighing is not None
+            assert begins is not None
+            belief = weighing.belief
+            residual = sighting.left - sighting.matrix @ (belief.mean - point.at)
+            cov = belief.cov if sensor.loss.expects else None
+            square = step.weighed_square(
+                residual, sighting.own, sighting.matrix, cov, sighting.error
+            )
+            weight, of = weighing.weigh(sensor.loss, at, square, count, begins)
+            noise = sighting.weighed(weight)
+            noise = noise if sighting.error is None else noise + sighting.error
+            w.keep(sensor.kept, noise, at)
+            surplus_of = surplus(w, sensor.loss, of, count, weight)
+        else:
+            surplus_of = kept_surplus(w, sensor.loss, at, count)
+    else:
+        w.keep(sensor.kept, line.noise, at)
+    mean, cov = found.moments.mean, found.moments.cov
+    residual = sighting.left
+    if not fresh:
+        residual = residual - sighting.matrix @ (mean - point.at)
+    after = step.update(mean, cov, sighting.matrix, residual, noise)
+    limit = _CURVED if sensor.curved else _STRAIGHT
+    part = least(limit * (10.0 + after.square), w.code.constant(_MILD))
+    whole = step.predict(point.cov, sighting.matrix, noise)
+    sharp = (after.square < _FARTHEST) & _is_positive(w, noise - whole.scaled(part))
+    density = -0.5 * (after.square + LOG_2PI * sighting.count) - after.volume + surplus_of
+    if sensor.gate is None:
+        sure = line.sure & (after.share > NEARLY_SINGULAR) & sharp
+        found.take(after.mean, after.cov, density, sure)
+        return
+    square, share = after.square, after.share
+    if not fresh:
+        root = whole.root()
+        white, share = root.solve(sighting.left), least(root.share, after.share)
+        square = (white.T @ white)[0, 0]
+    rejected = gated(w, sensor, at, square, sighting.count, begins)
+    sure = line.sure & (share > NEARLY_SINGULAR) & (rejected | sharp)
+    found.take(
+        w.matrices.chosen(rejected, mean, after.mean),
+        w.matrices.chosen(rejected, cov, after.cov),
+        where(rejected, 0.0, density),
+        sure,
+    )
+
+
+class _Sighting(NamedTuple):
+    """A sighting as linearised: z = value + H (x − m) + e over the whole slice.
+
+    `left` is z − value, `own` and `error` are the covariances of the noise and of the line's error,
+    None for zero, and `count` is how many components were measured; others say nothing. `stands` is
+    the part of `own` that stands for these, None where there are none.
+    """
+
+    left: AnyMatrix
+    matrix: AnyMatrix
+    own: AnyMatrix
+    error: AnyMatrix | None
+    count: Any
+    stands: AnyMatrix | None = None
+
+    @classmethod
+    def of(
+        cls, w: Writer, sensor: Sensor, line: Line, left: AnyMatrix, size: int, values: AnyMatrix
+    ) -> _Sighting:
+        """A sighting of some values, as linearised over a slice of so many components."""
+        m = w.matrices
+        matrix = m.widened(line.matrix, sensor.parents, size)
+        if not sensor.missing:
+            return cls(left, matrix, line.own, line.error, float(sensor.height))
+        known = [value == value for value in m.beside(values)]
+        left, matrix, own = m.seen(known, left, matrix, line.own)
+        error = None if line.error is None else m.kept(known, line.error)
+        missing = w.sum([1.0 - truth.number() for truth in known])
+        stands = own - m.kept(known, own) if sensor.weighs else None
+        return cls(left, matrix, own, error, float(sensor.height) - missing, stands)
+
+    def weighed(self, weight: Any) -> AnyMatrix:
+        """The covariance of the noise by a weight, which is not of what was not measured."""
+        if self.stands is None:
+            return self.own.scaled(1.0 / weight)
+        return (self.own - self.stands).scaled(1.0 / weight) + self.stands
+
+    @property
+    def noise(self) -> AnyMatrix:
+        """The covariance of e."""
+        return self.own if self.error is None else self.own + self.error
+
+
+def _is_positive(w: Writer, matrix: AnyMatrix) -> Any:
+    """Whether a matrix is positive definite."""
+    positive: Number = (matrix[0, 0] > 0.0) & (w.matrices.open_share(matrix) > 0.0)
+    return positive
