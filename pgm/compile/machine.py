@@ -64,9 +64,7 @@ RULES = Unscented, Cubature, GaussHermite
 MOST = 60
 # Why a schedule, or a filter's settings online, leave machine code.
 GATE = "a gate (gate=) decides at one predicted belief after another"
-CONTROL = "Levenberg–Marquardt (damping=) judges each step by its cost"
-WINDOWS = "the windows of a lag with iterations slide one after another"
-POINTS = "iterations of rules with points, or of differences, linearise all steps by NumPy"
+CONTROL = "Levenberg–Marquardt (damping=) judges the windows of a lag"
 COMPILED = "compiled"
 # Before the reason why machine code calls a function rather than having it itself.
 CALLED = "called back: "
@@ -131,8 +129,8 @@ class Compilation(Told[CPD]):
     ['compiled', 'compiled', 'compiled']
     >>> compilation.under(pgm.Filtering(gate=0.99))
     'compiled'
-    >>> compilation.under(pgm.Filtering(damping=pgm.LevenbergMarquardt()))
-    'left to NumPy: Levenberg–Marquardt (damping=) judges each step by its cost'
+    >>> compilation.under(pgm.FixedLag(5, iterations=3, damping=pgm.LevenbergMarquardt()))
+    'left to NumPy: Levenberg–Marquardt (damping=) judges the windows of a lag'
     """
 
     __slots__ = ()
@@ -150,10 +148,9 @@ class Compilation(Told[CPD]):
             ``"compiled"``, with the CPDs that are called back; or ``"left to NumPy: ..."`` with the
             reasons, first the schedule's, then the CPDs'.
         """
-        several = getattr(schedule, "iterations", 1) > 1
         control = not is_number(getattr(schedule, "damping", 0.0))
-        why = [CONTROL] if control else []
-        why += [WINDOWS] if several and getattr(schedule, "lag", 0) else []
+        several = getattr(schedule, "iterations", 1) > 1
+        why = [CONTROL] if control and several and getattr(schedule, "lag", 0) else []
         called = {cpd: words for cpd, words in self.items() if words.startswith(CALLED)}
         why += [
             f"{cpd!r}: {words}"
@@ -171,7 +168,7 @@ class Compilation(Told[CPD]):
         super().__init__(
             f"Compilation of {of}",
             found,
-            "Levenberg–Marquardt and the windows of a lag leave machine code as well: "
+            "Levenberg–Marquardt of the windows of a lag leaves machine code as well: "
             "posterior.status.compilation tells of a call",
         )
 

@@ -240,6 +240,16 @@ def open_share(cov: Matrix) -> Number:
     return least_share
 
 
+def inflation(cov: Matrix) -> Number:
+    """The sum of the variance inflation factors of a covariance P, tr C⁻¹ of its correlations C.
+
+    The factor of a component is its variance divided by its variance given all others.
+    """
+    size = range(cov.shape[0])
+    inverse = cov.root().solve(Matrix([[1.0 if i == j else 0.0 for j in size] for i in size]))
+    return inner(cov.diagonal, [inner(column, column) for column in inverse.columns])
+
+
 def weighed_square(
     residual: AnyMatrix,
     noise: AnyMatrix,

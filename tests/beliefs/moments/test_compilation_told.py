@@ -45,11 +45,12 @@ def told(model, schedule, compiled=True, evidence=EVIDENCE, **options):
         (pgm.FixedLag(5), True, ""),
         (pgm.Smoothing(iterations=4, tolerance=0), True, ""),
         (pgm.Filtering(gate=0.99), True, ""),
-        (pgm.Filtering(iterations=3, tolerance=0, damping=CONTROL), True, "Levenberg"),
+        (pgm.Filtering(iterations=3, tolerance=0, damping=CONTROL), True, ""),
         (pgm.Smoothing(gate=0.99), True, ""),
         (pgm.FixedLag(4, gate=0.99), True, ""),
-        (pgm.FixedLag(4, iterations=3, tolerance=0), False, "windows of a lag"),
-        (pgm.Smoothing(iterations=4, tolerance=0, damping=CONTROL), False, "Levenberg"),
+        (pgm.FixedLag(4, iterations=3, tolerance=0), True, ""),
+        (pgm.FixedLag(4, iterations=3, tolerance=0, damping=CONTROL), True, "Levenberg"),
+        (pgm.Smoothing(iterations=4, tolerance=0, damping=CONTROL), True, ""),
     ],
 )
 def test_schedules(schedule, whole, why):
@@ -85,7 +86,8 @@ def test_cpds_are_told_by_the_graph_and_the_status(name):
         assert why in compilation[model.observation[0]]
         assert why in compilation.under(schedule)
         assert why in status.compilation
-        assert status.compilation.count(why) == 1
+        # A smoother's functions are called back by its filter, and left when it linearises again.
+        assert status.compilation.split("but for: ")[-1].count(why) == 1
 
 
 def test_the_lineariser_of_a_call():
@@ -96,7 +98,7 @@ def test_the_lineariser_of_a_call():
     assert few.compilation == "compiled"
     rule = {"lineariser": pgm.Unscented()}
     again = told(network(), pgm.Smoothing(iterations=3, tolerance=0), **rule)[0]
-    assert "linearise all steps by NumPy" in again.compilation
+    assert again.compilation == "compiled"
 
 
 @pytest.mark.parametrize("name", ["plain", "everything", "an exact range", "noise by landmark"])
@@ -130,7 +132,7 @@ def test_twice_the_digits():
 def test_machine_code_that_is_not_due(monkeypatch):
     from pgm.beliefs.moments.compiled import sweep
 
-    control = pgm.Filtering(iterations=2, tolerance=0, damping=CONTROL)
+    control = pgm.FixedLag(3, iterations=2, tolerance=0, damping=CONTROL)
     assert told(network(), control, compiled=False)[0].compilation == "by NumPy: compiled=False"
     status, _ = told(network(), control, compiled=None)
     assert "made for longer work" in status.compilation
@@ -145,7 +147,7 @@ def test_machine_code_that_is_not_due(monkeypatch):
 
 def test_runs_in_parts_tell_as_one():
     many = {Z: np.stack([EVIDENCE[Z]] * 9)}
-    for schedule in (pgm.Filtering(iterations=2, tolerance=0, damping=CONTROL), pgm.Filtering()):
+    for schedule in (pgm.Filtering(iterations=2, tolerance=0), pgm.Filtering()):
         due = told(network(), schedule, evidence=many)[0]
         kept = told(network(), schedule, evidence=many, keep=[A])[0]
         assert kept.compilation == due.compilation

@@ -211,8 +211,8 @@ def test_work_is_compiled_by_default_where_it_is_long(installed, monkeypatch):
     from pgm.beliefs.moments.compiled import sweep
     from pgm.examples import walk, z
 
-    used, run = [], sweep._run
-    monkeypatch.setattr(sweep, "_run", lambda *given: used.append(1) or run(*given))
+    used, run = [], sweep.run
+    monkeypatch.setattr(sweep, "run", lambda *given: used.append(1) or run(*given))
     if not installed:
         monkeypatch.setattr(sweep, "find_spec", lambda name: None)
     monkeypatch.setattr(sweep, "_LONG", 12 * 101)

@@ -79,8 +79,8 @@ def _told_function(
 
 
 @kept
-def loss_of(noise: RobustNoise, count: int) -> tuple[Function, Function] | str:
-    """The weight w(s), and the surplus of s and w, of so many components; or why there are none."""
+def loss_of(noise: RobustNoise, count: int) -> tuple[Function, ...] | str:
+    """Of sightings of so many components w(s), the surplus of s and w, and 2 ρ(s); or why not."""
 
     def weight(square: Array) -> Array:
         return noise.weight(square, count)
@@ -88,20 +88,24 @@ def loss_of(noise: RobustNoise, count: int) -> tuple[Function, Function] | str:
     def surplus(square: Array, weight: Array) -> Array:
         return noise.surplus(square, count, weight)
 
+    def cost(square: Array) -> Array:
+        return 2.0 * noise.loss(square, count)
+
     found = []
-    for function, widths in ((weight, (1,)), (surplus, (1, 1))):
+    each = (weight, (1,)), (surplus, (1, 1)), (cost, (1,))
+    for k, (function, widths) in enumerate(each):
         if not count:  # nothing was measured
-            function = _NOTHING_MEASURED[len(widths) - 1]
+            function = _NOTHING_MEASURED[k]
         program = Tracer(function, widths, np.zeros(1, dtype=bool)).traced()
         if isinstance(program, str):
             return program
         inputs = tuple((k, 0) for k in range(len(widths)))
         found.append(_told_function(program, program.value, (), inputs, ()))
-    return found[0], found[1]
+    return tuple(found)
 
 
-# The weight and the surplus of a sighting without measured components.
-_NOTHING_MEASURED = (lambda s: 0.0 * s + 1.0), (lambda s, w: 0.0 * s)
+# The same of a sighting without measured components.
+_NOTHING_MEASURED = (lambda s: 0.0 * s + 1.0), (lambda s, w: 0.0 * s), (lambda s: 0.0 * s)
 
 
 def points_of(family: Family) -> told.Points | str | None:

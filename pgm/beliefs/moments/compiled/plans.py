@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from itertools import pairwise
 from operator import attrgetter, itemgetter
 from typing import Any
@@ -146,6 +146,27 @@ def unknown(plan: ChainPlan) -> str | None:
     return None
 
 
+def require_affine_prior(plan: ChainPlan) -> None:
+    """Refuse a plan whose prior would be linearised again."""
+    for link in plan.prior:
+        if not link.family.exact:
+            raise Uncompiled(f"{link.family.cpd!r} is a prior that is linearised again")
+
+
+def needed(
+    motions: Sequence[told.Motion], sensors: Sequence[told.Sensor], front: int
+) -> tuple[bool, bool]:
+    """Whether CPDs are linearised by covariances of slices, and by those of pairs.
+
+    `front` is how many components the states have.
+    """
+    pairs = any(
+        motion.points is not None and max(motion.parents, default=0) >= front for motion in motions
+    )
+    expects = any(sensor.loss is not None and sensor.loss.expects for sensor in sensors)
+    return pairs or expects or any(row.points is not None for row in (*motions, *sensors)), pairs
+
+
 def decisive(
     plan: ChainPlan, *, stored: bool, keep: bool, gate: gates.Asked | None
 ) -> tuple[Hashable, ...]:
@@ -237,14 +258,20 @@ def sensor_of(
     stored: bool,
     keep: bool,
     gate: gates.Asked | None = None,
+    controlled: bool = False,
 ) -> told.Sensor:
-    """A sensor with its measurements, and with its gate if gates decide anew."""
+    """A sensor with its measurements, and with its gate if gates decide anew.
+
+    `controlled` says that a cost judges where it is linearised.
+    """
     family, size = sensor.family, plan.layout.slice_size
     probability = _gate(sensor, gate, stored=stored)
     missing = _missing(sensor, gate, stored=stored)
     readings = "moved_marked" if stored else "marked" if probability is None else "given_marked"
     kept = keep and not stored and bool(sensor.variable.angles)
-    loss = _loss_of(sensor, table, missing, found=stored) if sensor.robust else None
+    loss = None
+    if sensor.robust:
+        loss = _loss_of(sensor, table, missing, found=stored, controlled=controlled)
     # Robust sightings of a step are weighed several times, as they were linearised.
     held = 1 if loss is None else max(1, *np.diff(sensor.bounds).tolist())
     return told.Sensor(
@@ -268,7 +295,9 @@ def _gate_of(probability: float, sensor: Sensor, table: Table) -> told.Gate:
     )
 
 
-def _loss_of(sensor: Sensor, table: Table, missing: bool, *, found: bool) -> told.Loss:
+def _loss_of(
+    sensor: Sensor, table: Table, missing: bool, *, found: bool, controlled: bool
+) -> told.Loss:
     """A sensor's robust noise, with the weights of its sightings; `found` as of `told.Loss`."""
     family, weights = sensor.family, sensor.weights
     counts = range(0 if missing else sensor.height, sensor.height + 1)
@@ -276,11 +305,36 @@ def _loss_of(sensor: Sensor, table: Table, missing: bool, *, found: bool) -> tol
     for each in functions:
         if isinstance(each, str):
             raise Uncompiled(f"{family.cpd!r}: its noise: {each}")
-    weight, surplus = zip(*functions, strict=True)
+    if controlled and family.expects and family.template is not None:
+        raise Uncompiled(f"{family.cpd!r} has robust noise, whose expected losses judge steps")
+    weight, surplus, cost = zip(*functions, strict=True)
     kept, squares = (
         table.of(sensor, attrgetter(f"weights.{name}")) for name in ("weight", "square")
     )
-    return told.Loss(weight, surplus, kept, squares, expects=family.expects, found=found)
+    trial = trials_of(sensor) if controlled else ()
+    return told.Loss(
+        weight,
+        surplus,
+        cost,
+        kept,
+        squares,
+        expects=family.expects,
+        found=found,
+        trial=tuple(table.of(table.record, itemgetter(name)) for name in trial),
+    )
+
+
+def trials_of(sensor: Sensor) -> tuple[str, str]:
+    """The names in a record of the weights, and their squares, that a step control tries."""
+    return f"tried weight {sensor.variable.name}", f"tried square {sensor.variable.name}"
+
+
+def untried(plan: ChainPlan) -> Record:
+    """Room for the weights of robust noise that a step control tries."""
+    robust = [sensor for sensor in plan.read if sensor.robust]
+    names = [name for sensor in robust for name in trials_of(sensor)]
+    shapes = [sensor.family.shape[:2] for sensor in robust for _ in range(2)]
+    return {name: np.empty(shape) for name, shape in zip(names, shapes, strict=True)}
 
 
 def rejected_by(sensor: Sensor) -> str:

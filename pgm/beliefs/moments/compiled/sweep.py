@@ -15,6 +15,7 @@ from pgm.beliefs.moments.compiled.called import Calls, Failed
 from pgm.beliefs.moments.compiled.judged import judge
 from pgm.beliefs.moments.compiled.memory import address
 from pgm.beliefs.moments.compiled.plans import (
+    Integers64,
     Record,
     Uncompiled,
     decided,
@@ -24,32 +25,37 @@ from pgm.beliefs.moments.compiled.plans import (
     sensor_of,
     undecided,
     unknown,
+    untried,
 )
 from pgm.beliefs.moments.compiled.table import Filled, NamedTable
 from pgm.beliefs.moments.steps.chain import MomentChain
 from pgm.beliefs.moments.steps.gate import Asked
 from pgm.beliefs.moments.steps.plan import ChainPlan
-from pgm.compile.machine import CONTROL, Compiled
+from pgm.compile.machine import Compiled
 from pgm.kernels.arrays import Array, Mask, vacant
 from pgm.kernels.machine.sweeps import chain as sweeps
 from pgm.kernels.machine.sweeps import told
 from pgm.kernels.machine.sweeps.asking import asking
+from pgm.kernels.machine.sweeps.extent import is_long
 from pgm.kernels.moments import Conditional
 from pgm.resources import in_threads
 from pgm.schedules.damping import LevenbergMarquardt
-from pgm.schedules.schedule import ONCE, Filtering
+from pgm.schedules.iteration import Anchor
+from pgm.schedules.schedule import ONCE, Filtering, FixedLag
 
 # Machine code repays its making from a tenth of a second of the general kernels on: a step of
 # theirs takes as long as the arithmetic of so many runs, of half a microsecond each.
 _STEP, _LONG = 100, 250_000
 # Why runs are left to the general kernels, going forward and back.
-_FAR = "readings are too sharp, a covariance is singular, or numbers are too far apart"
+FAR = "readings are too sharp, a covariance is singular, or numbers are too far apart"
+LONG = "step control, and windows of a lag, are compiled for slices of few components"
 _SINGULAR = "a covariance is singular on the way back"
 # Sweeps of so many forms of plans are kept by a network's layout.
 _TOLD = 64
 # The names in a record of the belief to begin with, of beliefs, and of densities.
 _BEGIN, _PREDICTED = ("begin mean", "begin cov"), ("predicted mean", "predicted cov")
 _KNOWN = "known mean", "known cov", "density"
+_ANCHOR = "anchor mean", "anchor std", "anchor weight"
 # And those of a sweep back.
 _REVERSED, _SMOOTHED = ("gain", "shift", "cov"), ("smoothed mean", "smoothed cov")
 _CONTROLS = "control matrix", "control offset", "control cov"
@@ -72,7 +78,7 @@ class Swept:
 def is_used(plan: ChainPlan, times: int = 1) -> bool:
     """Whether a plan is to be swept in machine code; its account says why not.
 
-    `times` is how many times as long the general kernels take as in float64.
+    A step of the general kernels takes so many `times` that of a filter in float64.
     """
     choice, account = plan.layout.compiled, plan.account
     if choice is False:
@@ -94,6 +100,7 @@ def forward(
     predicted: tuple[Array, ...] = (),
     *,
     keep: bool,
+    anchor: Anchor | None = None,
 ) -> Swept | None:
     """Sweep a plan forward into arrays of its record; None if it is not compiled.
 
@@ -107,14 +114,16 @@ def forward(
         them, if they are kept.
     keep : bool
         Whether the plan keeps how it is linearised.
+    anchor : Anchor or None
+        A measurement of all components, for the trial of a step control.
     """
     if not is_used(plan):
         return None
     asked = schedule or ONCE
     stored, calls = schedule is None, Calls(plan.runs)
+    controlled = isinstance(asked.damping, LevenbergMarquardt) and asked.iterations > 1
+    keep = keep or controlled  # since trials are made with what is kept
     try:
-        if isinstance(asked.damping, LevenbergMarquardt):
-            raise Uncompiled(CONTROL)
         why = unknown(plan)
         if why is not None:
             raise Uncompiled(why)
@@ -123,17 +132,25 @@ def forward(
             predicted = tuple(np.empty_like(part) for part in known[:2])  # for the judge alone
         nonlinear = any(sensor.family.template for sensor in plan.read)
         iterated = asked.iterations > 1 and not stored and nonlinear
-        record: Record = dict(zip(_BEGIN, _begin(plan, schedule, keep=keep), strict=True))
+        record: Record = dict(zip(_BEGIN, begun(plan, schedule, keep=keep), strict=True))
         record |= zip(_KNOWN, known, strict=True)
         record |= zip(_PREDICTED, predicted, strict=False)
         record |= undecided(plan, asked.gate, stored=stored)
         residuals = np.zeros((asked.iterations + 1, plan.runs if iterated else 0))
         if iterated:
-            settings = np.array([asked.tolerance, asked.damping])
-            record |= {"settings": settings, "residuals": residuals}
+            record |= {"settings": settings(asked), "residuals": residuals}
+        if anchor is not None:
+            weight = np.ascontiguousarray(np.broadcast_to(anchor.weight, plan.runs))[None]
+            record |= zip(_ANCHOR, (anchor.mean, anchor.std, weight), strict=True)
+        record |= untried(plan) if controlled else {}
+        control = controlled and iterated
 
         def tell(table: NamedTable) -> told.Forward:
-            return _told(plan, table, stored=stored, keep=keep, gate=asked.gate)
+            cpds = {"stored": stored, "keep": keep, "controlled": control}
+            chain = _told(plan, table, **cpds, gate=asked.gate)
+            if (control or chain.anchor) and is_long(chain, table.lanes):
+                raise Uncompiled(LONG)
+            return chain
 
         owners = (
             *(link.family for link in plan.transition),
@@ -142,8 +159,9 @@ def forward(
             record,
         )
         out = (*known, *predicted)
-        rest = record, calls, asked.iterations
-        ended = _run(plan, (*key, *record), tell, owners, out, *rest)
+        # A step control asks for costs at many points: functions that are called are left to NumPy.
+        rest = record, None if controlled else calls, asked.iterations
+        ended = _run(plan, (*key, control, *record), tell, owners, out, *rest)
     except Uncompiled as error:
         plan.account.leave(str(error))
         return None
@@ -154,7 +172,7 @@ def forward(
         raise calls.failure
     decided(plan, record)
     left = stretches(ended[sweeps.LEFT] != 0.0)
-    _count(plan, left, _FAR)
+    count(plan, left, FAR)
     if schedule is not None:
         done = ended[sweeps.LEFT] == 0.0
         judge(plan, known, predicted or known, done, again=asked.iterations > 1)
@@ -174,6 +192,7 @@ def _told(
     stored: bool,
     keep: bool,
     gate: Asked | None,
+    controlled: bool,
 ) -> told.Forward:
     """A forward sweep, told; see `forward`."""
     layout, record, calls = plan.layout, table.record, table.calls
@@ -183,7 +202,10 @@ def _told(
 
     cpds = {"stored": stored, "keep": keep}
     motions = tuple(motion_of(plan, link, table, **cpds) for link in plan.transition)
-    sensors = tuple(sensor_of(plan, sensor, table, **cpds, gate=gate) for sensor in plan.read)
+    sensors = tuple(
+        sensor_of(plan, sensor, table, **cpds, gate=gate, controlled=controlled)
+        for sensor in plan.read
+    )
     iterated = "residuals" in record
     if iterated:
         table.put_of(told.SETTINGS, record, itemgetter("settings"))
@@ -199,11 +221,13 @@ def _told(
         known=(array(_KNOWN[0]), array(_KNOWN[1])),
         density=array(_KNOWN[2]),
         iterated=iterated,
+        controlled=controlled,
+        anchor=tuple(array(name) for name in _ANCHOR if name in record),
         asked=table.array(calls.asked.T[None]) if calls is not None and calls.each else None,
     )
 
 
-def _begin(plan: ChainPlan, schedule: Filtering | None, *, keep: bool) -> tuple[Array, Array]:
+def begun(plan: ChainPlan, schedule: Filtering | None, *, keep: bool) -> tuple[Array, Array]:
     """The belief that a sweep begins with, (1, runs or 1, ...).
 
     Without evidence, and with runs that are all alike, it is the model's own, and kept.
@@ -220,6 +244,14 @@ def _begin(plan: ChainPlan, schedule: Filtering | None, *, keep: bool) -> tuple[
     if own:
         plan.layout.begun.append(found)
     return found
+
+
+def settings(schedule: Filtering | FixedLag) -> Array:
+    """The settings of iterations, as of `told.SETTINGS`."""
+    damping = schedule.damping
+    if isinstance(damping, LevenbergMarquardt):
+        return np.array([schedule.tolerance, 0.0, damping.start, damping.factor, damping.tries])
+    return np.array([schedule.tolerance, damping])
 
 
 def backward(
@@ -270,7 +302,7 @@ def backward(
     owners = ahead, transition, record
     ended = _run(plan, ("back", *record), tell, owners, (*states, *(beliefs or ())))
     left = bool(ended[sweeps.LEFT].any())
-    _count(plan, [slice(0, plan.runs)] if left else [], _SINGULAR)
+    count(plan, [slice(0, plan.runs)] if left else [], _SINGULAR)
     return None if left else (states, beliefs)
 
 
@@ -289,8 +321,7 @@ def _run(
     `key` is what decides its code, and `tell` tells that, if no such plan was told before. `out`
     are the arrays that it fills.
     """
-    choice, lanes = plan.layout.compiled, sweeps.LANES if plan.runs >= sweeps.LANES else 1
-    ended = np.zeros((sweeps.TOLD, plan.runs))
+    lanes = lanes_of(plan)
     first, before = (plan.steps, plan.runs, iterations), plan.layout.told
     sweep, form = before.get((key, lanes), (None, None))
     filled: Filled | None = None if form is None else form.filled(owners, *first)
@@ -305,7 +336,21 @@ def _run(
             if len(before) >= _TOLD:
                 before.clear()
             before[key, lanes] = sweep, table.form
-    numbers = filled.numbers
+    return run(plan, sweep, filled.numbers, out)
+
+
+def lanes_of(plan: ChainPlan) -> int:
+    """How many runs of a plan are swept together."""
+    return sweeps.LANES if plan.runs >= sweeps.LANES else 1
+
+
+def run(plan: ChainPlan, sweep: sweeps.Sweep, numbers: Integers64, out: Sequence[Array]) -> Array:
+    """Run a sweep of a table of numbers on all runs of a plan; what it tells of each.
+
+    That is (`sweeps.TOLD`, runs). `out` are the arrays that it fills.
+    """
+    choice, lanes = plan.layout.compiled, lanes_of(plan)
+    ended = np.zeros((sweeps.TOLD, plan.runs))
     numbers[told.ENDED] = address(ended)
     threads = choice.threads if isinstance(choice, Compiled) else 1
     threads = max(min(threads, plan.runs // lanes), 1)
@@ -333,7 +378,7 @@ def _asking(chain: told.Forward | told.Backward, lanes: int, calls: Calls) -> sw
     return sweep
 
 
-def _count(plan: ChainPlan, left: list[slice], why: str) -> None:
+def count(plan: ChainPlan, left: list[slice], why: str) -> None:
     """Note in a plan's account how a sweep went: the runs that it left, and why."""
     account, runs = plan.account, sum(each.stop - each.start for each in left)
     account.compiled += runs < plan.runs

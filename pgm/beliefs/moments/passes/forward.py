@@ -266,6 +266,10 @@ def stored(
         ahead = Pass(plan, None, out.known, out.predicted, keep=False)
         sweep_all(ahead)
         return replace(out, closest=ahead.went.closest, far=ahead.went.far)
+    if anchor is not None and gated is None:
+        found = compiled.forward(plan, None, out.known, out.predicted, keep=False, anchor=anchor)
+        if found is not None and not found.left:
+            return replace(out, closest=found.closest, far=found.far)
     chain = MomentChain(plan, None, anchor=anchor, gated=gated)
     sweep_all([Part(chain, _Record(plan, out.known, out.predicted))])
     return out
@@ -363,7 +367,7 @@ class Pass:
             others = None if whole else partial(_stepwise, plan, schedule, *rest, keep=False)
             again = yield from _stepwise(part, schedule, *arrays, keep=keep, others=others)
             closest, converged[runs] = min(closest, again.closest), again.converged
-            residuals = _joined(residuals, again.residuals, runs, plan.runs)
+            residuals = joined(residuals, again.residuals, runs, plan.runs)
             if keep and not whole:
                 plan.put_runs(runs, part)
         return Swept([], residuals, converged, closest)
@@ -438,11 +442,11 @@ def _stepwise(
         chain = MomentChain(part, schedule, keep=keep)
         yield Part(chain, record, others)
         closest, converged[runs] = min(closest, record.watch.closest), chain.converged
-        residuals = _joined(residuals, chain.residuals, runs, plan.runs)
+        residuals = joined(residuals, chain.residuals, runs, plan.runs)
     return Swept([], residuals, converged, closest)
 
 
-def _joined(record: list[Array], part: list[Array], runs: slice, count: int) -> list[Array]:
+def joined(record: list[Array], part: list[Array], runs: slice, count: int) -> list[Array]:
     """The residuals of a sweep's iterations, in which some runs are replaced by those of `part`.
 
     `record` has an array (`count`,) for each iteration, over all `count` runs, and so has the

@@ -37,6 +37,8 @@ class Newton:
         why = unknown(plan)
         if why is not None:
             raise Uncompiled(why)
+        for sensor in plan.robust:
+            raise Uncompiled(f"{sensor.family.cpd!r} has robust noise")
         layout, steps = plan.layout, plan.steps
         width, states = layout.slice_size, np.arange(layout.slice_size)[layout.state_places]
         self.plan, self.pair = plan, layout.state_size + width

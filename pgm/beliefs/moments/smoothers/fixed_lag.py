@@ -14,21 +14,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.beliefs.moments.compiled import sweep as compiled
+from pgm.beliefs.moments.compiled import windows
 from pgm.beliefs.moments.digits import careful, certificate
 from pgm.beliefs.moments.digits.adjoint import CarefulSmoothed
 from pgm.beliefs.moments.digits.careful_belief import Belief, over
 from pgm.beliefs.moments.digits.careful_pass import Begin, Careful
 from pgm.beliefs.moments.passes import backward, forward
 from pgm.beliefs.moments.passes.backward import Beliefs, Reverse
-from pgm.beliefs.moments.passes.forward import Forward
+from pgm.beliefs.moments.passes.forward import Forward, joined
 from pgm.beliefs.moments.smoothers.smoother import Chain, Either, swept
 from pgm.beliefs.moments.steps import cost
+from pgm.beliefs.moments.steps.account import Account
 from pgm.beliefs.moments.steps.chain import largest
 from pgm.beliefs.moments.steps.diffuse import Diffuse
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.readings import Moments
-from pgm.compile.machine import WINDOWS
 from pgm.errors import NumericalError
 from pgm.kernels.arrays import Array, Mask, stacked
 from pgm.kernels.extended import Twofold
@@ -105,10 +105,31 @@ def slide(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
     The plan keeps the last linearisation of each CPD. Step control by a cost that would be infinite
     is refused with a ModelError (`require_cost`).
     """
-    if compiled.is_used(plan):
-        plan.account.leave(WINDOWS)
     cost.require_cost(schedule.smoothing, plan.families)
     record = _Record(plan)
+    slid = windows.slide(plan, schedule, record.room)
+    if slid is None:
+        _slide(plan, schedule, record)
+    else:
+        record.residuals, record.converged = slid.residuals, slid.converged
+        for runs in slid.left:
+            part = plan if runs == slice(0, plan.runs) else plan.of(runs)
+            own = _Record(part)
+            _slide(part, schedule, own)
+            record.take(runs, own)
+            if part is not plan:
+                plan.put_runs(runs, part)
+    for family in plan.families:
+        family.settle()
+    return record.found
+
+
+def _slide(plan: ChainPlan, schedule: FixedLag, record: _Record) -> None:
+    """Slide a window along a plan by the general kernels.
+
+    The plan keeps the last linearisation of each CPD.
+    """
+    plan = replace(plan, layout=replace(plan.layout, compiled=False), account=Account())
     begin: Beginning | None = None
     window: Window | None = None
     for step in counted(range(plan.steps + 1), "windows"):
@@ -121,9 +142,6 @@ def slide(plan: ChainPlan, schedule: FixedLag) -> tuple[Lagged, Status]:
         window = iterate_window(plan, first, step, begin, schedule)
         plan.put(first, window.plan)
         record.keep(first, window)
-    for family in plan.families:
-        family.settle()
-    return record.found
 
 
 class _Record:
@@ -145,6 +163,38 @@ class _Record:
         self.converged = np.ones(plan.runs, dtype=bool)
         self.error: Array | None = None
         self.diffuse: Diffuse | None = None
+
+    @property
+    def room(self) -> windows.Room:
+        """The arrays that windows fill."""
+        ahead, beliefs, newest = self.forward, self.beliefs, self.newest
+        return windows.Room(
+            ahead.predicted,
+            (ahead.mean, ahead.cov),
+            ahead.log_density,
+            (beliefs.mean, beliefs.cov),
+            (newest.mean, newest.cov),
+            self.log_evidence,
+        )
+
+    def take(self, runs: slice, part: _Record) -> None:
+        """Take some runs from the record of these alone."""
+        for mine, its in (
+            (self.forward, part.forward),
+            (self.beliefs, part.beliefs),
+            (self.newest, part.newest),
+        ):
+            for name in ("predicted_mean", "predicted_cov", "mean", "cov", "log_density"):
+                if hasattr(mine, name):
+                    getattr(mine, name)[:, runs] = getattr(its, name)
+        self.log_evidence[:, runs] = part.log_evidence
+        count = len(self.converged)
+        self.residuals = joined(self.residuals, part.residuals, runs, count)
+        self.converged[runs] = part.converged
+        if part.error is not None:
+            error = np.zeros(count) if self.error is None else self.error
+            error[runs] = part.error
+            self.error = error
 
     def leave(self, window: Window) -> None:
         """Add to `left` the log-evidence of measurements that the next window does not have.
@@ -199,9 +249,9 @@ class _Record:
     @property
     def found(self) -> tuple[Lagged, Status]:
         """The recorded beliefs with their status."""
-        windows = Windows(self.newest, self.log_evidence, self.error is None)
+        slid = Windows(self.newest, self.log_evidence, self.error is None)
         ahead = replace(self.forward, diffuse=self.diffuse)
-        found = Lagged(ahead, self.beliefs, windows=windows, error=self.error)
+        found = Lagged(ahead, self.beliefs, windows=slid, error=self.error)
         return found, Status.of(self.residuals, self.converged, self.lead)
 
 

@@ -25,8 +25,9 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from pgm.beliefs.moments.compiled import sweep as compiled
-from pgm.beliefs.moments.compiled.judged import judge_at
+from pgm.beliefs.moments.compiled.judged import judge, judge_at
 from pgm.beliefs.moments.compiled.plans import Uncompiled, unknown
+from pgm.beliefs.moments.compiled.points import Linearised
 from pgm.beliefs.moments.digits import careful, careful_chain
 from pgm.beliefs.moments.digits.adjoint import CarefulSmoothed
 from pgm.beliefs.moments.passes import backward, forward, newton
@@ -39,7 +40,6 @@ from pgm.beliefs.moments.steps import cost
 from pgm.beliefs.moments.steps.chain import on_chart, turns_far
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.sensor import linearise_grouped
-from pgm.compile.machine import CONTROL, POINTS
 from pgm.errors import NumericalError
 from pgm.factors.scope import angle_mask
 from pgm.kernels import moments
@@ -135,24 +135,31 @@ def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[S
         first = _start(plan, start)
     steps = _is_newton(plan, schedule) and schedule.gate is None and not plan.exact
     anchored = isinstance(schedule.damping, LevenbergMarquardt)
-    machine = compiled.is_used(plan) and not anchored
-    if anchored and plan.account.due:
-        plan.account.leave(CONTROL)
+    machine = compiled.is_used(plan)
     if steps and machine:
         found = _compiled(plan, schedule, first)
         if found is not None:
             return found
-    machine = machine and unknown(plan) is None
-    if machine and schedule.iterations > 1 and not (steps or plan.exact):
-        plan.account.leave(POINTS)
-    rounds = _is_long(plan) and schedule.iterations > 1 and not machine
-    chain = Chain(plan, _in_rounds if rounds else swept)
+    chain = None
+    if machine and (schedule.iterations > 1 or anchored) and not plan.exact:
+        chain = _by_machine(plan)
+    if chain is None:
+        machine = machine and unknown(plan) is None
+        rounds = _is_long(plan) and schedule.iterations > 1 and not machine
+        chain = Chain(plan, _in_rounds if rounds else swept)
     if isinstance(first, Smoothed):
-        return _iterated(chain, schedule, first, None)
-    chain.begin(first, reckoned=False)
-    if schedule.gate is not None:
-        forward.stored(plan, gated=schedule.gate)
-    return _iterated(chain, schedule, chain.solve(), first)
+        found = _iterated(chain, schedule, first, None)
+    else:
+        chain.begin(first, reckoned=False)
+        if schedule.gate is not None:
+            forward.stored(plan, gated=schedule.gate)
+            if chain.machine is not None:
+                chain.machine.rebind()
+        found = _iterated(chain, schedule, chain.solve(), first)
+    if any(family.compiled is not None for family in plan.families):
+        moments = found[0].beliefs.mean, found[0].beliefs.cov
+        judge(plan, moments, moments, np.ones(plan.runs, dtype=bool))
+    return found
 
 
 def scan(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smoothed, Status]:
@@ -266,10 +273,8 @@ def _compiled(
             newton.linearise(at, active)
             solution = newton.solve()
         result = iterate(newton, solution, schedule, ~active, at)
-    except Uncompiled as error:
-        if str(error) not in plan.account.left:
-            plan.account.leave(f"Gauss–Newton steps, since {error}")
-        return None
+    except Uncompiled:
+        return None  # sweeps may know the plan
     last = result.solution.point
     found = swept(plan, last.mean, None)
     std = deviation(found.beliefs.cov)
@@ -280,6 +285,15 @@ def _compiled(
         return found, Status.of(result.residuals, result.converged, plan.lead)
     plan.account.leave("Gauss–Newton steps, since normal equations have too few digits")
     return None
+
+
+def _by_machine(plan: ChainPlan) -> Chain[Smoothed] | None:
+    """The chain as machine code linearises it, or None, of which the account says why."""
+    try:
+        return Chain(plan, swept, machine=Linearised(plan))
+    except Uncompiled as error:
+        plan.account.leave(str(error))
+        return None
 
 
 def swept(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Smoothed:
@@ -337,22 +351,27 @@ class Chain(Generic[Either]):
     """A chain as a problem for `iterate`: linearised at any point, and solved.
 
     `at` (T+1, runs, n) are the means of the slices at which the plan was linearised last, which
-    `linearise` and `begin` set. `solve` calls the `solver` with `at` as the reference.
+    `linearise` and `begin` set. `solve` calls the `solver` with `at` as the reference. Where there
+    is `machine` code it linearises, and finds costs.
     """
 
     plan: ChainPlan
     solver: Callable[[ChainPlan, Array, Anchor | None], Either]
     at: Array = field(default_factory=lambda: np.empty(0))
+    machine: Linearised | None = None
 
     def linearise(self, at: Point, active: Mask | None) -> None:
         """Linearise every CPD at a point, and weigh the robust sightings there.
 
         Runs that are not `active` (runs,) keep their linearisations; None means all.
         """
-        some = None if active is None or active.all() else active
+        self.at, some = at.mean, None if active is None or active.all() else active
+        if self.machine is not None:
+            if self.machine.linearise(at, some):
+                return
+            self.machine.rebind()
         relinearise(self.plan, at, some)
         reweigh(self.plan, at, some)
-        self.at = at.mean
 
     def begin(self, at: Point, *, reckoned: bool) -> None:
         """Linearise every CPD for the first time, in all runs, at a point.
@@ -389,7 +408,8 @@ class Chain(Generic[Either]):
         measurement adds twice its loss, 2 ρ, instead. With rules that take expectations r is the
         child's mean less the expected function, under the covariances of `at`.
         """
-        return cost.trajectory(self.plan, at)
+        found = None if self.machine is None else self.machine.cost(at)
+        return cost.trajectory(self.plan, at) if found is None else found
 
     def feasible(self, mean: Array, found: Point) -> Array:
         """The trajectory nearest to `mean` (T+1, runs, n) that satisfies the exact CPDs.

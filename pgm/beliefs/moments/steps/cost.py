@@ -43,13 +43,8 @@ def trajectory(plan: ChainPlan, at: Point) -> Array:
     belief `plan.begin` takes the prior's place, the first slice has its cost under that belief. A
     noise that is indefinite is refused with a NumericalError.
     """
-    total = np.zeros(plan.runs)
-    if plan.begin is not None:
-        mean, cov = Moments(*plan.begin).by_run
-        beginning = squares((at.mean[0] - mean)[None], cov[None])
-        assert beginning is not None
-        total += beginning
-    for link, parents, spread, child in linked(plan, at):
+    total = prior(plan, at)
+    for link, parents, spread, child in transitions(plan, at):
         expected = _expected(link.family, slice(None), parents, spread)
         total += _square(link.family, child, expected)
     for sensor in plan.sensors:
@@ -61,18 +56,46 @@ def trajectory(plan: ChainPlan, at: Point) -> Array:
     return total
 
 
-def linked(plan: ChainPlan, at: Point) -> Iterator[tuple[Link, Array, Array, Array]]:
+def prior(plan: ChainPlan, at: Point) -> Array:
+    """The cost of the first slice's mean under the prior, or the belief in its place, (runs,)."""
+    total = np.zeros(plan.runs)
+    if plan.begin is not None:
+        mean, cov = Moments(*plan.begin).by_run
+        beginning = squares((at.mean[0] - mean)[None], cov[None])
+        assert beginning is not None
+        total += beginning
+    for link, parents, spread, child in starting(plan, at):
+        expected = _expected(link.family, slice(None), parents, spread)
+        total += _square(link.family, child, expected)
+    return total
+
+
+# A CPD of the prior or of a transition, the means and covariances of its parents, and its child's.
+Linked = tuple[Link, Array, Array, Array]
+
+
+def linked(plan: ChainPlan, at: Point) -> Iterator[Linked]:
     """The links of prior and transition, each with the moments of its parents and its child's mean.
 
     `at` has the moments of all slices. Yields the link, its parents' means (rows, runs, k) and
     covariances (rows, runs, k, k), k being the parents' number of components, and the child's means
     (rows, runs, d), all as `at` has them. There is one row for the prior, T for a transition.
     """
-    states = plan.layout.state_places
-    mean, cov = at.start(states)
+    yield from starting(plan, at)
+    yield from transitions(plan, at)
+
+
+def starting(plan: ChainPlan, at: Point) -> Iterator[Linked]:
+    """The links of the prior, as of `linked`."""
+    mean, cov = at.start(plan.layout.state_places)
     for link in plan.prior:
         places = link.parents
         yield link, mean[..., places], block(cov, places, places), mean[..., link.child]
+
+
+def transitions(plan: ChainPlan, at: Point) -> Iterator[Linked]:
+    """The links of the transition, as of `linked`."""
+    states = plan.layout.state_places
     front = plan.layout.state_size
     if plan.steps:
         for link in plan.transition:

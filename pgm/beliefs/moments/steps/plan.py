@@ -134,10 +134,14 @@ class ChainPlan:
             )
             for sensor in self.sensors
         ]
-        lead = (runs.stop - runs.start,)
+        lead, begin = (runs.stop - runs.start,), self.begin
+        if begin is not None and self.batch:
+            one = runs.start if lead == (1,) else runs
+            begin = begin[0][..., one], begin[1][..., one]
         return replace(
             self,
             lead=lead,
+            begin=begin,
             prior=links(self.prior),
             transition=links(self.transition),
             sensors=sensors,

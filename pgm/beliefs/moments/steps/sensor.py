@@ -226,7 +226,8 @@ class Sensor:
         """
         begin = self.bounds[first + after]
         rows, part = slice(begin, self.bounds[last + 1]), copy(self)
-        part.__dict__.pop("_by_row", None)
+        for name in ("_by_row", "edges"):
+            part.__dict__.pop(name, None)
         if self.robust:
             part.weights = self.weights.rows(rows)
         part.family = self.family.window(rows.start, rows.stop)

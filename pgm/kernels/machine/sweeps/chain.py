@@ -13,11 +13,12 @@ from pgm.kernels.machine.emitter.module import Module
 from pgm.kernels.machine.emitter.wholes import Whole
 from pgm.kernels.machine.loops.frame import Frame
 from pgm.kernels.machine.loops.loops import Loops
+from pgm.kernels.machine.sweeps import costs, relinearising, windows
 from pgm.kernels.machine.sweeps.extent import is_long
 from pgm.kernels.machine.sweeps.lines import Lines
 from pgm.kernels.machine.sweeps.motion import predicted
 from pgm.kernels.machine.sweeps.reading import taken
-from pgm.kernels.machine.sweeps.told import Backward, Forward
+from pgm.kernels.machine.sweeps.told import Backward, Forward, Linearised, Windows
 from pgm.kernels.machine.sweeps.watch import Watch
 from pgm.kernels.machine.sweeps.writer import Writer
 from pgm.kernels.numbers import where
@@ -34,10 +35,11 @@ _LARGEST = 1e150
 _CORRELATED = 3e-5
 
 Sweep = Callable[[int, int, int], None]
+Chain = Forward | Backward | Windows | Linearised
 
 
 @lru_cache(maxsize=128)
-def made(chain: Forward | Backward, lanes: int, loops: bool | None = None) -> Sweep:
+def made(chain: Chain, lanes: int, loops: bool | None = None) -> Sweep:
     """The sweep of a chain, of single runs or of packs: ``sweep(table, first, last)``.
 
     It sweeps the runs from `first` to below `last`, of which there are as many as lanes at least.
@@ -52,6 +54,11 @@ def made(chain: Forward | Backward, lanes: int, loops: bool | None = None) -> Sw
     with each_run(w, first, last):
         if isinstance(chain, Forward):
             forward(w, chain)
+        elif isinstance(chain, Windows):
+            _tell(w, LEFT, where(windows.written(w, chain), 0.0, 1.0))
+        elif isinstance(chain, Linearised):
+            written = relinearising.written if chain.cost is None else costs.written
+            _tell(w, LEFT, where(written(w, chain), 0.0, 1.0))
         else:
             _backward(w, chain)
     # Of straight lines all of LLVM's passes make faster code; of loops they only take longer.

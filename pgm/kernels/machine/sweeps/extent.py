@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from pgm.kernels.machine.sweeps.told import Backward, Forward, Row
+from pgm.kernels.machine.sweeps.told import Backward, Forward, Linearised, Row, Windows
 
 # Operations of a sweep forward and of one back from which on loops are compiled sooner and run no
 # slower. Those of packs take twice as long to compile.
 _FORWARD, _BACK = 3000, 1500
 
 
-def is_long(chain: Forward | Backward, lanes: int) -> bool:
+def is_long(chain: Forward | Backward | Windows | Linearised, lanes: int) -> bool:
     """Whether a sweep of so many lanes is to be written in loops."""
-    most = _FORWARD if isinstance(chain, Forward) else _BACK
+    if isinstance(chain, Windows):
+        return False  # they are written in lines alone
+    most = _BACK if isinstance(chain, Backward) else _FORWARD
     return operations(chain) > (most // 2 if lanes > 1 else most)
 
 
-def operations(chain: Forward | Backward) -> int:
+def operations(chain: Forward | Backward | Linearised) -> int:
     """The operations of a sweep in straight lines, about."""
+    if isinstance(chain, Linearised):
+        return sum(_of(row) + row.height**3 for row in (*chain.motions, *chain.sensors))
     n = chain.size
     if isinstance(chain, Backward):
         states, pushes = len(chain.states), bool(chain.smoothed) + bool(chain.controls)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import pi
 from operator import add
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from pgm.kernels import step
 from pgm.kernels.machine.emitter.numbers import Number
@@ -13,7 +14,7 @@ from pgm.kernels.machine.sweeps.cpd import Line, keep, linearised, value_at
 from pgm.kernels.machine.sweeps.lines import held
 from pgm.kernels.machine.sweeps.told import Forward, Motion
 from pgm.kernels.machine.sweeps.writer import Writer
-from pgm.kernels.numbers import inner, most, nearest_whole, sqrt, where
+from pgm.kernels.numbers import Matrix, inner, most, nearest_whole, sqrt, where
 from pgm.kernels.step import AnyMatrix
 
 # As of `gaussian` and `moments`.
@@ -47,6 +48,25 @@ def predicted(w: Writer, chain: Forward, at: Whole, mean: AnyMatrix, cov: AnyMat
         pair = w.matrices.above(pair, line.value)
     own = range(len(front), pair.shape[0])
     return Predicted(pair.part(own, (0,)), joint.part(own, own), sure)
+
+
+def transition(w: Writer, chain: Forward, at: Whole) -> tuple[Matrix, Matrix]:
+    """The matrix and the noise of p(slice | states before) at a row, of affine CPDs together."""
+    if chain.single:
+        motion = chain.motions[0]
+        assert motion.matrix is not None
+        return w.matrix(motion.matrix, at), w.symmetric(motion.noise, at)
+    front = range(len(chain.states))
+    # Each component as a map of the states before; the noise is what is left without theirs.
+    rows: list[Sequence[Any]] = [[1.0 if i == j else 0.0 for j in front] for i in front]
+    spread = Matrix([[0.0] * len(front) for _ in front])
+    for motion in chain.motions:
+        assert motion.matrix is not None
+        matrix = w.matrix(motion.matrix, at)
+        rows += (matrix @ Matrix([rows[i] for i in motion.parents], len(front))).rows
+        spread = step.extend(spread, motion.parents, matrix, w.symmetric(motion.noise, at))
+    own = range(len(front), len(rows))
+    return Matrix([rows[i] for i in own]), spread.part(own, own)
 
 
 def line_of(

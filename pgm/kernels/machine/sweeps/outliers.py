@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from pgm.kernels import step
 from pgm.kernels.machine.emitter.functions import Function
 from pgm.kernels.machine.emitter.numbers import Number
 from pgm.kernels.machine.emitter.traces import written
 from pgm.kernels.machine.emitter.wholes import Whole
 from pgm.kernels.machine.sweeps.lines import held
 from pgm.kernels.machine.sweeps.matrices import Belief
-from pgm.kernels.machine.sweeps.told import Loss, Sensor
+from pgm.kernels.machine.sweeps.told import Gate, Loss, Sensor
 from pgm.kernels.machine.sweeps.writer import Writer
 from pgm.kernels.numbers import most, where
 from pgm.kernels.step import AnyMatrix
@@ -30,7 +31,6 @@ def gated(
     """
     gate = sensor.gate
     assert gate is not None
-    decisions = w.at(gate.rejected, at)
 
     def decide() -> Any:
         limits = w.at(gate.limits)
@@ -40,21 +40,29 @@ def gated(
                 limit = where(count == float(k), limits.load(k), limit)
         rejected = square > limit
         w.at(gate.squares, at).store(0, where(count > 0.0, square, w.code.constant(float("nan"))))
-        decisions.store(0, where(rejected, 1.0, 0.0))
+        w.at(gate.rejected, at).store(0, where(rejected, 1.0, 0.0))
         return rejected
 
     if first is None:
         return decide()
     with w.code.when(first):
         decide()
-    return decisions.load(0) != 0.0
+    return is_rejected(w, gate, at)
+
+
+def is_rejected(w: Writer, gate: Gate, at: Whole) -> Any:
+    """Whether a gate has rejected a sighting."""
+    return w.at(gate.rejected, at).load(0) != 0.0
 
 
 class Weighing:
-    """Robust sightings of a step, weighed and taken in again until their weights settle."""
+    """Robust sightings of a step, weighed and taken in again until their weights settle.
 
-    def __init__(self, w: Writer, mean: AnyMatrix, cov: AnyMatrix) -> None:
-        self._w = w
+    A `trial` leaves the weights that are kept as they are.
+    """
+
+    def __init__(self, w: Writer, mean: AnyMatrix, cov: AnyMatrix, *, trial: bool = False) -> None:
+        self._w, self._trial = w, trial
         # The belief that was found last, by whose residuals sightings are weighed.
         self.belief = w.matrices.carried(mean, cov)
         self._active, self._moved = w.code.variable(True), w.code.variable(0.0)
@@ -93,26 +101,66 @@ class Weighing:
         The weight is one when all `begins`.
         """
         w, code = self._w, self._w.code
-        weights, squares = w.at(loss.weights, at), w.at(loss.squares, at)
+        known = [w.at(array, at) for array in (loss.weights, loss.squares)]
+        kept = [w.at(array, at) for array in loss.trial] if self._trial else known
         weight, of = held(code, 1.0), held(code, 0.0)
         with code.when(~begins):
-            weight.set(weights.load(0))
-            of.set(squares.load(0))
+            weight.set(known[0].load(0))
+            of.set(known[1].load(0))
+        if self._trial:
+            with code.when(self.again):
+                weight.set(kept[0].load(0))
+                of.set(kept[1].load(0))
         with code.when(self.again):
-            new = _by_count(w, loss.weight, count, [square])
+            new = weight_of(w, loss, square, count)
             active, old = self._active.get(), weight.get()
             change = where(active, abs(new - old), 0.0)
             self._moved.set(most(change, self._moved.get()))
             weight.set(where(active, new, old))
             of.set(where(active, square, of.get()))
-        weights.store(0, weight.get())
-        squares.store(0, of.get())
+        kept[0].store(0, weight.get())
+        kept[1].store(0, of.get())
         return weight.get(), of.get()
 
 
 def surplus(w: Writer, loss: Loss, square: Any, count: Any, weight: Any) -> Any:
     """The robust log-density of a sighting, less that of N(0, R / w)."""
     return _by_count(w, loss.surplus, count, [square, weight])
+
+
+def square_of(
+    w: Writer,
+    known: Sequence[Number] | None,
+    left: AnyMatrix,
+    own: AnyMatrix,
+    matrix: AnyMatrix = None,
+    cov: AnyMatrix = None,
+    error: AnyMatrix = None,
+) -> tuple[Any, Any]:
+    """The square of a residual by its noise, and how many components it is of.
+
+    Components that are not `known` do not count. The rest is as of `step.weighed_square`.
+    """
+    size = float(own.shape[0])
+    if known is None:
+        return step.weighed_square(left, own, matrix, cov, error), size
+    # Without a matrix any does, of which nothing is read.
+    seen = w.matrices.seen(known, left, own if matrix is None else matrix, own)
+    if error is not None:
+        error = w.matrices.kept(known, error)
+    slope = None if matrix is None else seen.matrix
+    square = step.weighed_square(seen.residual, seen.noise, slope, cov, error)
+    return square, size - w.sum([1.0 - truth.number() for truth in known])
+
+
+def weight_of(w: Writer, loss: Loss, square: Any, count: Any) -> Any:
+    """The weight of a sighting whose residual has this square."""
+    return _by_count(w, loss.weight, count, [square])
+
+
+def cost_of(w: Writer, loss: Loss, square: Any, count: Any) -> Any:
+    """The cost of a sighting whose residual has this square: twice its loss."""
+    return _by_count(w, loss.cost, count, [square])
 
 
 def kept_surplus(w: Writer, loss: Loss, at: Whole, count: Any) -> Any:

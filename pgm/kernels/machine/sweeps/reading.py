@@ -5,16 +5,18 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from pgm.kernels import step
-from pgm.kernels.arrays import LAST_PLACES, LOG_2PI
+from pgm.kernels.arrays import LOG_2PI
 from pgm.kernels.gaussian import NEARLY_SINGULAR
 from pgm.kernels.machine.emitter.numbers import Number
 from pgm.kernels.machine.emitter.wholes import Whole
-from pgm.kernels.machine.sweeps.cpd import Line, keep, linearised
+from pgm.kernels.machine.sweeps.control import Anchor, Control, Solve, tried
+from pgm.kernels.machine.sweeps.cpd import REGULAR, Line, keep, linearised
 from pgm.kernels.machine.sweeps.matrices import Belief
 from pgm.kernels.machine.sweeps.outliers import REWEIGHINGS, Weighing, gated, kept_surplus, surplus
+from pgm.kernels.machine.sweeps.settling import Settling, moved
 from pgm.kernels.machine.sweeps.told import Forward, Sensor
 from pgm.kernels.machine.sweeps.writer import Writer
-from pgm.kernels.numbers import least, most, sqrt, where
+from pgm.kernels.numbers import least, where
 from pgm.kernels.step import AnyMatrix
 
 # The part of S (10 + rᵀ S⁻¹ r) that noise has to exceed in all directions. Below, a belief that is
@@ -60,6 +62,15 @@ class Taken:
         self._density.set(self.density + density)
         self._sure.set(self.sure & sure)
 
+    def hold(self, anchor: Anchor) -> None:
+        """Take in the measurement of an anchor, which has no density."""
+        after = anchor.hold(self.moments.mean, self.moments.cov)
+        self.take(after.mean, after.cov, 0.0, after.share > REGULAR)
+
+    def doubt(self, sure: Number) -> None:
+        """Note that all of it is right only if this is."""
+        self._sure.set(self.sure & sure)
+
     def settle(self, settled: Any) -> None:
         """Note whether weights have settled."""
         self._settled.set(settled)
@@ -69,7 +80,8 @@ class Point(NamedTuple):
     """Where the measurements of a step are linearised, and what they are taken into.
 
     `mean` and `cov` are the predicted moments, `at` and `about` those of the linearisation. `first`
-    is whether this is the first linearisation, None if there is one alone.
+    is whether this is the first linearisation, None if there is one alone. An `anchor` is taken in
+    as well.
     """
 
     mean: AnyMatrix
@@ -77,18 +89,30 @@ class Point(NamedTuple):
     at: AnyMatrix
     about: AnyMatrix
     first: Number | None
+    anchor: Anchor | None = None
 
 
-def taken(w: Writer, chain: Forward, at: Whole, mean: AnyMatrix, cov: AnyMatrix) -> Taken:
-    """The belief given the measurements of a step, whose predicted moments are N(mean, cov)."""
+def taken(
+    w: Writer, chain: Forward, at: Whole, mean: AnyMatrix, cov: AnyMatrix, *, decided: bool = False
+) -> Taken:
+    """The belief given the measurements of a step, whose predicted moments are N(mean, cov).
+
+    `decided` says that gates have decided before.
+    """
     found = Taken(w, mean, cov)
     weighing = None
     if any(sensor.weighs for sensor in chain.sensors):
         weighing = Weighing(w, mean, cov)
+    anchor = None
+    if chain.anchor:
+        means, std, weight = chain.anchor
+        deviations = [s for (s,) in w.column(std, at).rows]
+        anchor = Anchor(w.column(means, at), deviations, w.at(weight).load(0))
     if chain.iterated:
         _iterated(w, chain, at, found, mean, cov, weighing)
     else:
-        _solved(w, chain, at, found, Point(mean, cov, mean, cov, None), weighing)
+        first = w.code.constant(False).lane(0) if decided else None
+        _solved(w, chain, at, found, Point(mean, cov, mean, cov, first, anchor), weighing)
     return found
 
 
@@ -102,32 +126,47 @@ def _iterated(
     weighing: Weighing | None,
 ) -> None:
     """Linearise again at what was found, until a belief settles."""
-    code, record = w.code, w.residuals
-    point = w.matrices.carried(mean, cov)
-    tolerance, damping = w.settings.load(0), w.settings.load(1)
-    most_often, last = code.variable(code.whole(1)), code.variable(code.whole(0))
+    code = w.code
+    point, damping, settling = w.matrices.carried(mean, cov), w.settings.load(1), Settling(w)
+    most_often = code.variable(code.whole(1))
     with code.when(_are_curved(w, chain, at)):
         most_often.set(w.iterations)
-    settled, made, residual = code.variable(False), code.variable(0.0), code.variable(0.0)
+    control = Control(w, chain, at, mean, cov) if chain.controlled else None
+    active = code.variable(True)
     with code.loop(most_often.get()) as k:
-        with code.when(k > 0), w.matrices.scratch():
-            _move(w, point, found.moments, damping, settled.get())
+        active.set(~settling.settled)
+        if control is None:
+            with code.when(k > 0), w.matrices.scratch():
+                _move(w, point, found.moments, damping, settling.settled)
         here = Point(mean, cov, point.mean, point.cov, k == 0)
         _solved(w, chain, at, found, here, weighing)
         with code.when(k > 0), w.matrices.scratch():
-            moved = _moved(w, found.moments, point.mean)
-            residual.set(moved)
-            made.set(where(settled.get(), made.get(), k.number()))
-            settled.set(settled.get() | ((moved <= tolerance) & found.settled))
-            _at_most(record, k - 1, moved)
-            last.set(k)
-        code.leave_when(code.every(settled.get()))
+            far = moved(w, found.moments.mean, found.moments.cov, point.mean)
+            settling.note(k, far, found.settled)
+        if control is not None:
+            with code.when(most_often.get() > 1):
+                parts = point, found.moments, active.get(), settling.settled
+                found.doubt(control.step(*parts, _trial(w, chain, at, mean, cov)))
+        code.leave_when(code.every(settling.settled))
         code.leave_unless(code.some(found.sure))
     with code.when(most_often.get() > 1):
-        with code.loop(most_often.get() - 1, last.get()) as later:
-            _at_most(record, later, residual.get())
-        _at_most(record, most_often.get() - 1, made.get())
-        _at_most(record, most_often.get(), where(settled.get(), 0.0, 1.0))
+        if control is not None:  # the means that were accepted last
+            found.moments.set(control.shown, found.moments.cov)
+        settling.close(most_often.get())
+
+
+def _trial(w: Writer, chain: Forward, at: Whole, mean: AnyMatrix, cov: AnyMatrix) -> Solve:
+    """The measurements of a step, as they were linearised last, solved with an anchor."""
+
+    def solve(anchor: Anchor) -> tuple[AnyMatrix, Number]:
+        found, weighing = Taken(w, mean, cov), None
+        if any(sensor.weighs for sensor in chain.sensors):
+            weighing = Weighing(w, mean, cov, trial=True)
+        point = Point(mean, cov, mean, cov, w.code.constant(False).lane(0), anchor)
+        _solved(w, tried(chain), at, found, point, weighing)
+        return found.moments.mean, found.sure
+
+    return solve
 
 
 def _solved(
@@ -171,27 +210,6 @@ def _move(w: Writer, point: Belief, found: Belief, damping: Number, settled: Num
     point.set(mixed(point.mean, found.mean), mixed(point.cov, found.cov))
 
 
-def _moved(w: Writer, found: Belief, point: AnyMatrix) -> Any:
-    """How far a mean is from where it was linearised, in deviations, as `moments.moved`."""
-    residual: Any = 0.0
-    m = w.matrices
-    for new, old, variance in zip(
-        m.beside(found.mean), m.beside(point), m.diagonal(found.cov), strict=True
-    ):
-        size, other = abs(new), abs(old)
-        unit = where(variance > 0.0, sqrt(variance), most(size, 1.0))
-        left = abs(new - old) - LAST_PLACES * most(size, other)
-        left = where(left < 0.0, 0.0, left) / unit  # NaN stays
-        residual = where(residual > left, residual, left)
-    return w.together(lambda a, b: where(a > b, a, b), [residual])
-
-
-def _at_most(record: Any, place: Whole, value: Any) -> None:
-    """Let a number of a record be no less than a value."""
-    known = record.load(place)
-    record.store(place, where(known > value, known, value))
-
-
 def _once(
     w: Writer, chain: Forward, at: Whole, found: Taken, point: Point, weighing: Weighing | None
 ) -> None:
@@ -206,6 +224,8 @@ def _once(
             with w.code.loop(last, first) as row, w.matrices.scratch():
                 _read(w, sensor, row, found, point, weighing)
         fresh = False
+    if point.anchor is not None:
+        found.hold(point.anchor)
 
 
 def _read(

@@ -11,15 +11,17 @@ robots that are swept together.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 from pgm.kernels.machine.emitter.functions import Function
 from pgm.kernels.machine.emitter.memory import Runs
 
 # Of a chain's table: the last step T, how many runs there are, the most linearisations of a step's
-# measurements, the addresses of the tolerance and the damping, of the residuals of iterations
-# (iterations + 1, runs), and of how runs ended and went: (4, runs), see `sweeps`.
-LAST, RUNS, ITERATIONS, SETTINGS, RESIDUALS, ENDED, FIRST = range(7)
+# measurements, the addresses of the settings (the tolerance and the damping; of a control the least
+# weight, its factor and the most tries), of the residuals of iterations (iterations + 1, runs), and
+# of how runs ended and went: (4, runs), see `sweeps`; and a lag.
+LAST, RUNS, ITERATIONS, SETTINGS, RESIDUALS, ENDED, LAG, FIRST = range(8)
 # Of an array: its address, and the distances in floats between rows, runs, and its own cells.
 ADDRESS, DOWN, ACROSS, CELL = range(4)
 # What a program is asked for: the number of a function, at how many points, or zero for a
@@ -207,16 +209,19 @@ class Loss:
 
     `weight(s)` and `surplus(s, w)`, the log-density less that of N(0, R / w), are traces by how
     many components were measured; of just the last where none may be missing. Weights and the
-    squares that they are of are kept by row. `expects` says that squares are expected under the
-    belief; `found` that weights are as kept, and only the surplus is due.
+    squares that they are of are kept by row, those of a step control's trials in `trial`. `cost(s)`
+    is twice the loss. `expects` says that squares are expected under the belief; `found` that
+    weights are as kept, and only the surplus is due.
     """
 
     weight: tuple[Function, ...]
     surplus: tuple[Function, ...]
+    cost: tuple[Function, ...]
     weights: Array
     squares: Array
     expects: bool
     found: bool
+    trial: tuple[Array, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -268,6 +273,10 @@ class Forward:
         is kept, and given them.
     density : Array
         The log-densities of each step's measurements.
+    iterated, controlled : bool
+        Whether measurements are linearised again, and whether a cost judges where.
+    anchor : tuple of Array
+        Means and deviations by step, and weights, of an anchor; empty if there is none.
     asked : Array or None
         For what a sweep waits whose functions are called, (5,): see `WHAT`.
     """
@@ -282,7 +291,102 @@ class Forward:
     known: tuple[Array, Array]
     density: Array
     iterated: bool
+    controlled: bool = False
+    anchor: tuple[Array, ...] = ()
     asked: Array | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Windows:
+    """The windows of a fixed lag that slide along a chain.
+
+    Attributes
+    ----------
+    ahead : Forward
+        The chain as each step is linearised first; its arrays of beliefs but `begin` are not used.
+    predicted, known, density, smoothed : tuple of Array, or Array
+        By step, means and covariances, and log-densities, of the last window of it.
+    newest, log_evidence : tuple of Array, and Array
+        The last beliefs of the window that ends at a step, and ln p of all measurements up to it.
+    point : tuple of Array
+        By row of a window, where CPDs are linearised: means, covariances and those of pairs of the
+        states and the next slice, so far as CPDs need them.
+    joint : Array or None
+        The covariances of pairs that are found.
+    """
+
+    ahead: Forward
+    predicted: tuple[Array, Array]
+    known: tuple[Array, Array]
+    density: Array
+    smoothed: tuple[Array, Array]
+    newest: tuple[Array, Array]
+    log_evidence: Array
+    point: tuple[Array, ...]
+    joint: Array | None = None
+
+    @property
+    def sensors(self) -> tuple[Sensor, ...]:
+        """The sensors of the chain."""
+        return self.ahead.sensors
+
+
+@dataclass(frozen=True, kw_only=True)
+class Linearised:
+    """A chain that is linearised at beliefs over all steps, or the costs of their means.
+
+    Attributes
+    ----------
+    states, motions, sensors
+        As of `Forward`.
+    point : tuple of Array
+        Means of the slices, their covariances, and those of pairs of the states and the next slice,
+        so far as CPDs need them.
+    cost : Array or None
+        Where the cost of each run is put, without the prior's; None linearises.
+    """
+
+    states: tuple[int, ...]
+    motions: tuple[Motion, ...]
+    sensors: tuple[Sensor, ...]
+    point: tuple[Array, ...]
+    cost: Array | None = None
+
+
+def kept_motion(motion: Motion) -> Motion:
+    """A CPD of a transition as it was linearised last."""
+    return replace(_affine(motion), noise=motion.kept or motion.noise, turning=())
+
+
+def kept_sensor(sensor: Sensor, *, weighed: bool) -> Sensor:
+    """A sensor as it was linearised last; its noise is `weighed`, or still to be."""
+    noise, loss = sensor.noise, sensor.loss
+    if sensor.kept is not None and (weighed or loss is None):
+        noise = sensor.kept
+    return replace(
+        _affine(sensor),
+        noise=noise,
+        readings=sensor.moved or sensor.readings,
+        moved=None,
+        loss=None if loss is None else replace(loss, found=weighed),
+    )
+
+
+Kind = TypeVar("Kind", bound=Row)
+
+
+def _affine(row: Kind) -> Kind:
+    """A CPD as it was linearised last, but for its noise."""
+    inputs = () if row.curved else row.inputs
+    affine = replace(row, function=None, called=None, points=None, inputs=inputs)
+    return replace(affine, kept=None, angles=())
+
+
+def as_kept(chain: Forward) -> Forward:
+    """A chain as its CPDs were linearised, and sightings weighed, last."""
+    motions = tuple(map(kept_motion, chain.motions))
+    sensors = tuple(kept_sensor(sensor, weighed=True) for sensor in chain.sensors)
+    return replace(chain, motions=motions, sensors=sensors)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -45,6 +45,7 @@ class Writer:
             array: (addresses.load(array.place), *map(wholes.load, _after(array.place)))
             for array in arrays(chain)
         }
+        self.lag = wholes.load(told.LAG)
         sensors = getattr(chain, "sensors", ())
         due = [sensor.bounds for sensor in sensors if sensor.bounds is not None]
         self._bounds = {place: addresses.load(place) for place in due}

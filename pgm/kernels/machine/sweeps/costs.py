@@ -1,0 +1,58 @@
+"""The cost of a trajectory, by which a step control of smoothers judges its steps.
+
+It is that of `LevenbergMarquardt`, without the prior's.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pgm.kernels import step
+from pgm.kernels.machine.emitter.numbers import Number
+from pgm.kernels.machine.emitter.wholes import Whole
+from pgm.kernels.machine.sweeps.control import cost, expected
+from pgm.kernels.machine.sweeps.cpd import REGULAR
+from pgm.kernels.machine.sweeps.relinearising import Beliefs, pair_at
+from pgm.kernels.machine.sweeps.told import Linearised, Motion, Sensor
+from pgm.kernels.machine.sweeps.writer import Writer
+from pgm.kernels.step import AnyMatrix
+
+
+def written(w: Writer, chain: Linearised) -> Number:
+    """Write the cost of the runs at hand; whether it is right, so far as can be told."""
+    code, beliefs = w.code, Beliefs(*chain.point)
+    total, sure = code.variable(0.0), code.variable(True)
+
+    def add(found: tuple[Any, Number]) -> None:
+        total.set(total.get() + found[0])
+        sure.set(sure.get() & found[1])
+
+    def read(sensor: Sensor, row: Whole, at: Whole) -> None:
+        cov = None if beliefs.cov is None else w.symmetric(beliefs.cov, at)
+        add(cost(w, sensor, row, w.column(beliefs.mean, at), cov))
+
+    with code.loop(w.last + 1) as at, w.matrices.scratch():
+        with code.when(at > 0), w.matrices.scratch():
+            for motion, mean, cov, child in pair_at(w, chain, beliefs, at - 1):
+                add(_moved(w, motion, at - 1, mean, cov, child))
+        for sensor in chain.sensors:
+            if sensor.bounds is None:
+                read(sensor, at, at)
+                continue
+            first, last = w.sightings(sensor, at)
+            with code.loop(last, first) as row, w.matrices.scratch():
+                read(sensor, row, at)
+    assert chain.cost is not None
+    w.at(chain.cost).store(0, total.get())
+    return sure.get()
+
+
+def _moved(
+    w: Writer, motion: Motion, at: Whole, x: AnyMatrix, cov: AnyMatrix, child: AnyMatrix
+) -> tuple[Any, Number]:
+    """The cost of a CPD of a transition at a row, and whether it is right, so far as is told."""
+    value, sure = expected(w, motion, at, x, cov)
+    near = {k: step.nearest(child[k, 0], value[k, 0]) for k in motion.angles}
+    noise = w.symmetric(motion.kept or motion.noise, at)
+    square = step.weighed_square(w.matrices.replaced(child, near) - value, noise)
+    return square, sure & (noise.root().share > REGULAR)
