@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -92,7 +93,7 @@ def loss_of(noise: RobustNoise, count: int) -> tuple[Function, ...] | str:
         return 2.0 * noise.loss(square, count)
 
     found = []
-    each = (weight, (1,)), (surplus, (1, 1)), (cost, (1,))
+    each: list[tuple[Any, tuple[int, ...]]] = [(weight, (1,)), (surplus, (1, 1)), (cost, (1,))]
     for k, (function, widths) in enumerate(each):
         if not count:  # nothing was measured
             function = _NOTHING_MEASURED[k]

@@ -15,7 +15,8 @@ from pgm.kernels import step
 from pgm.kernels.machine.emitter.numbers import Number
 from pgm.kernels.machine.emitter.wholes import Whole
 from pgm.kernels.machine.sweeps.cpd import REGULAR, linearised, value_at
-from pgm.kernels.machine.sweeps.lines import Carried, held
+from pgm.kernels.machine.sweeps.lines import held
+from pgm.kernels.machine.sweeps.matrices import Belief
 from pgm.kernels.machine.sweeps.outliers import cost_of, is_rejected, square_of
 from pgm.kernels.machine.sweeps.told import Forward, Row, Sensor, kept_sensor
 from pgm.kernels.machine.sweeps.writer import Writer
@@ -81,7 +82,7 @@ class Control:
         return _get(self._shown)
 
     def step(
-        self, point: Carried, found: Carried, active: Number, settled: Number, solve: Solve
+        self, point: Belief, found: Belief, active: Number, settled: Number, solve: Solve
     ) -> Number:
         """Accept means, in active runs, that cost no more than the point of linearisation.
 
