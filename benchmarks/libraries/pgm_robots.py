@@ -1,6 +1,6 @@
 """pgm's part of each row: graphs are compiled beforehand, evidence goes in with the call.
 
-With `compiled` sweeps are in machine code, for which there has to be Numba.
+With `compiled` sweeps are in machine code, else NumPy's, whatever their length.
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ class Block:
     @property
     def missing(self) -> list[str]:
         """The packages that the block needs and that are not installed."""
-        found = {"numba"} if "compiled=True" in self.code else set()
+        found = {"llvmlite"} if "compiled=True" in self.code else set()
         for node in ast.walk(ast.parse(self.code)):
             if isinstance(node, ast.Import):
                 found |= {alias.name.partition(".")[0] for alias in node.names}

@@ -12,6 +12,7 @@ from benchmarks import (
     figure,
     first_call,
     memory,
+    neighbours,
     page,
     threads,
     timing,
@@ -290,6 +291,19 @@ def test_a_first_call_is_measured_in_processes_of_their_own(monkeypatch):
     monkeypatch.setattr(first_call.subprocess, "run", run)
     assert first_call.measure("rts_taylor") == {"pgm": 2.0}
     assert started == ["pgm_compiled", "dynamax"]
+
+
+@pytest.mark.filterwarnings("ignore::pgm.ConvergenceWarning")
+def test_neighbours_are_timed_beside_numpy_and_compiled(monkeypatch, capsys):
+    pytest.importorskip("llvmlite", reason="sweeps are compiled by llvmlite")
+    monkeypatch.setattr(neighbours, "STEPS", 6)
+    monkeypatch.setattr(neighbours, "BY_NUMPY", 6)
+    monkeypatch.setattr(neighbours, "REPEATS", 1)
+    monkeypatch.setattr(neighbours, "least", lambda found, _: dict.fromkeys(found, 1e-6))
+    neighbours.main()
+    shown = capsys.readouterr().out
+    assert all(words in shown for words in neighbours.WAYS)
+    assert "not compiled" not in shown
 
 
 def test_threads_are_timed_in_turns_and_judged(monkeypatch, capsys):

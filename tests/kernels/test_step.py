@@ -524,9 +524,8 @@ def test_lines_of_what_is_not_definite_return_nothing():
 # ---- once
 
 PACKAGE = Path(pgm.__file__).parent
-# Machine code by Numba has its own, until it goes; in twice the digits one scalar is taken in after
-# another, with the rounding of each.
-APART = {"kernels/compiled", "beliefs/moments/compiled", "beliefs/moments/digits"}
+# In twice the digits one scalar is taken in after another, with the rounding of each.
+APART = {"beliefs/moments/digits"}
 # Distances with their mean taken off, and a projection: neither has a gain.
 OTHERS = {("viewer/placing.py", "_stressed"), ("kernels/rows.py", "_eliminate_exact")}
 
