@@ -150,8 +150,11 @@ class Compilation(Told[CPD]):
         """
         control = not is_number(getattr(schedule, "damping", 0.0))
         several = getattr(schedule, "iterations", 1) > 1
-        why = [CONTROL] if control and several and getattr(schedule, "lag", 0) else []
-        called = {cpd: words for cpd, words in self.items() if words.startswith(CALLED)}
+        lagging = bool(getattr(schedule, "lag", 0))
+        why = [CONTROL] if control and several and lagging else []
+        # The windows of a lag, and the control of steps, do not wait for functions that are called.
+        waits = not (several and (control or lagging))
+        called = {cpd: words for cpd, words in self.items() if waits and words.startswith(CALLED)}
         why += [
             f"{cpd!r}: {words}"
             for cpd, words in self.items()
