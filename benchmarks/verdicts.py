@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from benchmarks import cliffs
+from benchmarks import cliffs, neighbours
 from benchmarks.work import repository, rooms
 
 FASTER = (  # row, peer, how many times the peer's cost must be ours
@@ -151,6 +151,10 @@ def verdicts(summary: Mapping[str, Any]) -> Iterator[Verdict]:
             if change.most is not None:
                 what = f"cliffs_{kind}: {change.name} / pgm"
                 yield Verdict(what, ratio, change.most, False)
+    for neighbour, times in neighbours.found(summary):
+        per = "/ pgm" if neighbour.microseconds is None else "microseconds"
+        what = f"neighbours_{neighbour.row}: {neighbour.name} {per}"
+        yield Verdict(what, neighbour.measured(times), neighbour.asked, False)
     for curve, least, asked in LEVEL:
         costs = summary.get("curves", {}).get(curve, {}).get("pgm", {})
         chosen = {int(size): cost for size, cost in costs.items() if int(size) >= least}

@@ -1,0 +1,241 @@
+"""Neighbours of the plain compiled step, and how many times its cost they take.
+
+Their peer is pgm itself in machine code on the model of range and bearing, Taylor, which takes
+turns with them. Calls are long, so that what a call takes once does not count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import pgm
+from benchmarks import agreement
+from benchmarks.libraries.pgm_neighbours import Work, looped, swept, unchanged
+from benchmarks.row import Row
+from benchmarks.timing import Contender, least
+from benchmarks.work import neighbours, robots
+from benchmarks.work.robots import Robots
+
+FILTER, SMOOTHER, ONLINE = "filter", "smoother", "online"
+SIZES = {FILTER: (10_000, 3_000), SMOOTHER: (10_000, 3_000), ONLINE: (1_000, 300)}
+SLOW = 3_000  # steps of what takes long
+HERMITE = pgm.GaussHermite(3)
+CONTROL = pgm.LevenbergMarquardt()
+
+
+@dataclass(frozen=True, eq=False)
+class Neighbour:
+    """One ordinary thing more than the plain step has.
+
+    Attributes
+    ----------
+    name, words : str
+        A contender of the row; for readers.
+    row : str
+        A key of `SIZES`: of what the plain step is.
+    make : callable
+        From the plain work to a contender; ``compiled=False`` makes NumPy's.
+    most : float or None
+        How many times the plain step's cost it may take.
+    microseconds : float or None
+        What a step may take, where that is asked instead.
+    same : bool
+        Whether it finds what the plain step finds.
+    steps : int or None
+        The most that it is given.
+    """
+
+    name: str
+    words: str
+    row: str
+    make: Callable[..., Contender]
+    most: float | None = None
+    microseconds: float | None = None
+    same: bool = False
+    steps: int | None = None
+
+    def times(self, costs: Mapping[str, float]) -> float:
+        """How many times the plain step's cost, of seconds a step by contender."""
+        return costs[self.name] / costs[PLAIN]
+
+    def measured(self, costs: Mapping[str, float]) -> float:
+        """What its limit is of: times the plain step's cost, or microseconds."""
+        return self.times(costs) if self.microseconds is None else 1e6 * costs[self.name]
+
+    @property
+    def asked(self) -> float:
+        """Its limit."""
+        limit = self.most if self.microseconds is None else self.microseconds
+        assert limit is not None
+        return limit
+
+    @property
+    def unit(self) -> str:
+        """Of its limit."""
+        return "×" if self.microseconds is None else "µs"
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A call of a schedule, on changed work and by a lineariser."""
+
+    schedule: Any = field(default_factory=pgm.Filtering)
+    change: Work = unchanged
+    lineariser: pgm.Lineariser | None = None
+
+    def __call__(self, work: Robots, *, compiled: bool = True) -> Contender:
+        """What is timed."""
+        return swept(work, self.schedule, self.change, self.lineariser, compiled=compiled)
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A robot's loop, with settings of `OnlineFilter`."""
+
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def __call__(self, work: Robots, *, compiled: bool = True) -> Contender:
+        """What is timed."""
+        return looped(work, compiled=compiled, **self.settings)
+
+
+PLAIN = "pgm"
+PLAINS = {FILTER: Sweep(), SMOOTHER: Sweep(pgm.Smoothing()), ONLINE: Loop()}
+FILTERS = (
+    Neighbour("gate", "`gate=0.99`", FILTER, Sweep(pgm.Filtering(gate=0.99)), 6.0),
+    Neighbour("grouped", "three sightings, grouped", FILTER, Sweep(change=neighbours.grouped), 6.0),
+    Neighbour("sensors", "three sensors", FILTER, Sweep(change=neighbours.three_sensors), 6.0),
+    *(
+        Neighbour(
+            f"iterations_{count}",
+            f"`iterations={count}`",
+            FILTER,
+            Sweep(pgm.Filtering(iterations=count, tolerance=0.0)),
+            6.0,
+        )
+        for count in (2, 5)
+    ),
+    Neighbour("unscented", "`Unscented()`", FILTER, Sweep(lineariser=pgm.Unscented()), 6.0),
+    Neighbour(
+        "huber", "`Huber(1.5)`", FILTER, Sweep(change=neighbours.robust(pgm.Huber(1.5))), 6.0
+    ),
+    Neighbour(
+        "student_t",
+        "`StudentT(4.0)`",
+        FILTER,
+        Sweep(change=neighbours.robust(pgm.StudentT(4.0))),
+        10.0,
+    ),
+    Neighbour("ten", "ten landmarks a step", FILTER, Sweep(change=neighbours.ten_landmarks), 10.0),
+    Neighbour("hermite", "`GaussHermite(3)`", FILTER, Sweep(lineariser=HERMITE), 14.0),
+    Neighbour(
+        "control",
+        "`iterations=10, damping=LevenbergMarquardt()`",
+        FILTER,
+        Sweep(pgm.Filtering(iterations=10, damping=CONTROL)),
+        16.0,
+    ),
+    Neighbour(
+        "unknown",
+        "an unknown landmark of 20",
+        FILTER,
+        Sweep(change=neighbours.unknown_landmark),
+        60.0,
+        steps=SLOW,
+    ),
+    Neighbour(
+        "lag",
+        "`FixedLag(5, iterations=3)`",
+        FILTER,
+        Sweep(pgm.FixedLag(5, iterations=3, tolerance=0.0)),
+        40.0,
+    ),
+    Neighbour(
+        "branch",
+        "a branch in the motion, called back",
+        FILTER,
+        Sweep(change=neighbours.branch),
+        microseconds=15.0,
+        same=True,
+        steps=SLOW,
+    ),
+    Neighbour(
+        "table",
+        "a table in the sensor, called back",
+        FILTER,
+        Sweep(change=neighbours.table),
+        microseconds=15.0,
+        same=True,
+        steps=SLOW,
+    ),
+)
+SMOOTHERS = (
+    Neighbour("gate", "`gate=0.99`", SMOOTHER, Sweep(pgm.Smoothing(gate=0.99)), 6.0),
+    Neighbour(
+        "unscented",
+        "`Unscented()`",
+        SMOOTHER,
+        Sweep(pgm.Smoothing(), lineariser=pgm.Unscented()),
+        6.0,
+    ),
+    Neighbour(
+        "control",
+        "`iterations=10, damping=LevenbergMarquardt()`",
+        SMOOTHER,
+        Sweep(pgm.Smoothing(iterations=10, damping=CONTROL)),
+        16.0,
+    ),
+)
+LOOPS = (
+    Neighbour("gate", "`gate=0.99`", ONLINE, Loop({"gate": 0.99}), 8.0),
+    Neighbour("lag", "`lag=5`", ONLINE, Loop({"lag": 5}), 8.0, same=True),
+    Neighbour("watch", "`watch=True`", ONLINE, Loop({"watch": True}), 8.0, same=True),
+)
+NEIGHBOURS = (*FILTERS, *SMOOTHERS, *LOOPS)
+
+
+def row(name: str) -> Row:
+    """The plain step, and all its neighbours."""
+    near = [each for each in NEIGHBOURS if each.row == name]
+    size, quick = SIZES[name]
+    return Row(
+        name=f"neighbours_{name}",
+        unit="step",
+        work=lambda size: robots.draw(1, size),
+        contenders={PLAIN: PLAINS[name], **{each.name: each.make for each in near}},
+        check=agreement.first_beliefs,
+        size=size,
+        quick=quick,
+        most={each.name: each.steps for each in near if each.steps is not None},
+        unchecked=frozenset(each.name for each in near if not each.same),
+        repeats=5,
+        timed=least,
+    )
+
+
+def found(summary: Mapping[str, Any]) -> Iterator[tuple[Neighbour, Mapping[str, float]]]:
+    """Neighbours that were timed, and seconds a step of their row."""
+    for neighbour in NEIGHBOURS:
+        costs = summary.get(f"neighbours_{neighbour.row}", {})
+        if neighbour.name in costs:
+            yield neighbour, costs
+
+
+def told(summary: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
+    """Lines of a table, under `HEAD`."""
+    for each, costs in found(summary):
+        holds = each.measured(costs) <= each.asked
+        yield (
+            each.row,
+            each.words,
+            f"{1e6 * costs[each.name]:.2f}",
+            f"{each.times(costs):.2f}",
+            f"{each.asked:g} {each.unit}",
+            "holds" if holds else "does NOT hold",
+        )
+
+
+HEAD = ("of the", "neighbour", "µs a step", "× plain", "at most", "")
+ROWS = [row(name) for name in SIZES]
