@@ -12,7 +12,7 @@ from typing import Any
 
 import pgm
 from benchmarks import agreement
-from benchmarks.libraries.pgm_neighbours import Work, looped, swept, unchanged
+from benchmarks.libraries.pgm_neighbours import Work, asked, looped, swept, unchanged
 from benchmarks.row import Row
 from benchmarks.timing import Contender, least
 from benchmarks.work import neighbours, robots
@@ -40,7 +40,7 @@ class Neighbour:
     most : float or None
         How many times the plain step's cost it may take.
     microseconds : float or None
-        What a step may take, where that is asked instead.
+        What a step may take, where that is asked instead; with neither the cost is only told.
     same : bool
         Whether it finds what the plain step finds.
     steps : int or None
@@ -65,16 +65,19 @@ class Neighbour:
         return self.times(costs) if self.microseconds is None else 1e6 * costs[self.name]
 
     @property
-    def asked(self) -> float:
-        """Its limit."""
-        limit = self.most if self.microseconds is None else self.microseconds
-        assert limit is not None
-        return limit
+    def asked(self) -> float | None:
+        """Its limit; None where its cost is only told."""
+        return self.most if self.microseconds is None else self.microseconds
 
-    @property
-    def unit(self) -> str:
-        """Of its limit."""
-        return "×" if self.microseconds is None else "µs"
+    def cells(self, costs: Mapping[str, float]) -> tuple[str, ...]:
+        """Its line of the table, under `HEAD`."""
+        unit = "×" if self.microseconds is None else "µs"
+        limit, holds = "", ""
+        if self.asked is not None:
+            limit = f"{self.asked:g} {unit}"
+            holds = "holds" if self.measured(costs) <= self.asked else "does NOT hold"
+        step = f"{1e6 * costs[self.name]:.2f}"
+        return self.row, self.words, step, f"{self.times(costs):.2f}", limit, holds
 
 
 @dataclass(frozen=True)
@@ -101,8 +104,22 @@ class Loop:
         return looped(work, compiled=compiled, **self.settings)
 
 
+def branch_alone(work: Robots, *, compiled: bool = True) -> Contender:
+    """The function that a branch has called back, without inference."""
+    return asked(work, neighbours.branching, work.controls)
+
+
+def table_alone(work: Robots, *, compiled: bool = True) -> Contender:
+    """The function that a table has called back, without inference."""
+    return asked(work, neighbours.looked_up, work.landmarks[:, 0])
+
+
 PLAIN = "pgm"
-PLAINS = {FILTER: Sweep(), SMOOTHER: Sweep(pgm.Smoothing()), ONLINE: Loop()}
+PLAINS: Mapping[str, Callable[..., Contender]] = {
+    FILTER: Sweep(),
+    SMOOTHER: Sweep(pgm.Smoothing()),
+    ONLINE: Loop(),
+}
 FILTERS = (
     Neighbour("gate", "`gate=0.99`", FILTER, Sweep(pgm.Filtering(gate=0.99)), 6.0),
     Neighbour("grouped", "three sightings, grouped", FILTER, Sweep(change=neighbours.grouped), 6.0),
@@ -170,6 +187,8 @@ FILTERS = (
         same=True,
         steps=SLOW,
     ),
+    Neighbour("branch_alone", "the branch's function alone", FILTER, branch_alone, steps=SLOW),
+    Neighbour("table_alone", "the table's function alone", FILTER, table_alone, steps=SLOW),
 )
 SMOOTHERS = (
     Neighbour("gate", "`gate=0.99`", SMOOTHER, Sweep(pgm.Smoothing(gate=0.99)), 6.0),
@@ -226,15 +245,7 @@ def found(summary: Mapping[str, Any]) -> Iterator[tuple[Neighbour, Mapping[str, 
 def told(summary: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
     """Lines of a table, under `HEAD`."""
     for each, costs in found(summary):
-        holds = each.measured(costs) <= each.asked
-        yield (
-            each.row,
-            each.words,
-            f"{1e6 * costs[each.name]:.2f}",
-            f"{each.times(costs):.2f}",
-            f"{each.asked:g} {each.unit}",
-            "holds" if holds else "does NOT hold",
-        )
+        yield each.cells(costs)
 
 
 HEAD = ("of the", "neighbour", "µs a step", "× plain", "at most", "")

@@ -152,9 +152,11 @@ def verdicts(summary: Mapping[str, Any]) -> Iterator[Verdict]:
                 what = f"cliffs_{kind}: {change.name} / pgm"
                 yield Verdict(what, ratio, change.most, False)
     for neighbour, times in neighbours.found(summary):
-        per = "/ pgm" if neighbour.microseconds is None else "microseconds"
-        what = f"neighbours_{neighbour.row}: {neighbour.name} {per}"
-        yield Verdict(what, neighbour.measured(times), neighbour.asked, False)
+        limit = neighbour.asked
+        if limit is not None:
+            per = "/ pgm" if neighbour.microseconds is None else "microseconds"
+            what = f"neighbours_{neighbour.row}: {neighbour.name} {per}"
+            yield Verdict(what, neighbour.measured(times), limit, False)
     for curve, least, asked in LEVEL:
         costs = summary.get("curves", {}).get(curve, {}).get("pgm", {})
         chosen = {int(size): cost for size, cost in costs.items() if int(size) >= least}

@@ -12,6 +12,7 @@ from benchmarks.timing import Contender, compiled_or_not
 from benchmarks.work.robots import Array, Robots, pose
 from models.networks import landmark, sighting, velocity
 
+POINTS = 7
 Work = Callable[[Robots], Robots]
 
 
@@ -56,3 +57,15 @@ def looped(work: Robots, *, compiled: bool = True, **settings: Any) -> Contender
         return means, covs
 
     return compiled_or_not(call, work.steps, compiled)
+
+
+def asked(work: Robots, function: Callable[[Array, Array], Array], inputs: Array) -> Contender:
+    """A function alone, at as many points a step as differences by three components take."""
+    points = np.repeat(work.truth[0, 1:, None], POINTS, axis=1)
+    given = np.repeat(inputs[:, None], POINTS, axis=1)
+
+    def call() -> None:
+        for x, value in zip(points, given, strict=True):
+            function(x, value)
+
+    return Contender(call, work.steps)

@@ -10,9 +10,8 @@ import numpy as np
 
 import pgm
 from benchmarks.work import changes, robots
-from benchmarks.work.robots import DRIVE, Array, Robots
+from benchmarks.work.robots import DT, Array, Robots
 from models.networks import landmark, pose, sighting, velocity
-from models.sensors import range_bearing
 from pgm.cpds.robust import RobustNoise
 
 FEW, TEN = 3, 10  # sightings a step
@@ -89,9 +88,8 @@ def unknown_landmark(work: Robots) -> Robots:
     steps = work.steps
     drawn = robots.draw(1, steps, stay=-(-steps // CANDIDATES))
     candidates = np.unique(drawn.landmarks.reshape(-1, 2), axis=0)
-    seen = pgm.sightings(
-        drawn.readings[0, :, 0], np.arange(1, steps + 1), {landmark: pgm.unknown(candidates)}
-    )
+    which: dict[pgm.Variable, Any] = {landmark: pgm.unknown(candidates)}
+    seen = pgm.sightings(drawn.readings[0, :, 0], np.arange(1, steps + 1), which)
     return _sensed(drawn, drawn.network, {sighting: seen})
 
 
@@ -112,20 +110,18 @@ def table(work: Robots) -> Robots:
 
 
 def branching(x: Array, u: Array) -> Array:
-    """The drive, of which it is first asked whether there is any turn at all, (..., 3)."""
-    if np.any(u[..., 1]):
-        return DRIVE(x, u)
-    moved = np.array(x)
-    moved[..., 0] += robots.DT * u[..., 0] * np.cos(x[..., 2])
-    moved[..., 1] += robots.DT * u[..., 0] * np.sin(x[..., 2])
-    return moved
+    """The drive along a chord; whether all turn is asked before its length is divided, (..., 3)."""
+    half = 0.5 * DT * u[..., 1]
+    ratio = np.sin(half) / half if half.all() else np.sinc(half / np.pi)
+    chord, course = DT * u[..., 0] * ratio, x[..., 2] + half
+    return x + np.stack([chord * np.cos(course), chord * np.sin(course), 2.0 * half], axis=-1)
 
 
 def looked_up(x: Array, m: Array) -> Array:
     """Range and bearing, the range by a table that says it as it is, (..., 2)."""
-    seen = range_bearing(x, m)
-    distance = np.interp(np.asarray(seen[..., 0], dtype=float), RANGES, RANGES)
-    return np.stack([distance, seen[..., 1]], axis=-1)
+    away = m - x[..., :2]
+    distance = np.interp(np.hypot(away[..., 0], away[..., 1]), RANGES, RANGES)
+    return np.stack([distance, np.arctan2(away[..., 1], away[..., 0]) - x[..., 2]], axis=-1)
 
 
 def _from_one(readings: Array) -> Any:
