@@ -1,17 +1,18 @@
 """Neighbours of the plain compiled step, and how many times its cost they take.
 
 Their peer is pgm itself in machine code on the model of range and bearing, Taylor, which takes
-turns with them. Calls are long, so that what a call takes once does not count.
+turns with them. Calls are long, so that what a call takes once does not count; what it takes around
+its sweeps, step by step, would hide what they cost: limits are of machine code alone as well.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import pgm
-from benchmarks import agreement
+from benchmarks import agreement, inside
 from benchmarks.libraries.pgm_neighbours import Work, asked, looped, swept, unchanged
 from benchmarks.row import Row
 from benchmarks.timing import Contender, least
@@ -56,28 +57,47 @@ class Neighbour:
     same: bool = False
     steps: int | None = None
 
-    def times(self, costs: Mapping[str, float]) -> float:
-        """How many times the plain step's cost, of seconds a step by contender."""
-        return costs[self.name] / costs[PLAIN]
-
-    def measured(self, costs: Mapping[str, float]) -> float:
-        """What its limit is of: times the plain step's cost, or microseconds."""
-        return self.times(costs) if self.microseconds is None else 1e6 * costs[self.name]
-
     @property
     def asked(self) -> float | None:
         """Its limit; None where its cost is only told."""
         return self.most if self.microseconds is None else self.microseconds
 
-    def cells(self, costs: Mapping[str, float]) -> tuple[str, ...]:
+    def measured(self, timed: Timed) -> Iterator[tuple[str, float]]:
+        """What its limit is of, in words, and what was measured; of both ways of timing it."""
+        if self.microseconds is not None:
+            yield "microseconds", 1e6 * timed.calls[self.name]
+        elif self.most is not None:
+            yield "/ pgm", timed.calls[self.name] / timed.calls[PLAIN]
+            if self.name in timed.code:
+                yield "/ pgm in machine code", timed.code[self.name] / timed.code[PLAIN]
+
+    def cells(self, timed: Timed) -> tuple[str, ...]:
         """Its line of the table, under `HEAD`."""
-        unit = "×" if self.microseconds is None else "µs"
+        numbers = []
+        for costs in (timed.calls, timed.code):
+            here = self.name in costs
+            numbers += [f"{1e6 * costs[self.name]:.2f}" if here else ""]
+            numbers += [f"{costs[self.name] / costs[PLAIN]:.2f}" if here else ""]
         limit, holds = "", ""
         if self.asked is not None:
-            limit = f"{self.asked:g} {unit}"
-            holds = "holds" if self.measured(costs) <= self.asked else "does NOT hold"
-        step = f"{1e6 * costs[self.name]:.2f}"
-        return self.row, self.words, step, f"{self.times(costs):.2f}", limit, holds
+            limit = f"{self.asked:g} {'×' if self.microseconds is None else 'µs'}"
+            every = all(found <= self.asked for _, found in self.measured(timed))
+            holds = "holds" if every else "does NOT hold"
+        return self.row, self.words, *numbers, limit, holds
+
+
+@dataclass(frozen=True)
+class Timed:
+    """Seconds a step of a row, by contender.
+
+    Attributes
+    ----------
+    calls, code : mapping
+        Of whole calls; of machine code alone, of those that spend any time there.
+    """
+
+    calls: Mapping[str, float]
+    code: Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -234,19 +254,29 @@ def row(name: str) -> Row:
     )
 
 
-def found(summary: Mapping[str, Any]) -> Iterator[tuple[Neighbour, Mapping[str, float]]]:
-    """Neighbours that were timed, and seconds a step of their row."""
+def code(whole: Row) -> Row:
+    """A row, of which time in machine code alone is taken."""
+    return replace(whole, name=f"{whole.name}_code", timed=inside.least)
+
+
+def found(summary: Mapping[str, Any]) -> Iterator[tuple[Neighbour, Timed]]:
+    """Neighbours whose calls were timed, and what a step of their row took."""
     for neighbour in NEIGHBOURS:
-        costs = summary.get(f"neighbours_{neighbour.row}", {})
-        if neighbour.name in costs:
-            yield neighbour, costs
+        name = f"neighbours_{neighbour.row}"
+        calls = summary.get(name, {})
+        if neighbour.name in calls:
+            yield neighbour, Timed(calls, summary.get(f"{name}_code", {}))
 
 
 def told(summary: Mapping[str, Any]) -> Iterator[tuple[str, ...]]:
     """Lines of a table, under `HEAD`."""
-    for each, costs in found(summary):
-        yield each.cells(costs)
+    for each, timed in found(summary):
+        yield each.cells(timed)
 
 
-HEAD = ("of the", "neighbour", "µs a step", "× plain", "at most", "")
+HEAD = (
+    *("of the", "neighbour", "µs a step", "× plain"),
+    *("µs in machine code", "× plain there", "at most", ""),
+)
 ROWS = [row(name) for name in SIZES]
+ROWS += [code(each) for each in ROWS if each.name != f"neighbours_{ONLINE}"]

@@ -151,12 +151,11 @@ def verdicts(summary: Mapping[str, Any]) -> Iterator[Verdict]:
             if change.most is not None:
                 what = f"cliffs_{kind}: {change.name} / pgm"
                 yield Verdict(what, ratio, change.most, False)
-    for neighbour, times in neighbours.found(summary):
-        limit = neighbour.asked
-        if limit is not None:
-            per = "/ pgm" if neighbour.microseconds is None else "microseconds"
+    for neighbour, timed in neighbours.found(summary):
+        for per, measured in neighbour.measured(timed):
+            assert neighbour.asked is not None
             what = f"neighbours_{neighbour.row}: {neighbour.name} {per}"
-            yield Verdict(what, neighbour.measured(times), limit, False)
+            yield Verdict(what, measured, neighbour.asked, False)
     for curve, least, asked in LEVEL:
         costs = summary.get("curves", {}).get(curve, {}).get("pgm", {})
         chosen = {int(size): cost for size, cost in costs.items() if int(size) >= least}

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import pgm
+from benchmarks import inside, timing
 from benchmarks import neighbours as near
 from benchmarks.work import neighbours, robots
 from models import sensors
@@ -33,8 +34,16 @@ def test_neighbours_that_find_the_same_are_held_to_it(row):
     assert next(iter(ready)) == near.PLAIN
     row.agree(ready, 3)
     assert {contender.units for contender in ready.values()} == {3}
-    same = {each.name for each in INFERRED if each.same and f"neighbours_{each.row}" == row.name}
+    kind = row.name.split("_")[1]
+    same = {each.name for each in INFERRED if each.same and each.row == kind}
     assert same == set(row.contenders) - row.unchecked - {near.PLAIN}
+
+
+def test_time_in_machine_code_is_a_part_of_a_calls():
+    swept, plain = (near.PLAINS["filter"](WORK, compiled=each) for each in (True, False))
+    times = inside.least({"swept": swept, "plain": plain}, 3)
+    assert set(times) == {"swept"}
+    assert 0.0 < times["swept"] < timing.seconds(swept.call) / swept.units
 
 
 def test_sightings_are_as_many_as_they_are_called():

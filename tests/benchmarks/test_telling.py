@@ -52,6 +52,7 @@ SUMMARY = {
     "cliffs_few": {"pgm": 1.0, "one_fewer": 1.05},
     "cliffs_online": {"pgm": 1.0, "own_taylor": 1.2},
     "neighbours_filter": {"pgm": 2e-6, "gate": 4e-6, "branch": 16e-6, "branch_alone": 5e-6},
+    "neighbours_filter_code": {"pgm": 2e-7, "gate": 14e-7, "branch": 3e-6},
     "neighbours_online": {"pgm": 4e-6, "watch": 36e-6},
     "memory": {"munin1": {"pgm": 2**30, "pyagrum": 2**29}},
     "curves": {
@@ -96,6 +97,7 @@ def test_verdicts_are_ratios_the_right_way_up():
         ("cliffs_online: own_taylor / pgm", 1.2, True),
         ("cliffs_few: one_fewer / pgm", 1.05, True),
         ("neighbours_filter: gate / pgm", 2.0, True),
+        ("neighbours_filter: gate / pgm in machine code", 7.0, False),
         ("neighbours_filter: branch microseconds", 16.0, False),
         ("neighbours_online: watch / pgm", 9.0, False),
         ("reading_alarm: pgmpy / pgm", 0.6 / 0.021, True),
@@ -107,7 +109,7 @@ def test_verdicts_are_ratios_the_right_way_up():
         assert every[what].holds == holds
     # Which are only told.
     assert not any("no_jacobian /" in what or "branch_alone" in what for what in every)
-    assert len(every) == 7 + 14 + 7 + 3 + 3
+    assert len(every) == 7 + 14 + 7 + 3 + 4
 
 
 def test_contenders_take_turns(monkeypatch):
@@ -197,7 +199,8 @@ def test_rows_are_chosen_by_name_or_by_the_words_they_begin_with():
         *("cliffs_many", "cliffs_one", "cliffs_online", "cliffs_few"),
     ]
     assert [row.name for row in every.only("neighbours").rows] == [
-        f"neighbours_{each}" for each in ("filter", "smoother", "online")
+        f"neighbours_{each}"
+        for each in ("filter", "smoother", "online", "filter_code", "smoother_code")
     ]
     assert every.only("munin1,filter").names == ["munin1", "filter"]
     assert len(every.only("sets").rows) == 12
@@ -270,13 +273,13 @@ def test_the_page_takes_its_numbers_from_the_summary(tmp_path, monkeypatch):
     assert "| the motion without a Jacobian | 4.50 |  |  |  |" in text
     assert "| 31 runs instead of 32 | 1.05 |  |  | 1.1 |" in text
     assert "| 1.35 |  | 1.20 | 1.3 |" in text
-    assert "| filter | `gate=0.99` | 4.00 | 2.00 | 6 × | holds |" in text
-    assert "called back | 16.00 | 8.00 | 15 µs | does NOT hold |" in text
-    assert "| filter | the branch's function alone | 5.00 | 2.50 |  |  |" in text
-    assert "| online | `watch=True` | 36.00 | 9.00 | 8 × | does NOT hold |" in text
+    assert "| filter | `gate=0.99` | 4.00 | 2.00 | 1.40 | 7.00 | 6 × | does NOT hold |" in text
+    assert "called back | 16.00 | 8.00 | 3.00 | 15.00 | 15 µs | does NOT hold |" in text
+    assert "| filter | the branch's function alone | 5.00 | 2.50 |  |  |  |  |" in text
+    assert "| online | `watch=True` | 36.00 | 9.00 |  |  | 8 × | does NOT hold |" in text
     assert "`neighbours_filter`" not in text
     assert "| map: gtsam / pgm | 7.00 | ≥ 8 | **does not hold** |" in text
-    assert "Of 34 requirements" in text
+    assert "Of 35 requirements" in text
     assert "≤ 6 | holds |" not in text
     every = path.with_name(page.FULL).read_text(encoding="utf-8")
     assert "| `repository_asia` | set of evidence | 1000000 |" in every
