@@ -9,7 +9,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from benchmarks import cliffs, figure, memory
+from benchmarks import cliffs, figure, memory, neighbours
 from benchmarks.choice import Choice, short
 from benchmarks.row import Row
 from benchmarks.verdicts import verdicts
@@ -135,6 +135,9 @@ def tell(summary: dict[str, Any]) -> None:
     changes = list(cliffs.told(summary))
     if changes:
         table("changes: times the unchanged model's cost", cliffs.HEAD, changes)
+    near = list(neighbours.told(summary))
+    if near:
+        table("neighbours of the plain compiled step", neighbours.HEAD, near)
     found = list(verdicts(summary))
     if found:
         table(

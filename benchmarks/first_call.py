@@ -2,7 +2,7 @@
 
 Each library has a process of its own. Loading llvmlite and compiling the graph are in the time of
 pgm; loading JAX is not in dynamax's. Then smoothers of several lengths are called in processes of
-their own, with machine code and without.
+their own, with machine code and without; and each neighbour of the plain compiled step.
 """
 
 from __future__ import annotations
@@ -11,9 +11,11 @@ import json
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from importlib import import_module
 from typing import Any
 
+from benchmarks import neighbours
 from benchmarks.rows import ROWS
 from benchmarks.verdicts import Verdict
 from experiments.record import note, table
@@ -36,8 +38,7 @@ def main() -> None:
     )
     for name, each in found.items():
         one = Verdict(f"{name}: seconds", each["pgm"], MOST, False)
-        holds = "holds" if one.holds else "does NOT hold"
-        note(f"{one.what}: {one.measured:.2f}, at most {one.asked:g}: {holds}")
+        note(f"{one.what}: {one.measured:.2f}, at most {one.asked:g}: {_holds(one)}")
     times = [[_answer("smooth", choice, str(steps)) for choice in CHOICES] for steps in LENGTHS]
     table(
         "pgm.smooth in a process of its own: seconds of the processor, first and second call",
@@ -48,6 +49,24 @@ def main() -> None:
             if all("first" in each for each in row)
         ],
     )
+    table(
+        "neighbours of the plain compiled step, a process each: the first call over the second",
+        ("of the", "neighbour", "seconds", "at most", ""),
+        nearby(),
+    )
+
+
+def nearby() -> Iterator[tuple[str, str, str, str, str]]:
+    """Lines of a table, of neighbours that have a limit."""
+    for each in neighbours.NEIGHBOURS:
+        answer = {} if each.asked is None else _answer(f"neighbours_{each.row}", each.name)
+        if "seconds" in answer:
+            one = Verdict(each.name, answer["seconds"], MOST, False)
+            yield each.row, each.words, f"{one.measured:.2f}", f"{one.asked:g}", _holds(one)
+
+
+def _holds(one: Verdict) -> str:
+    return "holds" if one.holds else "does NOT hold"
 
 
 def measure(name: str) -> dict[str, float]:

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks import cliffs
+from benchmarks import cliffs, neighbours
 from benchmarks.command import OUT
 from benchmarks.row import Row
 from benchmarks.rows import ROWS
@@ -47,6 +47,10 @@ def measured(summary: Mapping[str, Any]) -> Iterator[str]:
     if changes:
         yield "\nOne change of the model, and how many times the unchanged model's cost it takes:\n"
         yield from _table(cliffs.HEAD, changes)
+    near = list(neighbours.told(summary))
+    if near:
+        yield "\nNeighbours of the plain compiled step, each with its limit:\n"
+        yield from _table(neighbours.HEAD, near)
     every = list(verdicts(summary))
     broken = [each for each in every if not each.holds]
     yield (
@@ -88,8 +92,9 @@ def full(summary: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _timed(summary: Mapping[str, Any]) -> list[Row]:
-    """The rows of libraries; those of changes have a table of their own."""
-    return [row for row in ROWS if row.name in summary and row not in cliffs.ROWS]
+    """The rows of libraries; those of changes and neighbours have tables of their own."""
+    others = (*cliffs.ROWS, *neighbours.ROWS)
+    return [row for row in ROWS if row.name in summary and row not in others]
 
 
 def _how(summary: Mapping[str, Any]) -> str:

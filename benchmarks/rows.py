@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from benchmarks import agreement, cliffs
+from benchmarks import agreement, cliffs, neighbours
 from benchmarks.row import Prepare, Row, part
 from benchmarks.timing import least
 from benchmarks.work import (
@@ -414,6 +414,7 @@ ROWS = [
     backwards(),
     likelihood_field(),
     *cliffs.ROWS,
+    *neighbours.ROWS,
     discrete("asia", tables.medical()),
     discrete("random_200", tables.random()),
     *(make(name) for make in (new_evidence, cold_start, many_sets) for name in repository.NAMES),

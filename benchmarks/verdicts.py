@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from benchmarks import cliffs
+from benchmarks import cliffs, neighbours
 from benchmarks.work import repository, rooms
 
 FASTER = (  # row, peer, how many times the peer's cost must be ours
@@ -151,6 +151,11 @@ def verdicts(summary: Mapping[str, Any]) -> Iterator[Verdict]:
             if change.most is not None:
                 what = f"cliffs_{kind}: {change.name} / pgm"
                 yield Verdict(what, ratio, change.most, False)
+    for neighbour, timed in neighbours.found(summary):
+        for per, measured in neighbour.measured(timed):
+            assert neighbour.asked is not None
+            what = f"neighbours_{neighbour.row}: {neighbour.name} {per}"
+            yield Verdict(what, measured, neighbour.asked, False)
     for curve, least, asked in LEVEL:
         costs = summary.get("curves", {}).get(curve, {}).get("pgm", {})
         chosen = {int(size): cost for size, cost in costs.items() if int(size) >= least}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import pgm
-from benchmarks import agreement, cliffs
+from benchmarks import agreement, cliffs, neighbours
 from benchmarks.libraries import pgm_robots
 from benchmarks.row import Row, part
 from benchmarks.rows import ROWS
@@ -47,7 +47,8 @@ def slow(row, library):
 PAIRS = [
     pytest.param(row, library, marks=[pytest.mark.slow] if slow(row, library) else [])
     for row in ROWS
-    if row not in cliffs.ROWS  # whose contenders are no libraries: see test_cliffs.py
+    # Whose contenders are no libraries: see test_cliffs.py and test_neighbours.py.
+    if row not in (*cliffs.ROWS, *neighbours.ROWS)
     for library in row.contenders
     if library != "pgm" and library not in row.unchecked
 ]

@@ -11,6 +11,7 @@ from benchmarks import (
     curves,
     figure,
     first_call,
+    gains,
     memory,
     neighbours,
     page,
@@ -51,6 +52,9 @@ SUMMARY = {
     "cliffs_many": {"pgm": 2.0, "missing": 2.5, "no_jacobian": 9.0, "own_taylor": 2.7},
     "cliffs_few": {"pgm": 1.0, "one_fewer": 1.05},
     "cliffs_online": {"pgm": 1.0, "own_taylor": 1.2},
+    "neighbours_filter": {"pgm": 2e-6, "gate": 4e-6, "branch": 16e-6, "branch_alone": 5e-6},
+    "neighbours_filter_code": {"pgm": 2e-7, "gate": 14e-7, "branch": 3e-6},
+    "neighbours_online": {"pgm": 4e-6, "watch": 36e-6},
     "memory": {"munin1": {"pgm": 2**30, "pyagrum": 2**29}},
     "curves": {
         "filter": {"pgm": {100: 9.0, 1_000: 1.0, 10_000: 1.1, 100_000: 1.15}},
@@ -93,6 +97,10 @@ def test_verdicts_are_ratios_the_right_way_up():
         ("cliffs_many: own_taylor / pgm", 1.35, False),
         ("cliffs_online: own_taylor / pgm", 1.2, True),
         ("cliffs_few: one_fewer / pgm", 1.05, True),
+        ("neighbours_filter: gate / pgm", 2.0, True),
+        ("neighbours_filter: gate / pgm in machine code", 7.0, False),
+        ("neighbours_filter: branch microseconds", 16.0, False),
+        ("neighbours_online: watch / pgm", 9.0, False),
         ("reading_alarm: pgmpy / pgm", 0.6 / 0.021, True),
         ("reading_alarm: milliseconds", 21.0, False),
         ("munin1: pyagrum / pgm", 5.0, True),
@@ -100,8 +108,9 @@ def test_verdicts_are_ratios_the_right_way_up():
     ):
         assert every[what].measured == pytest.approx(measured)
         assert every[what].holds == holds
-    assert not any("no_jacobian /" in what for what in every)  # which is only told
-    assert len(every) == 7 + 14 + 7 + 3
+    # Which are only told.
+    assert not any("no_jacobian /" in what or "branch_alone" in what for what in every)
+    assert len(every) == 7 + 14 + 7 + 3 + 4
 
 
 def test_contenders_take_turns(monkeypatch):
@@ -190,6 +199,10 @@ def test_rows_are_chosen_by_name_or_by_the_words_they_begin_with():
         "map",
         *("cliffs_many", "cliffs_one", "cliffs_online", "cliffs_few"),
     ]
+    assert [row.name for row in every.only("neighbours").rows] == [
+        f"neighbours_{each}"
+        for each in ("filter", "smoother", "online", "filter_code", "smoother_code")
+    ]
     assert every.only("munin1,filter").names == ["munin1", "filter"]
     assert len(every.only("sets").rows) == 12
     for wrong in ("cliff", "sets_", "map,"):
@@ -261,9 +274,14 @@ def test_the_page_takes_its_numbers_from_the_summary(tmp_path, monkeypatch):
     assert "| the motion without a Jacobian | 4.50 |  |  |  |" in text
     assert "| 31 runs instead of 32 | 1.05 |  |  | 1.1 |" in text
     assert "| 1.35 |  | 1.20 | 1.3 |" in text
+    assert "| filter | `gate=0.99` | 4.00 | 2.00 | 1.40 | 7.00 | 6 × | does NOT hold |" in text
+    assert "called back | 16.00 | 8.00 | 3.00 | 15.00 | 15 µs | does NOT hold |" in text
+    assert "| filter | the branch's function alone | 5.00 | 2.50 |  |  |  |  |" in text
+    assert "| online | `watch=True` | 36.00 | 9.00 |  |  | 8 × | does NOT hold |" in text
+    assert "`neighbours_filter`" not in text
     assert "| map: gtsam / pgm | 7.00 | ≥ 8 | **does not hold** |" in text
-    assert "Of 31 requirements" in text
-    assert "| holds |" not in text
+    assert "Of 35 requirements" in text
+    assert "≤ 6 | holds |" not in text
     every = path.with_name(page.FULL).read_text(encoding="utf-8")
     assert "| `repository_asia` | set of evidence | 1000000 |" in every
     assert "`munin1.pgm` 3 s, 1024 MiB, `munin1.pyagrum` 15 s, 512 MiB" in every
@@ -294,16 +312,31 @@ def test_a_first_call_is_measured_in_processes_of_their_own(monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore::pgm.ConvergenceWarning")
-def test_neighbours_are_timed_beside_numpy_and_compiled(monkeypatch, capsys):
+def test_gains_are_timed_beside_numpy_and_compiled(monkeypatch, capsys):
     pytest.importorskip("llvmlite", reason="sweeps are compiled by llvmlite")
-    monkeypatch.setattr(neighbours, "STEPS", 6)
-    monkeypatch.setattr(neighbours, "BY_NUMPY", 6)
-    monkeypatch.setattr(neighbours, "REPEATS", 1)
-    monkeypatch.setattr(neighbours, "least", lambda found, _: dict.fromkeys(found, 1e-6))
-    neighbours.main()
+    monkeypatch.setattr(gains, "STEPS", 6)
+    monkeypatch.setattr(gains, "BY_NUMPY", 6)
+    monkeypatch.setattr(gains, "REPEATS", 1)
+    monkeypatch.setattr(gains, "least", lambda found, _: dict.fromkeys(found, 1e-6))
+    gains.main()
     shown = capsys.readouterr().out
-    assert all(words in shown for words in neighbours.WAYS)
+    assert all(words in shown for words in gains.WAYS)
     assert "not compiled" not in shown
+
+
+def test_the_first_call_of_each_neighbour_is_judged(monkeypatch):
+    asked = []
+
+    def answer(*arguments):
+        asked.append(arguments)
+        return {"missing": "no llvmlite"} if "gate" in arguments else {"seconds": 1.2}
+
+    monkeypatch.setattr(first_call, "_answer", answer)
+    lines = list(first_call.nearby())
+    limited = [each for each in neighbours.NEIGHBOURS if each.asked is not None]
+    assert asked == [(f"neighbours_{each.row}", each.name) for each in limited]
+    assert len(lines) == len(limited) - sum(each.name == "gate" for each in limited)
+    assert set(lines) >= {("online", "`watch=True`", "1.20", "1", "does NOT hold")}
 
 
 def test_threads_are_timed_in_turns_and_judged(monkeypatch, capsys):

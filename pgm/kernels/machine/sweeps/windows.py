@@ -264,10 +264,10 @@ def _with_controls(
         rows[k] = gain.rows[i]
     matrix = Matrix(rows)
     offset = mean - matrix @ mean.part(states, (0,))
-    # What is left of the controls given the states: (I − G E) P (I − G E)ᵀ, E picking the states.
+    # What is left of the controls given the states, E picking the states.
     picks = Matrix([[1.0 if j == k else 0.0 for j in size] for k in states])
-    keep = (matrix @ picks).one_minus()
-    own_cov = (keep @ cov).times(keep)
+    nothing = Matrix([[0.0] * len(states)] * len(states))
+    own_cov = step.squares(cov, matrix, picks, nothing)
     return step.push(*after, matrix, offset, own_cov), root.share > _MODERATE
 
 
