@@ -70,3 +70,29 @@ def test_what_a_gate_rejects_has_an_innovation(infer, iterations, runs, noise):
     one, other = found.innovations[Z], due.innovations[Z]
     assert_allclose(one.residual, other.residual, rtol=1e-7, atol=1e-8)
     assert_allclose(one.cov, other.cov, rtol=1e-7)
+
+
+@pytest.mark.parametrize("rule", [pgm.Taylor(), pgm.MonteCarlo(40)], ids=repr)
+@pytest.mark.parametrize("runs", [(), (9,)])
+@pytest.mark.parametrize("infer", [pgm.filter, pgm.smooth])
+@pytest.mark.parametrize("iterations", [1, 3])
+@pytest.mark.filterwarnings("ignore::pgm.ConvergenceWarning")
+def test_called_sightings_of_a_step_beside_a_robust_sensor(infer, iterations, runs, rule):
+    """Each has the linearisation at its own landmark when weights are found."""
+    mark, far = pgm.Variable("mark"), pgm.Variable("far")
+
+    def off(state, mark):
+        if np.any(state > 1e9):
+            return mark
+        return np.arctan(state[..., :1] - mark)
+
+    def sensors(x):
+        yield from sight(noise=pgm.Huber(1.345))(x)
+        yield pgm.NonlinearGaussianCPD(far, (x, mark), off, cov=0.01, lineariser=rule)
+
+    rng = np.random.default_rng(2)
+    step, marks = np.repeat([1, 2, 3, 5], 3), rng.normal(size=(12, 1))
+    seen = pgm.sightings(rng.normal(size=(*runs, 12, 1)), step=step, given={mark: marks})
+    evidence = readings(runs) | {far: seen}
+    model = walk(lambda x: list(sensors(x)))
+    assert_posterior(*both(infer, model, evidence, iterations=iterations), smooth=False)
