@@ -272,8 +272,9 @@ def sensor_of(
     loss = None
     if sensor.robust:
         loss = _loss_of(sensor, table, missing, found=stored, controlled=controlled)
-    # Robust sightings of a step are weighed several times, as they were linearised.
-    held = 1 if loss is None else max(1, *np.diff(sensor.bounds).tolist())
+    # Where some of a step are robust, all sightings are taken in again, as they were linearised.
+    again = any(each.robust for each in plan.read)
+    held = max(1, *np.diff(sensor.bounds).tolist()) if again else 1
     return told.Sensor(
         **row_of(family, places(sensor.parents, size), table, stored=stored, keep=keep, held=held),
         readings=table.of(sensor, attrgetter(readings)),

@@ -12,6 +12,7 @@ from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.beliefs.moments.steps.vector import stacks
 from pgm.kernels import moments, roots, solving
+from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, Integers, block, inner
 from pgm.posteriors.innovations import Innovations
 
@@ -24,7 +25,8 @@ def innovations(plan: ChainPlan, sensor: Sensor, forward: Forward) -> Innovation
     """
     family, parents, lead = sensor.family, sensor.parents, plan.lead
     mean = forward.predicted_mean[family.step][..., parents]
-    residual = sensor.moved - family.value(slice(None), mean)
+    value = family.value(slice(None), mean)
+    residual = sensor.moved - value
     ahead = forward.predicted_cov if forward.diffuse is None else forward.diffuse.cov
     spread = block(ahead[family.step], parents, parents)
     given = sensor.taken if sensor.gated is None else sensor.gated.given
@@ -32,6 +34,9 @@ def innovations(plan: ChainPlan, sensor: Sensor, forward: Forward) -> Innovation
     rejected = np.zeros(residual.shape[:2], dtype=bool)
     if sensor.gated is not None:
         rejected |= sensor.gated.rejected
+        if sensor.variable.angles:  # no linearisation has put what was rejected on a branch
+            near = nearest_branch(sensor.values, value, sensor.variable.angle_mask)
+            residual = np.where(rejected[..., None], near - value, residual)
     if forward.diffuse is not None:
         reach = forward.diffuse.at(family.step).of(parents).reach(family.matrix)
         taken = taken & ~reach.any(axis=-1)

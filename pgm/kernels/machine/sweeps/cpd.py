@@ -176,8 +176,11 @@ def _about(
     m = w.matrices
     columns = {i: m.beside(off.part(range(off.shape[0]), (i,))) for i in row.angles}
     far = {i: w.together(or_, [abs(x) > pi for x in columns[i]]) for i in row.angles}
+    some = reduce(or_, far.values())
+    if some is False:  # angles that are the same everywhere
+        return off
     wrapped = {i: [held(w.code, x) for x in columns[i]] for i in row.angles}
-    with w.code.when(w.code.some(reduce(or_, far.values()))):
+    with w.code.when(w.code.some(some)):
         if row.called is not None:
             slope = tangent(w, row, at, mean, cov)
         else:

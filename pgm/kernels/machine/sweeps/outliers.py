@@ -94,12 +94,14 @@ class Weighing:
         return self._left.get() <= TOLERANCE
 
     def weigh(
-        self, loss: Loss, at: Whole, square: Any, count: Any, begins: Number
+        self, sensor: Sensor, at: Whole, square: Any, count: Any, begins: Number
     ) -> tuple[Any, Any]:
         """A sighting's weight, and the square that it is of, given its square at the last belief.
 
-        The weight is one when all `begins`.
+        The weight is one when all `begins`, and stays so where a gate rejects the sighting.
         """
+        loss = sensor.loss
+        assert loss is not None
         w, code = self._w, self._w.code
         known = [w.at(array, at) for array in (loss.weights, loss.squares)]
         kept = [w.at(array, at) for array in loss.trial] if self._trial else known
@@ -114,6 +116,8 @@ class Weighing:
         with code.when(self.again):
             new = weight_of(w, loss, square, count)
             active, old = self._active.get(), weight.get()
+            if sensor.gate is not None:
+                active = active & ~is_rejected(w, sensor.gate, at)
             change = where(active, abs(new - old), 0.0)
             self._moved.set(most(change, self._moved.get()))
             weight.set(where(active, new, old))

@@ -266,10 +266,12 @@ def _read(
             square = step.weighed_square(
                 residual, sighting.own, sighting.matrix, cov, sighting.error
             )
-            weight, of = weighing.weigh(sensor.loss, at, square, count, begins)
+            weight, of = weighing.weigh(sensor, at, square, count, begins)
             noise = sighting.weighed(weight)
             noise = noise if sighting.error is None else noise + sighting.error
-            w.keep(sensor.kept, noise, at)
+            if sensor.kept is not None:  # of components that are missing, or rejected, as well
+                own = line.own.scaled(1.0 / weight)
+                w.keep(sensor.kept, own if line.error is None else own + line.error, at)
             surplus_of = surplus(w, sensor.loss, of, count, weight)
         else:
             surplus_of = kept_surplus(w, sensor.loss, at, count)

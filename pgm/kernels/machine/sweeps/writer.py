@@ -118,7 +118,7 @@ class Writer:
 
     def keep(self, array: told.Array | None, matrix: AnyMatrix, row: Whole | None = None) -> None:
         """Put a vector or a matrix into an array at a row, if there is one."""
-        if array is not None:
+        if array is not None and 0 not in matrix.shape:
             self.matrices.keep(self.at(array, row), matrix)
 
     def together(self, operation: Callable[[Any, Any], Any], numbers: Sequence[Any]) -> Any:

@@ -1,0 +1,98 @@
+"""Models that a search of drawn ones has found to differ in machine code, against NumPy."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from test_compiled import assert_posterior, both
+
+import pgm
+
+pytest.importorskip("llvmlite", reason="sweeps are compiled by llvmlite")
+
+X = pgm.Variable("x", components=("a", "b"))
+Z = pgm.Variable("z", components=("range", "bearing"), angles=("bearing",))
+
+
+def walk(sensor, size=2, before=()):
+    x = X if size == 2 else pgm.Variable("x", components=tuple(f"c{k}" for k in range(size)))
+    given = {x.previous: 0.9} | {cpd.child: np.ones((size, 1)) for cpd in before}
+    move = pgm.LinearGaussianCPD(x, given, cov=0.1)
+    return pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(x, np.zeros(size), 1.0)], [*before, move], sensor(x)
+    )
+
+
+def sight(**options):
+    def seen(state):
+        return np.stack([state[..., 0], 3.0 + np.arctan(state[..., 1])], axis=-1)
+
+    return lambda x: [pgm.NonlinearGaussianCPD(Z, x, seen, cov=0.05, **options)]
+
+
+def readings(runs):
+    rng = np.random.default_rng(4)
+    values = rng.normal(size=(*runs, 6, 2)) * [1.0, 0.4] + [0.0, 3.0]
+    values[..., 3, 0] += 20.0
+    values[..., 1, 0] = np.nan
+    values[..., 1] += 2 * np.pi * rng.integers(-3, 4, (*runs, 6))
+    return {Z: values}
+
+
+@pytest.mark.parametrize("rule", [pgm.Unscented(), pgm.GaussHermite(3)])
+@pytest.mark.parametrize("runs", [(), (9,)])
+def test_an_angle_that_is_the_same_everywhere(rule, runs):
+    def still(state):
+        return np.concatenate([state[..., :1], np.full(state[..., :1].shape, 3.0)], axis=-1)
+
+    model = walk(lambda x: [pgm.NonlinearGaussianCPD(Z, x, still, cov=0.05)])
+    assert_posterior(*both(pgm.smooth, model, readings(runs), lineariser=rule))
+
+
+@pytest.mark.parametrize("size", [2, 8])
+def test_a_control_without_hidden_parents_for_packs_of_runs(size):
+    """Its matrix has no entries."""
+    u, command = pgm.variables("u command")
+    control = pgm.NonlinearGaussianCPD(u, command, np.tanh, cov=0.1)
+    model = walk(sight(), size, before=[control])
+    evidence = readings((9,)) | {command: np.linspace(-1.0, 1.0, 6)[:, None]}
+    assert_posterior(*both(pgm.smooth, model, evidence))
+
+
+@pytest.mark.parametrize("noise", [None, pgm.Huber(1.345), pgm.StudentT(1.0)], ids=repr)
+@pytest.mark.parametrize("runs", [(), (9,)])
+@pytest.mark.parametrize("iterations", [1, 3])
+@pytest.mark.parametrize("infer", [pgm.filter, pgm.smooth])
+@pytest.mark.filterwarnings("ignore::pgm.ConvergenceWarning")
+def test_what_a_gate_rejects_has_an_innovation(infer, iterations, runs, noise):
+    model = walk(sight(noise=noise))
+    found, due = both(infer, model, readings(runs), gate=0.99, iterations=iterations)
+    assert due.rejected[Z].rejected.any()
+    one, other = found.innovations[Z], due.innovations[Z]
+    assert_allclose(one.residual, other.residual, rtol=1e-7, atol=1e-8)
+    assert_allclose(one.cov, other.cov, rtol=1e-7)
+
+
+@pytest.mark.parametrize("rule", [pgm.Taylor(), pgm.MonteCarlo(40)], ids=repr)
+@pytest.mark.parametrize("runs", [(), (9,)])
+@pytest.mark.parametrize("infer", [pgm.filter, pgm.smooth])
+@pytest.mark.parametrize("iterations", [1, 3])
+@pytest.mark.filterwarnings("ignore::pgm.ConvergenceWarning")
+def test_called_sightings_of_a_step_beside_a_robust_sensor(infer, iterations, runs, rule):
+    """Each has the linearisation at its own landmark when weights are found."""
+    mark, far = pgm.Variable("mark"), pgm.Variable("far")
+
+    def off(state, mark):
+        if np.any(state > 1e9):
+            return mark
+        return np.arctan(state[..., :1] - mark)
+
+    def sensors(x):
+        yield from sight(noise=pgm.Huber(1.345))(x)
+        yield pgm.NonlinearGaussianCPD(far, (x, mark), off, cov=0.01, lineariser=rule)
+
+    rng = np.random.default_rng(2)
+    step, marks = np.repeat([1, 2, 3, 5], 3), rng.normal(size=(12, 1))
+    seen = pgm.sightings(rng.normal(size=(*runs, 12, 1)), step=step, given={mark: marks})
+    evidence = readings(runs) | {far: seen}
+    model = walk(lambda x: list(sensors(x)))
+    assert_posterior(*both(infer, model, evidence, iterations=iterations), smooth=False)
