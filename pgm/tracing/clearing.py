@@ -131,7 +131,7 @@ class Clearing:
         *addresses, count, even = code.arguments
         asked, told, slope, moves, std, share, *constants = map(code.memory, addresses)
         scales, near, directions = constants
-        doubtful = code.variable(False)
+        doubtful = code.varying(False)
         width, size = self.widths, len(self.columns)
         with code.loop(count) as k:
             x = [asked.load(k * width + i) for i in range(width)]
@@ -192,7 +192,7 @@ class Clearing:
         near: Memory,
     ) -> Number:
         """Whether a slope is unlike those to both sides; see `Slopes.doubts`."""
-        found, size = code.variable(False), len(self.columns)
+        found, size = code.varying(False), len(self.columns)
         with code.loop(len(NEAR)) as at:
             steps = [near.load(at * size + j) * own[j] * spread[j] for j in range(size)]
             back = [-step for step in steps]
@@ -226,7 +226,7 @@ class Clearing:
         the point, how many points there are, and both of those at even distances.
         """
         k, count, e, even = where
-        size, doubtful = len(self.columns), code.variable(False)
+        size, doubtful = len(self.columns), code.varying(False)
         x = [asked.load(k * self.widths + i) for i in range(self.widths)]
         spread = [_told(std.load(k * size + j)) for j in range(size)]
         with code.loop(len(SCALES)) as s:
@@ -256,7 +256,7 @@ class Clearing:
         height, angles = len(self.trace.value), self._angles
         own = len(self.program.value)
         rows, inf = count * (1 + self.beside), math.inf
-        largest = [code.variable(0.0) for _ in range(height)]
+        largest = [code.varying(0.0) for _ in range(height)]
         with code.loop(rows) as k:
             for i, held in enumerate(largest):
                 size = abs(due.load(k * height + i))
@@ -272,7 +272,7 @@ class Clearing:
             most = (each > 1.0).where(each, 1.0) if angles[i] else each
             share = VALUES_OF_NOISE * float(self.slopes.noise[i]) if i < own else 0.0
             least.append(OF_LARGEST * most + share)
-        doubtful = code.variable(False)
+        doubtful = code.varying(False)
         with code.loop(rows) as k:
             for i in range(height):
                 value, answer = due.load(k * height + i), told.load(k * height + i)
@@ -304,7 +304,7 @@ class Clearing:
         """
         k, count, e, even = where
         height, own, size = len(self.trace.value), len(self.program.value), len(self.columns)
-        found = code.variable(False)
+        found = code.varying(False)
 
         def change(i: int, place: Whole, scale: Number) -> Number:
             value = [due.load((count * 2 + place * 4 + q) * height + i) for q in range(4)]
@@ -314,7 +314,7 @@ class Clearing:
             return (8.0 * near - far) / (12.0 * scale)
 
         with code.loop(len(SCALES)) as s:
-            scale, squares = scales.load(s), [code.variable(0.0) for _ in range(own)]
+            scale, squares = scales.load(s), [code.varying(0.0) for _ in range(own)]
             first = (even * s + e) * self.moves
             with code.loop(self.moves) as m:
                 for i, square in enumerate(squares):

@@ -78,7 +78,7 @@ def test_leaving_outside_of_a_loop_is_refused():
 @pytest.mark.parametrize("lanes", PACKS)
 def test_a_pack_iterates_until_every_lane_is_settled(lanes):
     def make(code, x):
-        root, steps = code.variable(x), code.variable(0.0)
+        root, steps = code.variable(x), code.varying(0.0)
         with code.loop(60):
             old = root.get()
             new = (old + x / old) * 0.5
@@ -261,7 +261,7 @@ def test_variables_of_one_lane_stand_beside_packs(lanes):
 
 def test_variables_of_truths():
     def make(code, x):
-        found = code.variable(False)
+        found = code.varying(False)
         with code.loop(3) as index:
             found.set(found.get() | (x == index.number()))
         return found.get().where(1.0, 0.0)

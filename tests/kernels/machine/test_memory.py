@@ -80,7 +80,7 @@ def test_runs_at_a_distance(lanes, known):
 @pytest.mark.parametrize("lanes", WIDTHS)
 def test_room_is_taken_once_however_often_code_runs(lanes):
     def write(code, y, count):
-        total = code.variable(0.0)
+        total = code.varying(0.0)
         with code.loop(count) as index:
             room = code.room(1000)
             room.store(index % 1000, 1.0)
@@ -95,7 +95,7 @@ def test_room_is_taken_once_however_often_code_runs(lanes):
 def test_wholes_truths_and_addresses():
     def write(code, rows, kept, table, out):
         places, mask = code.wholes(rows, 3), code.truths(kept, 3)
-        total = code.variable(0.0)
+        total = code.varying(0.0)
         with code.loop(3) as index:
             row = code.memory(code.addresses(table, 2).load(places.load(index)), length=1)
             with code.when(mask.load(index)):

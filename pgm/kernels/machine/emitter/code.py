@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from operator import index
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any
 
 from pgm.kernels.machine.emitter.body import Body
 from pgm.kernels.machine.emitter.kinds import ADDRESS, WHOLE, Kind, packed, symbol
@@ -70,19 +70,17 @@ class Code(Body):
         """The address that is known as the code is written; its memory must outlive the code."""
         return Address(self, f"inttoptr (i64 {value} to ptr)")
 
-    @overload
-    def variable(self, initial: Held) -> Variable[Held]: ...
-    @overload
-    def variable(self, initial: float) -> Variable[Number]: ...
-
-    def variable(self, initial: Any) -> Variable[Any]:
-        """A variable: of a float or bool, a number in every lane.
-
-        A whole number is written ``variable(code.whole(0))``, since 0 may be meant as a float.
-        """
+    def variable(self, initial: Held) -> Variable[Held]:
+        """A variable that begins as a value; of floats and truths that are known see `varying`."""
         if isinstance(initial, float | int):
-            return Variable(self, self.constant(initial))
+            raise TypeError(
+                f"a variable begins as a value of the code, not {initial!r}; see varying"
+            )
         return Variable(self, initial)
+
+    def varying(self, initial: float | bool) -> Variable[Number]:
+        """A variable that begins as a number that is known, in every lane."""
+        return Variable(self, self.constant(initial))
 
     def room(self, count: int, name: str = "room") -> Memory:
         """Memory for so many numbers of every lane, until the function gives back."""

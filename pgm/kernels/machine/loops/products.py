@@ -43,7 +43,7 @@ def product(
 
     def rows(i: Index, height: int) -> None:
         def tile(q: Index, packs: int) -> None:
-            sums = [[code.variable(0.0) for _ in range(packs)] for _ in range(height)]
+            sums = [[code.varying(0.0) for _ in range(packs)] for _ in range(height)]
             with code.loop(inside) as k:
                 right = [b.pack(k, q + p) for p in range(packs)]
                 for r, line in enumerate(sums):

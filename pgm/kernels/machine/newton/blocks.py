@@ -187,7 +187,7 @@ class Root:
         self._upper = upper = self._space.block(size, size)
         self._over = Memory(code, self._space.take(size), lanes=1)
         upper.set(matrix)
-        share, lanes = code.variable(1.0), upper.lanes
+        share, lanes = code.varying(1.0), upper.lanes
         with code.loop(size) as i:
             pivot = upper.load(i, i)
             share.set(least(pivot * inverse(abs(matrix.load(i, i))), share.get()))

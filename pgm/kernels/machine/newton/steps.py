@@ -70,7 +70,7 @@ class _Written:
         with code.loop(last, first) as run:
             w.run = run
             with code.when(w.at(chain.active).load(0) > 0.0):
-                solved = code.variable(True)
+                solved = code.varying(True)
                 self._forward(run, solved)
                 with code.when(solved.get()):
                     self._back()

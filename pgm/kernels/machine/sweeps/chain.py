@@ -87,7 +87,7 @@ def forward(w: Writer, chain: Forward) -> None:
     code, last = w.code, w.last
     begin = w.column(chain.begin[0]), w.symmetric(chain.begin[1])
     belief = w.matrices.carried(*begin)
-    sure, settled = code.variable(True), code.variable(True)
+    sure, settled = code.varying(True), code.varying(True)
     watch = Watch(w, chain.size)
     with code.loop(last + 1) as at, w.matrices.scratch():
         w.reach(at.number(), sure.get())
@@ -126,7 +126,7 @@ def _backward(w: Writer, chain: Backward) -> None:
     later = w.matrices.carried(*final)
     for array, part in zip(chain.smoothed, final, strict=False):
         w.keep(array, part, last)
-    sure = code.variable(True)
+    sure = code.varying(True)
     with code.loop(last, down=True) as at, w.matrices.scratch():
         states = chain.states
         mean = w.column(chain.known[0], at).part(states, (0,))

@@ -93,7 +93,7 @@ class Control:
         here, cov = point.mean, point.cov
         std = [sqrt(most(variance, 0.0)) for variance in found.cov.diagonal]
         candidate, mean = _vector(code, here), _vector(code, here)
-        limit, done, sure = code.variable(0.0), code.variable(~active), code.variable(True)
+        limit, done, sure = code.varying(0.0), code.variable(~active), code.varying(True)
         with code.loop(self._tries + 2) as k:
             with code.when(k == 1):
                 _set(candidate, found.mean)

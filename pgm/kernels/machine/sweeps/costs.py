@@ -21,7 +21,7 @@ from pgm.kernels.step import AnyMatrix
 def written(w: Writer, chain: Linearised) -> Number:
     """Write the cost of the runs at hand; whether it is right, so far as can be told."""
     code, beliefs = w.code, Beliefs(*chain.point)
-    total, sure = code.variable(0.0), code.variable(True)
+    total, sure = code.varying(0.0), code.varying(True)
 
     def add(found: tuple[Any, Number]) -> None:
         total.set(total.get() + found[0])

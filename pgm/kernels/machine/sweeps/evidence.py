@@ -84,7 +84,7 @@ class _Reader:
 
     def __init__(self, python: Python, table: Table) -> None:
         self.python, self.table, self.code = python, table, python.code
-        self.finite = self.code.variable(True)
+        self.finite = self.code.varying(True)
         self._arrays, self._met = python.mine(ARRAYS), 0
 
     def take(self, variable: Address, value: Address, due: Evidence) -> None:

@@ -65,8 +65,8 @@ class Weighing:
         self._w, self._trial = w, trial
         # The belief that was found last, by whose residuals sightings are weighed.
         self.belief = w.matrices.carried(mean, cov)
-        self._active, self._moved = w.code.variable(True), w.code.variable(0.0)
-        self._left = w.code.variable(float("inf"))
+        self._active, self._moved = w.code.varying(True), w.code.varying(0.0)
+        self._left = w.code.varying(float("inf"))
         self.again = w.code.constant(False).lane(0)
 
     def begin(self) -> None:

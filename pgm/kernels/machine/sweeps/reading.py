@@ -32,8 +32,8 @@ class Taken:
 
     def __init__(self, w: Writer, mean: AnyMatrix, cov: AnyMatrix) -> None:
         self.moments = w.matrices.carried(mean, cov)
-        self._density, self._sure = w.code.variable(0.0), w.code.variable(True)
-        self._settled = w.code.variable(True)
+        self._density, self._sure = w.code.varying(0.0), w.code.varying(True)
+        self._settled = w.code.varying(True)
 
     @property
     def density(self) -> Number:
@@ -132,7 +132,7 @@ def _iterated(
     with code.when(_are_curved(w, chain, at)):
         most_often.set(w.iterations)
     control = Control(w, chain, at, mean, cov) if chain.controlled else None
-    active = code.variable(True)
+    active = code.varying(True)
     with code.loop(most_often.get()) as k:
         active.set(~settling.settled)
         if control is None:

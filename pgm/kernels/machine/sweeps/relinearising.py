@@ -37,7 +37,7 @@ class Beliefs(NamedTuple):
 def written(w: Writer, chain: Linearised) -> Number:
     """Write the linearisation of all steps."""
     code, beliefs = w.code, Beliefs(*chain.point)
-    sure = code.variable(True)
+    sure = code.varying(True)
     with code.loop(w.last + 1) as at, w.matrices.scratch():
         with code.when(at > 0), w.matrices.scratch():
             sure.set(sure.get() & move(w, chain, at - 1, beliefs, at - 1))
@@ -84,7 +84,7 @@ def read(w: Writer, chain: Steps, at: Whole, beliefs: Beliefs, row: Whole) -> Nu
     """Linearise, and weigh, the sightings of a step at the belief at a row."""
     mean = w.column(beliefs.mean, row)
     cov = None if beliefs.cov is None else w.symmetric(beliefs.cov, row)
-    sure = w.code.variable(True)
+    sure = w.code.varying(True)
     for sensor in chain.sensors:
         if sensor.function is None and sensor.loss is None and sensor.moved is None:
             continue

@@ -22,8 +22,8 @@ class Settling:
     def __init__(self, w: Writer) -> None:
         self._w = w
         self._tolerance = w.settings.load(0)
-        self._settled, self._made = w.code.variable(False), w.code.variable(0.0)
-        self._residual, self._last = w.code.variable(0.0), w.code.variable(w.code.whole(0))
+        self._settled, self._made = w.code.varying(False), w.code.varying(0.0)
+        self._residual, self._last = w.code.varying(0.0), w.code.variable(w.code.whole(0))
 
     @property
     def settled(self) -> Number:

@@ -23,7 +23,7 @@ class Watch:
 
     def __init__(self, w: Writer, size: int) -> None:
         self._w = w
-        self._closest, self._far = w.code.variable(1.0), w.code.variable(False)
+        self._closest, self._far = w.code.varying(1.0), w.code.varying(False)
         self._levels = [held(w.code, x) for x in w.matrices.alike(float("inf"), size)]
 
     @property

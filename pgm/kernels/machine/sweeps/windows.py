@@ -35,7 +35,7 @@ def written(w: Writer, chain: Windows) -> Number:
     """Write all windows of the runs at hand; whether they are right, so far as can be told."""
     code = w.code
     prior = w.column(chain.ahead.begin[0]), w.symmetric(chain.ahead.begin[1])
-    sure, before = code.variable(True), code.variable(0.0)
+    sure, before = code.varying(True), code.varying(0.0)
     with code.loop(w.last + 1) as newest:
         first = code.variable(newest - w.lag)
         with code.when(first.get() < 0):
@@ -66,8 +66,8 @@ class _Window:
         self._kept = as_kept(chain.ahead)
         self._gated = any(sensor.gate is not None for sensor in chain.ahead.sensors)
         code = w.code
-        self._certain, self._sound = code.variable(True), code.variable(True)
-        self._density, self._moved = code.variable(0.0), code.variable(0.0)
+        self._certain, self._sound = code.varying(True), code.varying(True)
+        self._density, self._moved = code.varying(0.0), code.varying(0.0)
 
     @property
     def density(self) -> Number:
@@ -195,7 +195,7 @@ class _Window:
 
     def _backward(self, last: Carried) -> None:
         w, code, chain = self._w, self._w.code, self._chain
-        rounding = code.variable(0.0)
+        rounding = code.varying(0.0)
         self._leave(self._newest, last)
         with code.loop(self._newest, self._first, down=True) as at:
             own, states = self._known(at), chain.ahead.states
