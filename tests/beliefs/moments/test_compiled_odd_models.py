@@ -1,11 +1,15 @@
 """Models that a search of drawn ones has found to differ in machine code, against NumPy."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from test_compiled import assert_posterior, both
 
 import pgm
+from pgm.beliefs.moments.passes import forward
+from pgm.linearisation import family
 
 pytest.importorskip("llvmlite", reason="sweeps are compiled by llvmlite")
 
@@ -96,3 +100,32 @@ def test_called_sightings_of_a_step_beside_a_robust_sensor(infer, iterations, ru
     evidence = readings(runs) | {far: seen}
     model = walk(lambda x: list(sensors(x)))
     assert_posterior(*both(infer, model, evidence, iterations=iterations), smooth=False)
+
+
+@pytest.mark.filterwarnings("ignore::pgm.ConvergenceWarning")
+def test_runs_left_by_a_stored_sweep_keep_their_linearisations(monkeypatch):
+    """Memory of a plan's slopes that is not written yet holds anything."""
+    made = family.vacant
+
+    def spoilt(*shape):
+        room = made(*shape)
+        room.fill(7.7)
+        return room
+
+    def left(plan, schedule, *arguments, **options):
+        found = swept(plan, schedule, *arguments, **options)
+        return replace(found, left=[slice(4, 5)]) if schedule is None and found else found
+
+    swept = forward.compiled.forward
+    monkeypatch.setattr(family, "vacant", spoilt)
+    monkeypatch.setattr(forward.compiled, "forward", left)
+
+    def off(state):
+        return np.sin(state) if np.any(state < 1e9) else state
+
+    def sensors(x):
+        return [pgm.NonlinearGaussianCPD(pgm.Variable("y", components=("p", "q")), x, off, cov=0.1)]
+
+    model = walk(sensors)
+    evidence = {model.sensors[0]: np.random.default_rng(3).normal(size=(9, 6, 2))}
+    assert_posterior(*both(pgm.smooth, model, evidence, iterations=2, lineariser=pgm.Unscented()))

@@ -359,6 +359,8 @@ class Pass:
             return (yield from _stepwise(plan, schedule, *rest, keep=keep))
         if not found.left:
             return found
+        if schedule is None:  # the plan of some runs has none of the linearisations of this one
+            return (yield from _stepwise(plan, schedule, *rest, keep=keep))
         closest, converged, residuals = found.closest, found.converged, found.residuals
         for runs in found.left:
             whole = runs == slice(0, plan.runs)
