@@ -180,6 +180,7 @@ def filtered():
         "message": many.message(3, 4),
         "online filter": online,
         "online belief": belief,
+        "prepared": pgm.prepare(pgm.compile(model, STEPS), drawn.evidence),
         "online beliefs": pgm.OnlineFilter(
             model.replace(prior=[pgm.GaussianCPD(X, np.zeros((5, 3)), np.eye(3))])
         ).initial(),
