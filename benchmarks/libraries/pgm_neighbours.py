@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 import pgm
+from benchmarks.libraries.pgm_robots import in_loop
 from benchmarks.timing import Contender, compiled_or_not
 from benchmarks.work.robots import Array, Robots, pose
-from models.networks import landmark, sighting, velocity
 
 POINTS = 7
 Work = Callable[[Robots], Robots]
@@ -44,19 +44,7 @@ def swept(
 def looped(work: Robots, *, compiled: bool = True, **settings: Any) -> Contender:
     """One robot in its loop, with settings of `OnlineFilter`: means (T, 3) and covariances."""
     robot = pgm.OnlineFilter(work.network, compiled=compiled, **settings)
-
-    def call() -> tuple[Array, Array]:
-        means, covs = np.empty((work.steps, 3)), np.empty((work.steps, 3, 3))
-        belief = robot.initial()
-        for k in range(work.steps):
-            belief = robot.predict(belief, {velocity: work.controls[k]})
-            seen = pgm.sightings(work.readings[0, k], given={landmark: work.landmarks[k]})
-            belief = robot.update(belief, {sighting: seen})
-            here = belief[pose]
-            means[k], covs[k] = here.mean, here.cov
-        return means, covs
-
-    return compiled_or_not(call, work.steps, compiled)
+    return compiled_or_not(in_loop(robot, work), work.steps, compiled)
 
 
 def asked(work: Robots, function: Callable[[Array, Array], Array], inputs: Array) -> Contender:

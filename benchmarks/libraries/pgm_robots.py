@@ -6,6 +6,7 @@ With `compiled` sweeps are in machine code, else NumPy's, whatever their length.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -78,10 +79,8 @@ def no_jacobian(runs: str, derivatives: str, work: Robots) -> Contender:
     return {"one": smoothing, "many": filtering}[runs]("taylor", work)
 
 
-def online(rule: str, work: Robots, iterations: int = 1, *, compiled: bool = False) -> Contender:
-    """One robot in its loop: means (T, 3) and covariances."""
-    schedule = pgm.Filtering(iterations=iterations, tolerance=ENOUGH)
-    robot = pgm.OnlineFilter(work.network, RULES[rule], schedule, compiled=compiled)
+def in_loop(robot: pgm.OnlineFilter, work: Robots) -> Callable[[], tuple[Array, Array]]:
+    """The loop of one robot, a belief after every step: means (T, 3) and covariances."""
 
     def call() -> tuple[Array, Array]:
         means, covs = np.empty((work.steps, 3)), np.empty((work.steps, 3, 3))
@@ -94,7 +93,14 @@ def online(rule: str, work: Robots, iterations: int = 1, *, compiled: bool = Fal
             means[k], covs[k] = here.mean, here.cov
         return means, covs
 
-    return compiled_or_not(call, work.steps, compiled)
+    return call
+
+
+def online(rule: str, work: Robots, iterations: int = 1, *, compiled: bool = False) -> Contender:
+    """One robot in its loop: means (T, 3) and covariances."""
+    schedule = pgm.Filtering(iterations=iterations, tolerance=ENOUGH)
+    robot = pgm.OnlineFilter(work.network, RULES[rule], schedule, compiled=compiled)
+    return compiled_or_not(in_loop(robot, work), work.steps, compiled)
 
 
 def iterated(work: Robots, *, compiled: Choice = False) -> Contender:

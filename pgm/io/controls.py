@@ -28,7 +28,7 @@ DT = "dt"
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ControlReport(Shown):
-    """What became of each row of one control's log, in the log's order.
+    """The rows of one control's log, in its order, and the use that was made of each.
 
     Attributes
     ----------

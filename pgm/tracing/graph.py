@@ -7,6 +7,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from pgm.kernels.machine.emitter.functions import reachable
 from pgm.tracing.operations import BATCH, BOOLEAN, COMMUTATIVE
 
 # A name, then numbers of earlier operations; ("constant", value), ("input", argument, component).
@@ -70,15 +71,7 @@ class Graph:
 
     def reachable(self, outputs: Iterable[int]) -> list[int]:
         """The nodes on which the outputs depend, in order."""
-        needed: set[int] = set()
-        stack = list(outputs)
-        while stack:
-            number = stack.pop()
-            if number not in needed:
-                needed.add(number)
-                name, *operands = self.operations[number]
-                stack += operands if name not in ("constant", "input") else []
-        return sorted(needed)
+        return reachable(self.operations, outputs)
 
     def _placed(self, operation: Operation, text: str | None = None) -> int:
         found = self._places.setdefault(text or operation, len(self.operations))

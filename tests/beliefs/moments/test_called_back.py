@@ -13,7 +13,6 @@ from textbooks import assert_belief
 from zoo import MODELS, SIGHT, plain, recording, wrapping, x
 
 import pgm
-from pgm.beliefs.moments.passes import forward
 
 pytest.importorskip("llvmlite", reason="sweeps are compiled by llvmlite")
 
@@ -91,18 +90,6 @@ CALLED = {
     "robust": sensor(noise=pgm.Huber(1.5)),
     "robust lineariser": plain(sensor=SIGHT.cpd(lineariser=bare, noise=pgm.StudentT(4))),
 }
-
-
-@pytest.fixture
-def alone(monkeypatch):
-    """NumPy's pass refused, but to choices that are not compiled."""
-    stepwise = forward._stepwise
-
-    def refused(plan, *arguments, **options):
-        assert plan.layout.compiled is False, "runs were left to NumPy"
-        return stepwise(plan, *arguments, **options)
-
-    monkeypatch.setattr(forward, "_stepwise", refused)
 
 
 def evidence(runs):

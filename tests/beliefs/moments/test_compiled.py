@@ -13,7 +13,6 @@ from textbooks import assert_belief
 from zoo import MODELS, RULES, SIGHT, model_of, of_run, plain, recording
 
 import pgm
-from pgm.beliefs.moments.passes import forward
 
 pytest.importorskip("llvmlite", reason="sweeps are compiled by llvmlite")
 
@@ -48,18 +47,6 @@ def assert_posterior(found, due, tolerance=1e-9, smooth=True):
 
 def both(infer, model, evidence, **options):
     return [infer(model, evidence, compiled=choice, **options) for choice in (True, False)]
-
-
-@pytest.fixture
-def alone(monkeypatch):
-    """The general kernels refused, but to choices that are not compiled."""
-    stepwise = forward._stepwise
-
-    def refused(plan, *arguments, **options):
-        assert plan.layout.compiled is False, "runs were left to the general kernels"
-        return stepwise(plan, *arguments, **options)
-
-    monkeypatch.setattr(forward, "_stepwise", refused)
 
 
 @pytest.mark.parametrize(("name", "rule"), CHECKED)

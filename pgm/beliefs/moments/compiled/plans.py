@@ -170,7 +170,7 @@ def needed(
 def decisive(
     plan: ChainPlan, *, stored: bool, keep: bool, gate: gates.Asked | None
 ) -> tuple[Hashable, ...]:
-    """What decides the code of a plan's forward sweep, beside the places of its CPDs.
+    """The key of a forward sweep's code, beside the places of its CPDs.
 
     Functions are traced, if they were not, and CPDs made ready to keep errors of linearisations.
     """
@@ -192,7 +192,7 @@ def decisive(
 
 
 def _function(family: Family, *, stored: bool, keep: bool) -> Hashable:
-    """What decides how a CPD is linearised."""
+    """The key of a CPD's linearisation."""
     bare = family.bare if family.noisy else None
     weighed = family.cpd.noise is not None
     if stored or family.template is None:
@@ -372,7 +372,7 @@ def row_of(
     keep: bool,
     held: int = 1,
 ) -> dict[str, Any]:
-    """What is told of a CPD of any kind; see `told.Row`.
+    """The attributes of a CPD's `told.Row`, of whatever kind it is.
 
     Of a function that is called, `held` rows are linearised before the first is done with.
     """

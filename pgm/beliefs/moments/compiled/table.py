@@ -1,8 +1,8 @@
 """Tables whose arrays have names, by which they are found again for other plans of the same form.
 
-What machine code is told of a chain has two parts (`kernels.machine.told`): what decides the code,
-and where numbers stand. The first is found once for plans of one form. The second is found for each
-sweep: a form keeps how the owners of arrays are asked for them, and asks those of the plan at hand.
+A chain is told in two parts (`kernels.machine.sweeps.told`): the key of its code, and the places of
+its numbers. The key is found once for plans of one form. The places are found for each sweep: a
+form keeps how the owners of arrays are asked for them, and asks those of the plan at hand.
 """
 
 from __future__ import annotations

@@ -182,7 +182,7 @@ def _swept(
 
 
 def _earlier(information: Twofold, begin: Begin) -> Twofold:
-    """What is known before each step, from what is known at each."""
+    """The information before each step, from that at each."""
     first, parts = begin.information, (information.hi, information.lo)
     known = zip((first.hi, first.lo), parts, strict=True)
     return Twofold(*(np.concatenate([one[None], each[:-1]]) for one, each in known))

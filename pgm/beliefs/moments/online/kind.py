@@ -150,7 +150,7 @@ class _Constants(Table):
 
 
 def _widths(values: Values) -> Iterable[tuple[tuple[Variable | None, Variable], int]]:
-    """What is given at a step, and the width of its rows, in the order in which it is given."""
+    """The variables given at a step, in their order, and the width of the rows of each."""
     for variable, value in values.items():
         if not isinstance(value, Sightings):
             yield (None, variable), len(value)

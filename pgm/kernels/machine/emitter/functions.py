@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -47,12 +47,17 @@ class Function:
 
     def reachable(self, outputs: Iterable[int]) -> list[int]:
         """The operations on which some depend, in order."""
-        needed: set[int] = set()
-        stack = list(outputs)
-        while stack:
-            number = stack.pop()
-            if number not in needed:
-                needed.add(number)
-                name, *operands = self.operations[number]
-                stack += operands if name not in ("constant", "input") else []
-        return sorted(needed)
+        return reachable(self.operations, outputs)
+
+
+def reachable(operations: Sequence[Any], outputs: Iterable[int]) -> list[int]:
+    """The places of operations on which some depend, in order."""
+    needed: set[int] = set()
+    stack = list(outputs)
+    while stack:
+        number = stack.pop()
+        if number not in needed:
+            needed.add(number)
+            name, *operands = operations[number]
+            stack += operands if name not in ("constant", "input") else []
+    return sorted(needed)
