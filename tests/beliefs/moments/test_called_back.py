@@ -10,9 +10,10 @@ from robots import DRIVE, drive_cpd
 from scipy.special import erf
 from test_compiled import assert_posterior, both
 from textbooks import assert_belief
-from zoo import MODELS, SIGHT, plain, recording, wrapping, x
+from zoo import MODELS, SIGHT, STEP, plain, recording, wrapping, x
 
 import pgm
+from pgm.kernels.machine.emitter.module import Module
 
 pytest.importorskip("llvmlite", reason="sweeps are compiled by llvmlite")
 
@@ -87,6 +88,8 @@ CALLED = {
     ),
     "own derivative": plain(drive_cpd(function=branching)),
     "wrapping": motion(branching_and_wrapping),
+    "grouped": sensor(grouped=True),
+    "fresh sightings": plain(sensor=SIGHT.cpd(lineariser=pgm.MonteCarlo(40, fresh_per_run=True))),
     "robust": sensor(noise=pgm.Huber(1.5)),
     "robust lineariser": plain(sensor=SIGHT.cpd(lineariser=bare, noise=pgm.StudentT(4))),
 }
@@ -114,6 +117,23 @@ def test_compiled_equals_plain(alone, name, runs):
 @pytest.mark.parametrize("runs", [1, 11])
 def test_points_of_compiled_rules(alone, rule, runs):
     assert_posterior(*both(pgm.smooth, CALLED["both"], evidence(runs), lineariser=rule))
+
+
+def test_angles_that_differ_by_more_than_half_a_turn(alone):
+    """Where a sighting's points do, its function is asked again, for its derivative."""
+    shapes = []
+
+    def noted(state, landmark):
+        shapes.append(state.shape[-3:])
+        return seen(state, landmark)
+
+    prior = pgm.GaussianCPD(x, [0.0, 0.0, 0.0], np.diag([0.1, 0.1, 9.0]))
+    model = plain(sensor=SIGHT.cpd(function=noted, jacobian=None), prior=prior)
+    for rule in (pgm.Cubature(), pgm.GaussHermite(2)):
+        found = pgm.smooth(model, evidence(11), lineariser=rule, compiled=True)
+        assert {13, 2} <= {shape[1] for shape in shapes if len(shape) == 3}
+        shapes.clear()
+        assert_posterior(found, pgm.smooth(model, evidence(11), lineariser=rule, compiled=False))
 
 
 @pytest.mark.parametrize("size", [7, 14])
@@ -170,6 +190,30 @@ def test_threads(alone, name, compiled):
     given = evidence(43)
     found = pgm.smooth(CALLED[name], given, compiled=compiled)
     assert_posterior(found, pgm.smooth(CALLED[name], given, compiled=False))
+
+
+def test_differences_of_more_components_are_no_more_code(monkeypatch):
+    lengths, compiled = [], Module.compile
+
+    def noted(module, *level):
+        lengths.append(len(module.text()))
+        return compiled(module, *level)
+
+    monkeypatch.setattr(Module, "compile", noted)
+    for size in (6, 12):
+        states = pgm.Variable("states", components=tuple(f"c{k}" for k in range(size)))
+
+        def moved(state):
+            return state if np.any(state > 1e9) else np.sin(state)
+
+        model = pgm.DynamicBayesianNetwork(
+            [pgm.GaussianCPD(states, np.zeros(size), 1.0)],
+            [pgm.NonlinearGaussianCPD(states, (states.previous,), moved, cov=0.1)],
+            [],
+        )
+        pgm.infer(pgm.compile(model, 3, compiled=True), {}, schedule=pgm.Filtering())
+    short, long = lengths
+    assert long < 1.5 * short
 
 
 def test_runs_are_called_together():
@@ -337,11 +381,56 @@ def test_what_is_called_is_told(name):
     ).status.compilation.startswith("not compiled: ")
 
 
-def test_several_sightings_that_are_left_to_numpy():
-    model = MODELS["grouped"]
-    status = pgm.filter(model, recording("grouped"), compiled=True).status
-    assert "several sightings in a group" in status.compilation
-    fresh = plain(sensor=SIGHT.cpd(lineariser=pgm.MonteCarlo(40, fresh_per_run=True)))
-    found = both(pgm.smooth, fresh, evidence(11))
+def test_sightings_of_a_step_are_called_together():
+    shapes = []
+
+    def noted(state, landmark):
+        shapes.append(state.shape)
+        return seen(state, landmark)
+
+    # Of angles, the value at the mean comes before those at a rule's points.
+    for rule, points in ((pgm.Taylor(), 13), (pgm.Cubature(), 7)):
+        for runs in (1, 8):
+            lead = () if runs == 1 else (runs,)
+            pgm.filter(
+                plain(sensor=SIGHT.cpd(function=noted, jacobian=None)),
+                evidence(runs),
+                lineariser=rule,
+                compiled=True,
+            )
+            counts = np.bincount(STEP)
+            due = [(*lead, points, *((k,) if k > 1 else ()), 3) for k in counts[counts > 0]]
+            assert [shape for shape in shapes if points in shape] == due
+            shapes.clear()
+
+
+def test_an_error_at_several_sightings():
+    told = []
+
+    def failing_at(state, landmark):
+        if np.any(landmark[..., 0] > 1e6):
+            raise ValueError("no such landmark")
+        return seen(state, landmark)
+
+    model = plain(sensor=SIGHT.cpd(function=failing_at, jacobian=None))
+    for runs in (1, 11):
+        given = evidence(runs)
+        z, m = SIGHT.z, next(iter(given[SIGHT.z].given))
+        places = given[z].given[m].copy()
+        places[..., 5, :] = 2e6  # the second sighting of a step
+        given[z] = pgm.sightings(given[z].values, step=STEP, given={m: places})
+        for compiled in (False, True):
+            with pytest.raises(pgm.PgmError, match="no such landmark") as caught:
+                pgm.filter(model, given, compiled=compiled)
+            told.append((str(caught.value), caught.value.step, caught.value.run))
+        assert told[-1] == told[-2]
+
+
+def test_groups_by_rules_of_points_are_left_to_numpy():
+    """The errors of a group's sightings are correlated."""
+    found = both(pgm.smooth, MODELS["grouped"], evidence(3), lineariser=pgm.Cubature())
     assert_posterior(*found)
-    assert "draws points anew for each of several sightings" in found[0].status.compilation
+    assert "several sightings in a group" in found[0].status.compilation
+    assert (
+        pgm.filter(MODELS["grouped"], evidence(3), compiled=True).status.compilation == "compiled"
+    )

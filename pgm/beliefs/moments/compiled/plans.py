@@ -99,7 +99,7 @@ class Table:
             raise Uncompiled(f"{call.family.cpd!r}: {why}")
         self._account.call_back(call.family.cpd.child.name, why)
         self.calls.each.append(call)
-        places = self.by_runs(call.points[None]), self.by_runs(call.values[None])
+        places = self.by_runs(call.points[None]), self.by_runs(call.values)
         return told.Called(len(self.calls.each) - 1, *places, lines)
 
     def count(self, number: int) -> int:
@@ -135,10 +135,9 @@ def unknown(plan: ChainPlan) -> str | None:
             return f"{sensor.family.cpd!r} has graduated noise"
         if sensor.exact:
             return f"{sensor.family.cpd!r} has a singular noise"
-        rule = sensor.family.lineariser
-        if getattr(rule, "fresh_per_run", False) and max(np.diff(sensor.bounds)) > 1:
-            return f"{sensor.family.cpd!r} draws points anew for each of several sightings"
-        if sensor.grouped and max(np.diff(sensor.bounds)) > 1:
+        # Errors of a group's linearisations are correlated; Taylor's are none.
+        several = sensor.grouped and max(np.diff(sensor.bounds)) > 1
+        if several and _has_points(sensor.family):
             return f"{sensor.family.cpd!r} has several sightings in a group"
     for family in plan.families:
         if max(family.cpd.child.dimension, family.shape[3]) > MOST:
@@ -272,9 +271,7 @@ def sensor_of(
     loss = None
     if sensor.robust:
         loss = _loss_of(sensor, table, missing, found=stored, controlled=controlled)
-    # Where some of a step are robust, all sightings are taken in again, as they were linearised.
-    again = any(each.robust for each in plan.read)
-    held = max(1, *np.diff(sensor.bounds).tolist()) if again else 1
+    held = max(1, *np.diff(sensor.bounds).tolist())
     return told.Sensor(
         **row_of(family, places(sensor.parents, size), table, stored=stored, keep=keep, held=held),
         readings=table.of(sensor, attrgetter(readings)),
@@ -374,7 +371,7 @@ def row_of(
 ) -> dict[str, Any]:
     """The attributes of a CPD's `told.Row`, of whatever kind it is.
 
-    Of a function that is called, `held` rows are linearised before the first is done with.
+    Where its function is called, up to `held` rows of a step are linearised together.
     """
 
     def array(name: str) -> told.Array:
@@ -430,7 +427,7 @@ def _by_numpy(family: Family, table: Table, held: int, why: str) -> told.Called:
     call = Lines(family, held)
     cov, value, matrix = map(table.by_runs, (call.cov, call.value, call.matrix))
     error = None if call.error is None else table.by_runs(call.error)
-    lines = told.Lines(held, cov, value, matrix, error, table.array(np.ones((1, 1, 1))))
+    lines = told.Lines(cov, value, matrix, error, table.array(np.ones((1, 1, 1))))
     return table.called(call, lines, why)
 
 
@@ -439,13 +436,14 @@ def _by_values(
 ) -> told.Called:
     """A CPD that is linearised by values of its function at points, and why."""
     _, runs, height, size = family.shape
-    # Differences are of four points for each component, beside the mean.
-    count = max(4 * size + 1, 0 if rule is None else len(rule.points))
+    # Differences are of four points for each component, beside the mean, which stands before those
+    # of a rule too.
+    count = max(4 * size, 0 if rule is None else len(rule.points)) + 1
     own = (height,), (height, size), (height, height), (1,)
     cells = [table.by_runs(np.zeros((held, *each, runs))) for each in own]
     value, matrix, error, sure = cells
-    lines = told.Lines(held, None, value, matrix, None if rule is None else error, sure)
-    return table.called(Call(family, count), lines, why)
+    lines = told.Lines(None, value, matrix, None if rule is None else error, sure)
+    return table.called(Call(family, count, held), lines, why)
 
 
 def _input(parent: Variable) -> Get:

@@ -9,6 +9,7 @@ from pgm.kernels.arrays import LOG_2PI
 from pgm.kernels.gaussian import NEARLY_SINGULAR
 from pgm.kernels.machine.emitter.numbers import Number
 from pgm.kernels.machine.emitter.wholes import Whole
+from pgm.kernels.machine.sweeps.called import Rows
 from pgm.kernels.machine.sweeps.control import Anchor, Control, Solve, tried
 from pgm.kernels.machine.sweeps.cpd import REGULAR, Line, keep, linearised
 from pgm.kernels.machine.sweeps.matrices import Belief
@@ -222,7 +223,7 @@ def _once(
         else:
             first, last = w.sightings(sensor, at)
             with w.code.loop(last, first) as row, w.matrices.scratch():
-                _read(w, sensor, row, found, point, weighing)
+                _read(w, sensor, row, found, point, weighing, Rows(row, first, last))
         fresh = False
     if point.anchor is not None:
         found.hold(point.anchor)
@@ -235,14 +236,18 @@ def _read(
     found: Taken,
     point: Point,
     weighing: Weighing | None,
+    rows: Rows | None = None,
     *,
     fresh: bool = False,
 ) -> None:
-    """Take in a sighting; `fresh` says that no other of its step is taken in yet."""
+    """Take in a sighting; `fresh` says that no other of its step is taken in yet.
+
+    `rows` are those of its step; None where that has one.
+    """
     parents = sensor.parents
     x = point.at.part(parents, (0,))
     again = None if weighing is None else weighing.again
-    line = linearised(w, sensor, at, x, point.about.part(parents, parents), again)
+    line = linearised(w, sensor, at, x, point.about.part(parents, parents), again, rows)
     keep(w, sensor, at, x, line)
     values = w.column(sensor.readings, at)
     near = {k: step.nearest(values[k, 0], line.value[k, 0]) for k in sensor.angles}
