@@ -192,11 +192,9 @@ def _told(cpd: CPD, template: FunctionTemplate | None, sensor: bool) -> str:
         return COMPILED
     assert template is not None
     whole = template.whole.traced()
-    rule = None
-    if isinstance(cpd, NonlinearGaussianCPD):
-        rule = cpd.lineariser
-        if cpd.grouped and rule is not None and type(rule) is not Taylor:
-            return "its sightings are grouped, where a step has several"
+    rule = cpd.lineariser if isinstance(cpd, NonlinearGaussianCPD) else None
+    if isinstance(cpd, NonlinearGaussianCPD) and cpd.grouped and rule and type(rule) is not Taylor:
+        return f"its sightings are grouped, where a step has several, and linearised by {rule!r}"
     why = None if rule is None else rule_told(rule, template)
     why = why or (whole if isinstance(whole, str) else None)
     return f"{CALLED}{why}" if why else COMPILED

@@ -135,10 +135,9 @@ def unknown(plan: ChainPlan) -> str | None:
             return f"{sensor.family.cpd!r} has graduated noise"
         if sensor.exact:
             return f"{sensor.family.cpd!r} has a singular noise"
-        # Errors of a group's linearisations are correlated; Taylor's are none.
-        several = sensor.grouped and max(np.diff(sensor.bounds)) > 1
-        if several and _has_points(sensor.family):
-            return f"{sensor.family.cpd!r} has several sightings in a group"
+        if sensor.is_correlated:
+            rule = sensor.family.lineariser
+            return f"{sensor.family.cpd!r} has several sightings in a group, linearised by {rule!r}"
     for family in plan.families:
         if max(family.cpd.child.dimension, family.shape[3]) > MOST:
             return f"{family.cpd!r} has more than {MOST} components"
