@@ -16,7 +16,7 @@ from pgm.kernels.machine.sweeps import told
 from pgm.kernels.machine.sweeps.asking import Asking
 from pgm.linearisation.failures import failure
 from pgm.linearisation.family import Family
-from pgm.linearisers import BoundFunction, Taylor
+from pgm.linearisers import BoundFunction, Line, Taylor
 from pgm.linearisers.repeated import Repeated
 
 # The runs of a call: the only one, all, or some.
@@ -63,14 +63,14 @@ class Call:
     """A CPD whose function is called: the points at which it is asked for, and its values there.
 
     `points` (count, n, runs) and `values` (rows, count, d, runs) are for so many points at most,
-    and for so many rows of a step.
+    and for so many rows of a step; `told` are the values as machine code is told of them.
     """
 
     def __init__(self, family: Family, count: int, rows: int) -> None:
         _, runs, height, size = family.shape
         self.family = family
         self.points = np.zeros((count, size, runs))
-        self.values = np.zeros((rows, count, height, runs))
+        self.told = self.values = np.zeros((rows, count, height, runs))
         self._bound: dict[int, _Bound] = {}
 
     def answer(self, asked: Asked, runs: Some) -> None:
@@ -161,22 +161,31 @@ class Lines(Call):
         if asked.points:
             super().answer(asked, runs)
             return
+        line = self._line(asked, runs)
+        where = (asked.places, ..., runs)
+        rows, height, batch = asked.after - asked.first, self.value.shape[1], line.value.shape[1:]
+        self.value[where] = line.value.reshape(rows, height, *batch)
+        self.matrix[where] = line.matrix.reshape(rows, height, -1, *batch)
+        if self.error is not None and line.error is not None:
+            each = np.arange(rows)
+            blocks = line.error.reshape(rows, height, rows, height, *batch)
+            self.error[where] = blocks[each, :, each]
+        elif self.error is not None:
+            self.error[where] = 0.0
+
+    def _line(self, asked: Asked, runs: Some) -> Line:
+        """The linearisation of rows, as one vector, at the belief that is asked for."""
         alone = self.every and isinstance(runs, np.ndarray)
         at = self.family.at(asked.first, asked.after)
         if not alone:
             at = at._replace(function=self._function(asked, runs))
         mean, cov = (self._belief(cells[0], runs) for cells in (self.points, self.cov))
-        matrix, value, error = self.family.line(at, mean, cov)
-        where, some = (asked.places, ..., runs), runs if alone else slice(None)
-        rows, height, batch = asked.after - asked.first, self.value.shape[1], value.shape[1:]
-        self.value[where] = value.reshape(rows, height, *batch)[..., some]
-        self.matrix[where] = matrix.reshape(rows, height, -1, *batch)[..., some]
-        if self.error is not None and error is not None:
-            each = np.arange(rows)
-            blocks = error.reshape(rows, height, rows, height, *batch)[each, :, each]
-            self.error[where] = blocks[..., some]
-        elif self.error is not None:
-            self.error[where] = 0.0
+        line = self.family.line(at, mean, cov)
+        if not alone:
+            return line
+        matrix, value, error = line
+        some = None if error is None else error[..., runs]
+        return Line(matrix[..., runs], value[..., runs], some)
 
     def _belief(self, cells: Array, runs: Some) -> Array:
         """Numbers of some runs, in memory that may be kept; of all where points are drawn anew."""

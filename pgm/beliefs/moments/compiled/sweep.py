@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from pgm.beliefs.moments.compiled.called import Calls, Failed
+from pgm.beliefs.moments.compiled.groups import Group
 from pgm.beliefs.moments.compiled.judged import judge
 from pgm.beliefs.moments.compiled.memory import address
 from pgm.beliefs.moments.compiled.plans import (
@@ -20,12 +21,14 @@ from pgm.beliefs.moments.compiled.plans import (
     Uncompiled,
     decided,
     decisive,
+    groups_of,
     motion_of,
     places,
     sensor_of,
     undecided,
     unknown,
     untried,
+    vector_of,
 )
 from pgm.beliefs.moments.compiled.table import Filled, NamedTable
 from pgm.beliefs.moments.steps.chain import MomentChain
@@ -124,7 +127,8 @@ def forward(
     controlled = isinstance(asked.damping, LevenbergMarquardt) and asked.iterations > 1
     keep = keep or controlled  # since trials are made with what is kept
     try:
-        why = unknown(plan)
+        groups = [] if stored else groups_of(plan, asked.gate, controlled=controlled)
+        why = unknown(plan, groups)
         if why is not None:
             raise Uncompiled(why)
         key = decisive(plan, stored=stored, keep=keep, gate=asked.gate)
@@ -147,7 +151,7 @@ def forward(
 
         def tell(table: NamedTable) -> told.Forward:
             cpds = {"stored": stored, "keep": keep, "controlled": control}
-            chain = _told(plan, table, **cpds, gate=asked.gate)
+            chain = _told(plan, table, groups, **cpds, gate=asked.gate)
             if (control or chain.anchor) and is_long(chain, table.lanes):
                 raise Uncompiled(LONG)
             return chain
@@ -157,6 +161,7 @@ def forward(
             *(sensor.family for sensor in plan.read),
             *plan.read,
             record,
+            *groups,
         )
         out = (*known, *predicted)
         # A step control asks for costs at many points: functions that are called are left to NumPy.
@@ -171,6 +176,8 @@ def forward(
     if calls.failure is not None:
         raise calls.failure
     decided(plan, record)
+    for group in groups if keep else ():
+        group.keep()
     left = stretches(ended[sweeps.LEFT] != 0.0)
     count(plan, left, FAR)
     if schedule is not None:
@@ -188,6 +195,7 @@ def forward(
 def _told(
     plan: ChainPlan,
     table: NamedTable,
+    groups: Sequence[Group],
     *,
     stored: bool,
     keep: bool,
@@ -202,8 +210,10 @@ def _told(
 
     cpds = {"stored": stored, "keep": keep}
     motions = tuple(motion_of(plan, link, table, **cpds) for link in plan.transition)
+    vectors = {group.sensor: vector_of(plan, group, table, keep=keep) for group in groups}
     sensors = tuple(
-        sensor_of(plan, sensor, table, **cpds, gate=gate, controlled=controlled)
+        vectors.get(sensor)
+        or sensor_of(plan, sensor, table, **cpds, gate=gate, controlled=controlled)
         for sensor in plan.read
     )
     iterated = "residuals" in record
