@@ -9,8 +9,8 @@ import pytest
 from robots import DRIVE, drive_cpd
 from scipy.special import erf
 from test_compiled import assert_posterior, both
-from textbooks import assert_belief
-from zoo import MODELS, SIGHT, STEP, plain, recording, wrapping, x
+from textbooks import assert_belief, assert_log
+from zoo import SIGHT, STEP, plain, recording, wrapping, x
 
 import pgm
 from pgm.kernels.machine.emitter.module import Module
@@ -426,11 +426,78 @@ def test_an_error_at_several_sightings():
         assert told[-1] == told[-2]
 
 
-def test_groups_by_rules_of_points_are_left_to_numpy():
-    """The errors of a group's sightings are correlated."""
-    found = both(pgm.smooth, MODELS["grouped"], evidence(3), lineariser=pgm.Cubature())
-    assert_posterior(*found)
+GROUPS = {
+    "traced": plain(sensor=SIGHT.cpd(grouped=True)),
+    "called": sensor(grouped=True),
+    "own lineariser": plain(sensor=SIGHT.cpd(grouped=True, lineariser=bare)),
+    "fresh points": plain(
+        sensor=SIGHT.cpd(grouped=True, lineariser=pgm.MonteCarlo(40, fresh_per_run=True))
+    ),
+}
+
+
+@pytest.mark.parametrize("name", GROUPS)
+@pytest.mark.parametrize("runs", [1, 11])
+def test_groups_whose_errors_are_correlated(alone, name, runs):
+    """They are one vector; what is kept of them is where a smoother goes on."""
+    given = evidence(runs)
+    for schedule in (
+        pgm.Filtering(iterations=2, tolerance=0),
+        pgm.Smoothing(iterations=2, tolerance=0),
+    ):
+        found = [
+            pgm.infer(
+                pgm.compile(GROUPS[name], 8, compiled=compiled),
+                given,
+                schedule=schedule,
+                lineariser=pgm.Cubature(),
+            )
+            for compiled in (True, False)
+        ]
+        assert_belief(found[0][x], found[1][x].mean, found[1][x].cov, 1e-10)
+        assert_log(found[0].log_evidence, found[1].log_evidence, 1e-10)
+        assert found[0].status.compilation.startswith("compiled")
+    due = "compiled" if name == "traced" else "compiled, z called back: "
+    told = pgm.compile(GROUPS[name], 8).compilation.under(pgm.Filtering(iterations=2))
+    assert told.startswith(due)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "gate"), [(GROUPS["called"], 0.9), (sensor(grouped=True, noise=pgm.Huber(2)), None)]
+)
+def test_groups_whose_sightings_are_judged_one_by_one(sensor, gate):
+    found = [
+        pgm.filter(sensor, evidence(3), gate=gate, lineariser=pgm.Cubature(), compiled=compiled)
+        for compiled in (True, False)
+    ]
+    assert_belief(found[0][x], found[1][x].mean, found[1][x].cov, 1e-12)
     assert "several sightings in a group" in found[0].status.compilation
-    assert (
-        pgm.filter(MODELS["grouped"], evidence(3), compiled=True).status.compilation == "compiled"
-    )
+
+
+def test_what_a_graph_tells_of_groups():
+    rule = pgm.Cubature()
+    compilation = pgm.compile(plain(sensor=SIGHT.cpd(grouped=True, lineariser=rule)), 8).compilation
+    assert compilation.under(pgm.Smoothing()) == "compiled"
+    for schedule in (pgm.Filtering(gate=0.9), pgm.Smoothing(iterations=2)):
+        assert "its sightings are grouped" in compilation.under(schedule)
+    robust = SIGHT.cpd(grouped=True, lineariser=rule, noise=pgm.Huber(2))
+    assert "grouped" in pgm.compile(plain(sensor=robust), 8).compilation[robust]
+
+
+def test_runs_of_a_group_that_are_left():
+    """What a run was linearised to by NumPy is put beside that of the others."""
+    spreads = np.array([1.0, 1e4, 1.0])[:, None, None] * np.diag([0.1, 0.1, 0.01])
+    model = GROUPS["called"].replace(prior=[pgm.GaussianCPD(x, np.zeros((3, 3)), spreads)])
+    found = [
+        pgm.smooth(
+            model,
+            evidence(3),
+            iterations=2,
+            tolerance=0,
+            lineariser=pgm.Cubature(),
+            compiled=compiled,
+        )
+        for compiled in (True, False)
+    ]
+    assert "in 1 of 3 runs" in found[0].status.compilation
+    assert_belief(found[0][x], found[1][x].mean, found[1][x].cov, 1e-8)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +16,15 @@ from pgm.kernels.arrays import Array, Integers, Mask, vacant
 from pgm.kernels.machine.emitter.functions import Function
 from pgm.kernels.machine.sweeps import told
 from pgm.variables import Variable
+
+
+class Stored(NamedTuple):
+    """Vectors of sightings with their linearisations, F, b and Q; see `Group`."""
+
+    matrix: Array
+    offset: Array
+    noise: Array
+    readings: Array
 
 
 class Group:
@@ -49,19 +59,31 @@ class Group:
     @cached_property
     def readings(self) -> Array:
         """The values of the sightings, (S, runs or 1, K d), NaN where nothing was measured."""
-        values = self.sensor.marked[self._sightings]
-        return _flat(np.where(self._there[:, :, None, None], values, np.nan))
+        return self._readings(self.sensor.marked)
 
     @cached_property
     def own_noise(self) -> Array:
         """The covariance of the sensor's own noise, (S or 1, runs or 1, K d, K d)."""
-        own = self.family.own_noise
-        blocks = own[self._sightings] if len(own) > 1 else own[:, None].repeat(self.most, axis=1)
-        rows, most, runs, height, _ = blocks.shape
-        found = np.zeros((rows, runs, most, height, most, height))
-        for k in range(most):
-            found[:, :, k, :, k] = blocks[:, k]
-        return found.reshape(rows, runs, self.height, self.height)
+        return self._independent(self.family.own_noise)
+
+    @cached_property
+    def known(self) -> Stored:
+        """The sightings as they were linearised last."""
+        family, sensor = self.family, self.sensor
+        noise = self._independent(family.noise)
+        for row, step in enumerate(self.steps.tolist()):
+            between = sensor.cross.get(step)
+            if between is not None:
+                due = between.shape[-1]
+                noise[row, :, :due, :due] += between
+        matrix = family.matrix[self._sightings].swapaxes(1, 2)
+        rows, runs, size = len(self.steps), *family.shape[1::2]
+        return Stored(
+            matrix.reshape(rows, runs, self.height, size),
+            self._beside(family.offset),
+            noise,
+            self._readings(sensor.moved_marked),
+        )
 
     @cached_property
     def matrix(self) -> Array:
@@ -102,6 +124,19 @@ class Group:
             if count > 1:
                 due = int(count) * height
                 sensor.cross[step] = each[:, :due, :due]
+
+    def _readings(self, values: Array) -> Array:
+        there = self._there[:, :, None, None]
+        return _flat(np.where(there, values[self._sightings], np.nan))
+
+    def _independent(self, noise: Array) -> Array:
+        """Covariances (M or 1, runs or 1, d, d) of sightings on the diagonal of those of rows."""
+        blocks = noise[self._sightings] if len(noise) > 1 else noise[:, None].repeat(self.most, 1)
+        rows, most, runs, height, _ = blocks.shape
+        found = np.zeros((rows, runs, most, height, most, height))
+        for k in range(most):
+            found[:, :, k, :, k] = blocks[:, k]
+        return found.reshape(rows, runs, self.height, self.height)
 
     def _beside(self, values: Array) -> Array:
         """Values (M, runs, m) of sightings, those of a row beside each other: (S, runs, K m)."""

@@ -12,7 +12,14 @@ import numpy.typing as npt
 
 from pgm.beliefs.moments.compiled.called import Call, Calls, Lines
 from pgm.beliefs.moments.compiled.functions import function_of, loss_of, points_of
-from pgm.beliefs.moments.compiled.groups import Group, GroupCall, GroupLines, together, widened
+from pgm.beliefs.moments.compiled.groups import (
+    Group,
+    GroupCall,
+    GroupLines,
+    Stored,
+    together,
+    widened,
+)
 from pgm.beliefs.moments.compiled.memory import address
 from pgm.beliefs.moments.steps import gate as gates
 from pgm.beliefs.moments.steps.plan import ChainPlan, Link
@@ -149,7 +156,9 @@ def unknown(plan: ChainPlan, groups: Sequence[Group] = ()) -> str | None:
     return None
 
 
-def groups_of(plan: ChainPlan, gate: gates.Asked | None, *, controlled: bool) -> list[Group]:
+def groups_of(
+    plan: ChainPlan, gate: gates.Asked | None, *, stored: bool, controlled: bool
+) -> list[Group]:
     """The sensors whose sightings of a step have correlated errors, to be swept as one vector.
 
     Of others the sightings are weighed, gated, or judged, one by one.
@@ -159,7 +168,7 @@ def groups_of(plan: ChainPlan, gate: gates.Asked | None, *, controlled: bool) ->
         for sensor in plan.read
         if sensor.is_correlated
         and sensor.family.hidden
-        and not (sensor.robust or controlled or _gate(sensor, gate, stored=False) is not None)
+        and not (sensor.robust or controlled or _gate(sensor, gate, stored=stored) is not None)
         and max(np.diff(sensor.bounds)) * sensor.height <= MOST
     ]
 
@@ -311,57 +320,58 @@ def sensor_of(
     )
 
 
-def vector_of(plan: ChainPlan, group: Group, table: Table, *, keep: bool) -> told.Sensor:
+def vector_of(
+    plan: ChainPlan, group: Group, table: Table, *, stored: bool, keep: bool
+) -> told.Sensor:
     """A sensor whose sightings of a step are one vector, with its measurements."""
 
     def array(name: str) -> told.Array:
         return table.of(group, attrgetter(name))
 
-    sensor, family, template = group.sensor, group.family, group.family.template
+    sensor, whole = group.sensor, _single(group.edges.tolist(), plan.steps)
+    found: dict[str, Any]
+    if stored:
+        found = {name: array(f"known.{name}") for name in Stored._fields}
+    else:
+        own = np.flatnonzero(sensor.variable.angle_mask).tolist()
+        found = _group_curve(group, table)
+        found["angles"] = tuple(k * sensor.height + i for k in range(group.most) for i in own)
+        found["noise"], found["readings"] = array("own_noise"), array("readings")
+        if keep:
+            found["matrix"], found["offset"] = array("matrix"), array("offset")
+            found["kept"] = array("noise")
+            found["moved"] = array("moved") if own else None
+    return told.Sensor(
+        parents=places(sensor.parents, plan.layout.slice_size),
+        height=group.height,
+        missing=True,
+        bounds=None if whole else table.at_of(group, attrgetter("edges")),
+        **found,
+    )
+
+
+def _group_curve(group: Group, table: Table) -> dict[str, Any]:
+    """How the sightings of a step are linearised together, as of `_curve`."""
+    family, template = group.family, group.family.template
     assert template is not None
     rule, answers = points_of(family), family.compiled or family.trace_whole()
-    found: dict[str, Any] = {}
     if isinstance(rule, str):
-        found["called"] = _by_numpy(GroupLines(group), table, rule)
-    elif isinstance(answers, str):
-        if template.size > _FEW:
-            found["called"] = _by_numpy(GroupLines(group), table, answers)
-        else:
-            assert rule is not None
-            found["points"] = widened(rule, group.most)
-            call = GroupCall(group, _most_points(family, rule))
-            found["called"] = _by_values(call, rule, table, 1, answers)
-    else:
-        assert rule is not None
-        found["points"] = widened(rule, group.most)
-        found["function"] = together(
-            function_of(template, answers.trace), answers.trace.widths, group.most
-        )
-        found["inputs"] = tuple(
+        return {"called": _by_numpy(GroupLines(group), table, rule)}
+    assert rule is not None
+    points = widened(rule, group.most)
+    if not isinstance(answers, str):
+        function = function_of(template, answers.trace)
+        inputs = tuple(
             table.of(group, _inputs(parent))
             for parent, place in zip(template.given, template.places, strict=True)
             if place is None
         )
-    if keep:
-        found["matrix"], found["offset"] = array("matrix"), array("offset")
-        found["kept"] = array("noise")
-    turning = bool(sensor.variable.angles)
-    own = np.flatnonzero(sensor.variable.angle_mask).tolist()
-    return told.Sensor(
-        parents=places(sensor.parents, plan.layout.slice_size),
-        height=group.height,
-        noise=array("own_noise"),
-        angles=tuple(k * sensor.height + i for k in range(group.most) for i in own),
-        readings=array("readings"),
-        moved=array("moved") if keep and turning else None,
-        missing=True,
-        bounds=(
-            None
-            if _single(group.edges.tolist(), plan.steps)
-            else table.at_of(group, attrgetter("edges"))
-        ),
-        **found,
-    )
+        function = together(function, answers.trace.widths, group.most)
+        return {"function": function, "points": points, "inputs": inputs}
+    if template.size > _FEW:
+        return {"called": _by_numpy(GroupLines(group), table, answers)}
+    call = GroupCall(group, _most_points(family, rule))
+    return {"called": _by_values(call, rule, table, 1, answers), "points": points}
 
 
 def _gate_of(probability: float, sensor: Sensor, table: Table) -> told.Gate:

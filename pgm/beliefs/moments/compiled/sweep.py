@@ -127,7 +127,7 @@ def forward(
     controlled = isinstance(asked.damping, LevenbergMarquardt) and asked.iterations > 1
     keep = keep or controlled  # since trials are made with what is kept
     try:
-        groups = [] if stored else groups_of(plan, asked.gate, controlled=controlled)
+        groups = groups_of(plan, asked.gate, stored=stored, controlled=controlled)
         why = unknown(plan, groups)
         if why is not None:
             raise Uncompiled(why)
@@ -176,7 +176,7 @@ def forward(
     if calls.failure is not None:
         raise calls.failure
     decided(plan, record)
-    for group in groups if keep else ():
+    for group in groups if keep and not stored else ():
         group.keep()
     left = stretches(ended[sweeps.LEFT] != 0.0)
     count(plan, left, FAR)
@@ -210,7 +210,7 @@ def _told(
 
     cpds = {"stored": stored, "keep": keep}
     motions = tuple(motion_of(plan, link, table, **cpds) for link in plan.transition)
-    vectors = {group.sensor: vector_of(plan, group, table, keep=keep) for group in groups}
+    vectors = {group.sensor: vector_of(plan, group, table, **cpds) for group in groups}
     sensors = tuple(
         vectors.get(sensor)
         or sensor_of(plan, sensor, table, **cpds, gate=gate, controlled=controlled)
