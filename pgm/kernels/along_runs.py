@@ -86,10 +86,9 @@ def _roots(cov: Array) -> Array | None:
     if len(cov) < _MANY:
         return None
     try:
-        found: Array = np.linalg.cholesky(np.moveaxis(cov, -1, 0))
+        return np.asarray(np.linalg.cholesky(np.moveaxis(cov, -1, 0)), dtype=np.float64)
     except np.linalg.LinAlgError:
         return None
-    return found
 
 
 def _eliminate(matrix: Array) -> Array:
