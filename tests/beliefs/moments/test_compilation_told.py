@@ -91,7 +91,7 @@ def test_cpds_are_told_by_the_graph_and_the_status(name):
 
 
 def test_the_lineariser_of_a_call():
-    status, compilation = told(network(), pgm.Filtering(), lineariser=pgm.GaussHermite(9))
+    status, compilation = told(network(), pgm.Filtering(), lineariser=pgm.GaussHermite(12))
     assert set(compilation.values()) == {"compiled"}
     assert "144 points" in status.compilation
     few = told(network(), pgm.Filtering(), lineariser=pgm.Unscented())[0]
