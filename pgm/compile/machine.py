@@ -24,9 +24,7 @@ from pgm.linearisers import (
     Taylor,
     Unscented,
 )
-from pgm.linearisers.regression import FEW
 from pgm.resources import optional
-from pgm.schedules.schedule import Filtering
 
 
 @public
@@ -61,6 +59,8 @@ class Compiled(InCode):
 
 # Points of these rules are the same at all steps.
 RULES = Unscented, Cubature, GaussHermite
+# The most points of a rule: NumPy takes no longer where there are more.
+POINTS = 128
 # Angles and components without noise are told to kernels by the bits of a number.
 MOST = 60
 # Why a schedule, or a filter's settings online, leave machine code.
@@ -163,8 +163,10 @@ class Compilation(Told[CPD]):
             for cpd, words in self.items()
             if words != COMPILED and cpd not in called
         ]
-        filters = type(schedule) is Filtering and not control
-        if getattr(schedule, "gate", None) is not None or (several and not filters):
+        # A smoother, which may have a start, linearises all steps again.
+        smooths = "start" in getattr(schedule, "takes", ())
+        again = several and (control or lagging or smooths)
+        if again or getattr(schedule, "gate", None) is not None:
             why += [f"{cpd!r}: {GROUPED}" for cpd in self if _is_grouped(cpd)]
         if why:
             return f"left to NumPy: {'; '.join(why)}"
@@ -220,4 +222,4 @@ def rule_told(rule: Lineariser, template: FunctionTemplate) -> str | None:
     if type(rule) not in RULES or not isinstance(rule, StatisticalRegression):
         return f"it is linearised by {rule!r}"
     count = len(rule.points(template.size, template.child.name, 0).points)
-    return f"{rule!r} has {count} points; up to {FEW} are compiled" if count > FEW else None
+    return f"{rule!r} has {count} points; up to {POINTS} are compiled" if count > POINTS else None

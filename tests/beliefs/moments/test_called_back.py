@@ -81,7 +81,7 @@ CALLED = {
     "monte carlo": plain(drive_cpd(lineariser=pgm.MonteCarlo(40, seed=1))),
     "fresh points": plain(drive_cpd(lineariser=pgm.MonteCarlo(40, fresh_per_run=True))),
     "sobol": plain(drive_cpd(lineariser=pgm.QuasiMonteCarlo(32))),
-    "many points": plain(drive_cpd(lineariser=pgm.GaussHermite(5))),
+    "many points": plain(drive_cpd(lineariser=pgm.GaussHermite(6))),
     "sensor": sensor(),
     "both": plain(
         drive_cpd(function=branching, jacobian=None), SIGHT.cpd(function=seen, jacobian=None)
