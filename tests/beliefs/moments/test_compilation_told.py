@@ -156,10 +156,8 @@ def test_runs_in_parts_tell_as_one():
 def test_a_filter_online_tells_of_its_settings_and_its_steps():
     model = network()
     for options, why in (
-        ({"gate": 0.99}, "a gate"),
-        ({"watch": True}, "watch"),
-        ({"lag": 3}, "lag"),
         ({"schedule": pgm.Filtering(iterations=2)}, "iterated"),
+        ({"schedule": pgm.FixedLag(2, iterations=2)}, "iterated"),
     ):
         told_of = pgm.OnlineFilter(model, compiled=True, **options).compilation
         assert told_of.startswith("not compiled: ")

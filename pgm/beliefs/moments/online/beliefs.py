@@ -45,7 +45,7 @@ from pgm.kernels import gaussian
 from pgm.kernels.arrays import Array, Integers, Mask, block, symmetric
 from pgm.networks import DynamicBayesianNetwork
 from pgm.posteriors.associations import NONE, Found
-from pgm.posteriors.belief_kind import Kind
+from pgm.posteriors.belief_kind import FILTERED, Kind
 from pgm.posteriors.lost import PageTest
 from pgm.posteriors.online_belief import OnlineBelief
 from pgm.posteriors.posterior import require_variable
@@ -59,8 +59,19 @@ from pgm.variables import Variable
 _REGULAR = 1.0 / certificate.MODERATE
 
 
-# The core of a belief: the compiled steps of its filter, its step, its numbers, kind and status.
-Core = tuple["Steps", int, bytes, Kind, Status]
+# The core of a belief: the compiled steps of its filter, its step, its numbers, its kind, the maker
+# of the step that left it, None of a belief that was adopted, and has its attributes; and the steps
+# behind it, None without a lag.
+Core = tuple["Steps", int, bytes, Kind, "Maker | None", "Trail | None"]
+
+
+class Maker(Protocol):
+    """A kind of compiled steps, as a belief reads it: their status, and their gates' decisions."""
+
+    status: Status
+
+    def decided(self, numbers: Array) -> tuple[Decided, ...]:
+        """The decisions of gates, which machine code has left behind a belief's numbers."""
 
 
 class Steps(Protocol):
@@ -68,7 +79,8 @@ class Steps(Protocol):
 
     `layout` is that of the slices, and `only` the slice's hidden variable if there is just one,
     else None. `record` says how numbers lie in a core's bytes: the mean (n,), the covariance
-    (n, n), and the log-evidence.
+    (n, n), the log-evidence, and with a watch its numbers. Behind them stand the decisions of
+    gates, or the linearisations of a transition.
     """
 
     layout: SliceLayout
@@ -99,10 +111,16 @@ class _Later:
         core = None if belief is None else belief._core
         if belief is None or core is None:
             raise AttributeError(self.name)
-        steps, step, numbers, kind, status = core
-        parts = tuple(map(opened(steps, numbers).__getitem__, steps.record.names))
-        parts = step, steps.layout, (), *parts, status, kind
+        steps, step, numbers, kind, maker, behind = core
+        assert maker is not None
+        found = opened(steps, numbers)
+        moments = found["mean"], found["cov"], found["total"]
+        parts = step, steps.layout, (), *moments, maker.status, kind, None, behind
         MomentBelief.__init__(belief, *parts)
+        rest = np.frombuffer(numbers, offset=steps.record.itemsize)
+        if "watch" in steps.record.names:
+            belief.__dict__["watch"] = Watch.of(found["watch"])
+        belief.__dict__["_gated"] = maker.decided(rest) if kind == FILTERED else ()
         put_core(belief, core)
         return belief.__dict__[self.name]
 
@@ -142,8 +160,8 @@ class MomentBelief(_Kept, OnlineBelief, Immutable):
     careful: Belief | None = _later()
     behind: Trail | Sliding | None = _later()
     associations: Found = NONE
-    _gated: tuple[Decided, ...] = ()
-    watch: Watch | None = None
+    _gated: tuple[Decided, ...] = _later()
+    watch: Watch | None = _later()
     _arrays: ClassVar[str] = ".mean and .cov by variable, belief[x].mean"
 
     def __init__(
@@ -173,6 +191,8 @@ class MomentBelief(_Kept, OnlineBelief, Immutable):
         values["kind"] = kind
         values["careful"] = careful
         values["behind"] = behind
+        values["_gated"] = ()
+        values["watch"] = None
         put_core(self, None)
 
     def __getstate__(self) -> dict[str, Any]:

@@ -8,9 +8,10 @@ recorded as a graph of scalar operations.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,6 +24,8 @@ from pgm.beliefs.moments.compiled.plans import (
     unknown,
 )
 from pgm.beliefs.moments.digits.close_points import families, largest
+from pgm.beliefs.moments.online.judged import Decided, decided
+from pgm.beliefs.moments.steps import gate as gates
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.cpds import AffineCPD
@@ -35,6 +38,7 @@ from pgm.kernels.machine.sweeps.evidence import Evidence
 from pgm.kernels.machine.sweeps.writer import arrays
 from pgm.linearisation.family import Family
 from pgm.posteriors.status import Status
+from pgm.schedules.gates import gate_of
 from pgm.schedules.step_evidence import Values
 from pgm.tracing import Judge
 from pgm.variables import Variable
@@ -47,21 +51,49 @@ TRIALS = 5
 Where = dict[tuple[Variable | None, Variable], told.Array]
 
 
+class Questions(NamedTuple):
+    """Questions that steps answer beside those of beliefs.
+
+    `gate` is the probability of all sensors' gates, or a mapping from sensors to theirs; None for
+    no gate. `watched` says that beliefs have a watch, `reverses` that predictions are reversed.
+    """
+
+    gate: gates.Asked | None = None
+    watched: bool = False
+    reverses: bool = False
+
+
 class Kind:
     """A kind of step, made from the plan and the values of its first one.
 
     `step` is the machine code, a function of a belief and values; None where there is none, for the
-    reason `why`. `status` is that of a belief after the step. The `judge` compares the functions'
-    traces with the functions; `trials` is how many more steps are made in NumPy, too, before
-    machine code is trusted.
+    reason `why`. `status` is that of a belief after the step, and `gates` are the probabilities of
+    the gates that decide in it, by sensor. The `judge` compares the functions' traces with the
+    functions; `trials` is how many more steps are made in NumPy, too, before machine code is
+    trusted.
     """
+
+    # The plan of the first step, and the CPDs of its transition as machine code was told of them.
+    _plan: ChainPlan
+    _motions: tuple[told.Motion, ...] = ()
 
     step: Made | None = None
     why: str = ""
     trials: int = TRIALS
 
-    def __init__(self, plan: ChainPlan, values: Values, status: Status) -> None:
-        self.status, self.judge = status, Judge()
+    def __init__(
+        self,
+        plan: ChainPlan,
+        values: Values,
+        status: Status,
+        asked: Questions,
+    ) -> None:
+        self.status, self.judge, self._asked = status, Judge(), asked
+        self._plan = plan
+        each_gate = (
+            (sensor.variable, gate_of(asked.gate, sensor.variable)) for sensor in plan.read
+        )
+        self.gates = {variable: gate for variable, gate in each_gate if gate is not None}
         try:
             self.step = self._made(plan, values)
         except Uncompiled as error:
@@ -82,6 +114,8 @@ class Kind:
             replace(motion_of(plan, link, table, **cpds), **_fed(link.family, None, given, table))
             for link in plan.transition
         )
+        if self._asked.reverses:
+            motions = tuple(_kept(motion, table) for motion in motions)
         bounds: dict[Variable, int] = {}
         sensors = []
         for sensor in plan.read:
@@ -96,6 +130,7 @@ class Kind:
                     readings=given[None, variable],
                     missing=True,
                     bounds=bounds.get(variable),
+                    gate=self._gate_of(sensor, table),
                     **_fed(sensor.family, sensor, given, table),
                 )
             )
@@ -119,13 +154,61 @@ class Kind:
         if not used.issuperset(given.values()):
             raise Uncompiled("something that is given is read by no function")
         constants = {array: each for array, each in table.constants.items() if array in used}
-        evidence = _evidence(values, given, bounds)
-        machine = online.made(online.Step(chain, not plan.read, tuple(constants), evidence))
+        read = {sensor.variable for sensor in plan.read}
+        evidence = _evidence(values, given, bounds, read)
+        moves = bool(plan.transition)
+        step = online.Step(chain, moves, tuple(constants), evidence, watched=self._asked.watched)
+        machine = online.made(step)
         numbers = b"".join(each.tobytes() for each in constants.values())
         # As of `evidence.VARIABLES` and before.
+        self._motions = motions
         names = "values", "step", "_given"
         own = numbers, np.ndarray, Sightings, *names, *(variable for _, variable in given)
         return python.bound(machine, online.STEP, own)
+
+    def _gate_of(self, sensor: Sensor, table: _Constants) -> told.Gate | None:
+        gate = self.gates.get(sensor.variable)
+        if gate is None:
+            return None
+        limits = table.array(gates.limits(gate, sensor.height)[None, None])
+        return told.Gate(limits, table.room(1), table.room(1))
+
+    def passed(self, numbers: Array) -> ChainPlan:
+        """The plan of a transition, as machine code has linearised it behind a belief's numbers.
+
+        Offsets of affine CPDs with inputs are those of the kind's first step: no reversal reads
+        them.
+        """
+        plan = self._plan.window(0, 1)
+        for link, motion in zip(plan.transition, self._motions, strict=True):
+            family = link.family
+            if motion.kept is not None:
+                family.keep_errors()
+            rooms = family.matrix, family.offset, family.noise
+            for array, room in zip(online.kept(motion), rooms, strict=False):
+                count = math.prod(array.shape)
+                room[0, 0] = numbers[:count].reshape(array.shape)
+                numbers = numbers[count:]
+        return plan
+
+    def decided(self, numbers: Array) -> tuple[Decided, ...]:
+        """The decisions of gates, as machine code has left them behind a belief's numbers."""
+        found = []
+        for variable, gate in self.gates.items():
+            count = int(numbers[0])
+            square, rejected = numbers[1 : 1 + count], numbers[1 + count : 1 + 2 * count]
+            found.append(decided(variable, gate, rejected != 0.0, square, np.arange(count)))
+            numbers = numbers[1 + 2 * count :]
+        return tuple(found)
+
+
+def _kept(motion: told.Motion, table: _Constants) -> told.Motion:
+    """A CPD of a transition whose linearisation is kept."""
+    if not motion.curved:
+        return motion
+    height, width = motion.height, len(motion.parents)
+    room = table.room(height, height) if motion.points is not None else None
+    return replace(motion, matrix=table.room(height, width), offset=table.room(height), kept=room)
 
 
 class _Constants(Table):
@@ -160,14 +243,16 @@ def _widths(values: Values) -> Iterable[tuple[tuple[Variable | None, Variable], 
             yield (variable, parent), each.shape[1]
 
 
-def _evidence(values: Values, given: Where, bounds: dict[Variable, int]) -> tuple[Evidence, ...]:
+def _evidence(
+    values: Values, given: Where, bounds: dict[Variable, int], read: set[Variable]
+) -> tuple[Evidence, ...]:
     found = []
     for variable, value in values.items():
         parents = None
         if isinstance(value, Sightings):
             parents = tuple(given[variable, parent] for parent in value.given)
-        read = variable in bounds or parents is not None
-        found.append(Evidence(given[None, variable], read, parents, bounds.get(variable)))
+        place = given[None, variable]
+        found.append(Evidence(place, variable in read, parents, bounds.get(variable)))
     return tuple(found)
 
 

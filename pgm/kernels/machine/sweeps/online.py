@@ -1,6 +1,9 @@
 """A step of an online filter in machine code: from a belief and the evidence given to the next one.
 
-A belief is one bytes object: the mean (n,), the covariance (n, n), and the log-evidence. Python
+A belief is one bytes object: the mean (n,), the covariance (n, n), the log-evidence, and with a
+watch its numbers (`lost`). Behind them an update puts the decisions of its gates, sensor by sensor:
+the number M of sightings, their squares (M,), and 1 of each that is rejected, else 0 (M,). A
+prediction that is to be reversed puts its linearisations there, CPD by CPD: see `kept`. Python
 calls ``step(belief, values)``, in which `values` is the mapping from variables to their evidence.
 The answer is the next belief; None where the evidence is of another kind than the step is made
 for; and no bytes, ``b""``, where more care is needed: numbers are too far apart for float64, or
@@ -9,6 +12,7 @@ some are not finite.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import accumulate
@@ -18,9 +22,10 @@ from typing import TYPE_CHECKING, Any
 
 from pgm.kernels.machine.emitter.module import Module
 from pgm.kernels.machine.emitter.python import Python, written
+from pgm.kernels.machine.emitter.wholes import Address
 from pgm.kernels.machine.loops.frame import Frame
 from pgm.kernels.machine.loops.loops import Loops
-from pgm.kernels.machine.sweeps import told
+from pgm.kernels.machine.sweeps import lost, told
 from pgm.kernels.machine.sweeps.evidence import CONSTANTS, Evidence, Table, read
 from pgm.kernels.machine.sweeps.extent import is_long
 from pgm.kernels.machine.sweeps.lines import Lines
@@ -41,13 +46,21 @@ _REGULAR, _FAR = 1.0 / 2e7, (2e-6 / 2.0**-52) ** 2
 class Step:
     """A prediction, if it `moves`, or an update: its chain of one step, and what it is made from.
 
-    `constants` are the arrays whose numbers the step is bound to, one after another.
+    `constants` are the arrays whose numbers the step is bound to, one after another. `watched` says
+    that beliefs have a watch.
     """
 
     chain: told.Forward
     moves: bool
     constants: tuple[told.Array, ...]
     evidence: tuple[Evidence, ...]
+    watched: bool = False
+
+
+def kept(motion: told.Motion) -> list[told.Array]:
+    """The matrix F, the offset and the noise of a linearisation, so far as they are kept."""
+    found = (motion.matrix, motion.offset) if motion.curved else ()
+    return [array for array in (*found, motion.kept) if array is not None]
 
 
 @lru_cache(maxsize=128)
@@ -62,32 +75,45 @@ def _write(python: Python, online: Step) -> None:
     code, chain = python.code, online.chain
     known, values = python.given
     size = chain.size
-    count = size + size * size + 1
+    last = size + size * size
+    count = last + 1 + (lost.SIZE if online.watched else 0)
     table = Table(code, chain)
     begin = python.bytes(known, 8 * count)
     table.put(chain.begin[0], begin)
     table.put(chain.begin[1], begin + size)
     _constants(python, online, table)
     finite = read(python, online.evidence, table, values)
-    later = python.call("PyBytes_FromStringAndSize", python.null, 8 * count)
+    gated = [sensor for sensor in chain.sensors if sensor.gate is not None]
+    lines = [array for motion in chain.motions for array in kept(motion)]
+    length = code.whole(count + sum(prod(array.shape) for array in lines))
+    for sensor in gated:
+        length = length + 1 + 2 * table.count(sensor)
+    later = python.call("PyBytes_FromStringAndSize", python.null, 8 * length)
     python.give_null_if(later.is_null())
     end = python.call("PyBytes_AsString", later)
     table.put(chain.known[0], end)
     table.put(chain.known[1], end + size)
-    table.put(chain.density, end + (count - 1))
+    table.put(chain.density, end + last)
+    _decisions(gated, table, end + count)
+    _put(table, lines, end + count)
 
     frame = Frame.of_function(code)
     w = Writer(code, table.address, chain, Loops(code, frame) if is_long(chain, 1) else Lines(code))
     mean, cov = w.column(chain.begin[0]), w.symmetric(chain.begin[1])
-    total, at = code.memory(begin).load(count - 1), code.whole(0)
+    total, at = code.memory(begin).load(last), code.whole(0)
+    watch = code.memory(begin + (last + 1)), code.memory(end + (last + 1))
     if online.moves:
         moved = predicted(w, chain, at, mean, cov)
         after, spread, sure = moved.mean, moved.cov, moved.sure
         cov = spread
+        if online.watched:
+            lost.on(*watch)
     else:
         found = taken(w, chain, at, mean, cov)
         after, spread, sure = found.moments.mean, found.moments.cov, found.sure
         total = total + found.density
+        if online.watched:
+            lost.read(*watch, found)
     sure = sure & finite & (abs(total) < inf) & _is_moderate(w, after, spread, cov)
     w.keep(chain.known[0], after)
     w.keep(chain.known[1], spread)
@@ -99,11 +125,25 @@ def _write(python: Python, online: Step) -> None:
     frame.settle()
 
 
+def _decisions(gated: list[told.Sensor], table: Table, place: Address) -> None:
+    for sensor in gated:
+        assert sensor.gate is not None
+        count = table.count(sensor)
+        table.code.memory(place).store(0, count.number())
+        table.put(sensor.gate.squares, place + 1, 1)
+        table.put(sensor.gate.rejected, place + 1 + count, 1)
+        place = place + 1 + 2 * count
+
+
 def _constants(python: Python, online: Step, table: Table) -> None:
-    sizes = [prod(array.shape) for array in online.constants]
-    *places, count = accumulate(sizes, initial=0)
-    begin = python.bytes(python.mine(CONSTANTS), 8 * count)
-    for array, place in zip(online.constants, places, strict=True):
+    count = sum(prod(array.shape) for array in online.constants)
+    _put(table, online.constants, python.bytes(python.mine(CONSTANTS), 8 * count))
+
+
+def _put(table: Table, arrays: Sequence[told.Array], begin: Address) -> None:
+    """Tell that arrays lie one behind another."""
+    places = accumulate((prod(array.shape) for array in arrays), initial=0)
+    for array, place in zip(arrays, places, strict=False):
         table.put(array, begin + place)
 
 

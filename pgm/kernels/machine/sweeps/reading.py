@@ -27,6 +27,19 @@ _CURVED, _STRAIGHT, _MILD = 1e-6, 1e-8, 1e-3
 _FARTHEST = 1e12
 
 
+class Counts(NamedTuple):
+    """Numbers of the sightings of a step.
+
+    `nis` is the normalised innovation squared of those taken in, `dof` the number of their
+    components. `judged` counts the sightings that gates have judged, `rejected` those rejected.
+    """
+
+    nis: Any
+    dof: Any
+    rejected: Any
+    judged: Any
+
+
 class Taken:
     """A belief that takes in measurements: moments, their log-density, and whether it is sure."""
 
@@ -34,6 +47,12 @@ class Taken:
         self.moments = w.matrices.carried(mean, cov)
         self._density, self._sure = w.code.varying(0.0), w.code.varying(True)
         self._settled = w.code.varying(True)
+        self._counts = [w.code.varying(0.0) for _ in Counts._fields]
+
+    @property
+    def counts(self) -> Counts:
+        """Numbers of the sightings so far."""
+        return Counts(*(each.get() for each in self._counts))
 
     @property
     def density(self) -> Number:
@@ -55,6 +74,13 @@ class Taken:
         self.moments.set(mean, cov)
         self._density.set(0.0)
         self._sure.set(True)
+        for each in self._counts:
+            each.set(0.0)
+
+    def count(self, *more: Any) -> None:
+        """Count a sighting, as `Counts` has it."""
+        for each, number in zip(self._counts, more, strict=True):
+            each.set(each.get() + number)
 
     def take(self, mean: AnyMatrix, cov: AnyMatrix, density: Any, sure: Number) -> None:
         """Go on to a belief that knows one measurement more."""
@@ -290,6 +316,7 @@ def _read(
     if sensor.gate is None:
         sure = line.sure & (after.share > NEARLY_SINGULAR) & sharp
         found.take(after.mean, after.cov, density, sure)
+        found.count(after.square, sighting.count, 0.0, 0.0)
         return
     square, share = after.square, after.share
     if not fresh:
@@ -303,6 +330,12 @@ def _read(
         w.matrices.chosen(rejected, cov, after.cov),
         where(rejected, 0.0, density),
         sure,
+    )
+    found.count(
+        where(rejected, 0.0, after.square),
+        where(rejected, 0.0, sighting.count),
+        rejected.number(),
+        where(sighting.count > 0.0, 1.0, 0.0),
     )
 
 
