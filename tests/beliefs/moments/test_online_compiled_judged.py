@@ -1,6 +1,7 @@
-"""A robot that is kidnapped, and a lag that float64 loses, online in machine code as by NumPy."""
+"""Robots that are lost, lags, robust noise and iterations online: machine code as NumPy."""
 
 import pickle
+import warnings
 
 import numpy as np
 import pytest
@@ -62,3 +63,40 @@ def test_lagged_beliefs_that_float64_loses_are_refused_alike():
             belief.lagged  # noqa: B018
         said.append(str(error.value))
     assert said[0] == said[1]
+
+
+@pytest.mark.parametrize("iterations", [1, 3])
+def test_robust_noise_is_weighed_and_iterations_end_unsettled_alike(iterations):
+    x, z, y = pgm.Variable("x"), pgm.Variable("z"), pgm.Variable("y")
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(x, [1.0], 1.0)],
+        [pgm.LinearGaussianCPD(x, {x.previous: 1.0}, cov=0.1)],
+        [
+            pgm.NonlinearGaussianCPD(
+                z, given=(x,), function=lambda v: v + 0.3 * v**2, cov=0.5, noise=pgm.StudentT(4.0)
+            ),
+            pgm.LinearGaussianCPD(y, {x: 1.0}, cov=0.5, noise=pgm.Huber(1.5)),
+        ],
+    )
+    schedule = pgm.Filtering(iterations=iterations, tolerance=1e-4, gate={z: 0.99})
+    runs = []
+    for robot in pair(model, schedule=schedule, watch=True):
+        belief, beliefs, rng = robot.initial(), [], np.random.default_rng(3)
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            for k in range(20):
+                far = 6.0 * (k % 5 == 4)
+                readings = {z: pgm.sightings(1.0 + far + rng.normal(size=(1 + k % 3, 1)))}
+                if k % 2:
+                    readings[y] = np.array([1.0 + far])
+                belief = robot.update(robot.predict(belief), readings)
+                beliefs.append(belief)
+        runs.append((robot, beliefs, [str(each.message) for each in said]))
+    (_, due, words), (quick, found, again) = runs
+    assert quick.compilation == "compiled"
+    for each, its in zip(found, due, strict=True):
+        assert_same(each, its)
+    assert {bool(each.status.converged) for each in due} >= {False}
+    assert words == again
+    assert bool(words) == (iterations > 1)
+    assert any(each.rejected[z].rejected.any() for each in due)

@@ -271,7 +271,8 @@ def sensor_of(
     kept = keep and not stored and bool(sensor.variable.angles)
     loss = None
     if sensor.robust:
-        loss = _loss_of(sensor, table, missing, found=stored, controlled=controlled)
+        flags = {"missing": missing, "found": stored, "controlled": controlled}
+        loss = robust_noise_of(sensor, table, **flags)
     # Where some of a step are robust, all sightings are taken in again, as they were linearised.
     again = any(each.robust for each in plan.read)
     held = max(1, *np.diff(sensor.bounds).tolist()) if again else 1
@@ -296,10 +297,13 @@ def _gate_of(probability: float, sensor: Sensor, table: Table) -> told.Gate:
     )
 
 
-def _loss_of(
-    sensor: Sensor, table: Table, missing: bool, *, found: bool, controlled: bool
+def robust_noise_of(
+    sensor: Sensor, table: Table, *, missing: bool, found: bool, controlled: bool
 ) -> told.Loss:
-    """A sensor's robust noise, with the weights of its sightings; `found` as of `told.Loss`."""
+    """A sensor's robust noise, with the weights of its sightings; `found` as of `told.Loss`.
+
+    `missing` says that components may be missing.
+    """
     family, weights = sensor.family, sensor.weights
     counts = range(0 if missing else sensor.height, sensor.height + 1)
     functions = [loss_of(weights.noise, count) for count in counts]

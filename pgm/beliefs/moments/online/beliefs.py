@@ -66,12 +66,13 @@ Core = tuple["Steps", int, bytes, Kind, "Maker | None", "Trail | None"]
 
 
 class Maker(Protocol):
-    """A kind of compiled steps, as a belief reads it: their status, and their gates' decisions."""
+    """A kind of compiled steps, as a belief reads what they have left behind its numbers."""
 
-    status: Status
+    def status(self, numbers: Array) -> Status:
+        """The status of the step."""
 
     def decided(self, numbers: Array) -> tuple[Decided, ...]:
-        """The decisions of gates, which machine code has left behind a belief's numbers."""
+        """The decisions of gates."""
 
 
 class Steps(Protocol):
@@ -114,10 +115,10 @@ class _Later:
         steps, step, numbers, kind, maker, behind = core
         assert maker is not None
         found = opened(steps, numbers)
-        moments = found["mean"], found["cov"], found["total"]
-        parts = step, steps.layout, (), *moments, maker.status, kind, None, behind
-        MomentBelief.__init__(belief, *parts)
         rest = np.frombuffer(numbers, offset=steps.record.itemsize)
+        moments = found["mean"], found["cov"], found["total"]
+        parts = step, steps.layout, (), *moments, maker.status(rest), kind, None, behind
+        MomentBelief.__init__(belief, *parts)
         if "watch" in steps.record.names:
             belief.__dict__["watch"] = Watch.of(found["watch"])
         belief.__dict__["_gated"] = maker.decided(rest) if kind == FILTERED else ()

@@ -130,6 +130,8 @@ class CompiledSteps:
             if found:
                 after: MomentBelief = _new(MomentBelief)
                 put_core(after, (self, core[1], found, FILTERED, last[1], core[5]))
+                if last[1].warns:
+                    last[1].tell(found, self.record.itemsize)
                 return after
         return self._any(belief, readings, moves=False)
 
@@ -172,6 +174,7 @@ class CompiledSteps:
                     put_core(after, (self, core[1] + moves, found, known, kind, behind))
                     if not kind.trials:
                         self._last[moves] = kind.step, kind
+                        kind.tell(found, self.record.itemsize)
                         return after
                     due = general(belief, values)
                     if _tried(kind, opened(self, found), due):

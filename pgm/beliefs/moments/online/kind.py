@@ -20,9 +20,11 @@ from pgm.beliefs.moments.compiled.plans import (
     Uncompiled,
     motion_of,
     places,
+    robust_noise_of,
     sensor_of,
     unknown,
 )
+from pgm.beliefs.moments.compiled.sweep import settings
 from pgm.beliefs.moments.digits.close_points import families, largest
 from pgm.beliefs.moments.online.judged import Decided, decided
 from pgm.beliefs.moments.steps import gate as gates
@@ -30,7 +32,7 @@ from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.cpds import AffineCPD
 from pgm.evidence import Sightings
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, Mask
 from pgm.kernels.machine.emitter import python
 from pgm.kernels.machine.emitter.memory import Runs
 from pgm.kernels.machine.sweeps import online, told
@@ -38,7 +40,10 @@ from pgm.kernels.machine.sweeps.evidence import Evidence
 from pgm.kernels.machine.sweeps.writer import arrays
 from pgm.linearisation.family import Family
 from pgm.posteriors.status import Status
+from pgm.schedules.convergence import tell_online
+from pgm.schedules.damping import LevenbergMarquardt
 from pgm.schedules.gates import gate_of
+from pgm.schedules.schedule import Filtering
 from pgm.schedules.step_evidence import Values
 from pgm.tracing import Judge
 from pgm.variables import Variable
@@ -54,11 +59,11 @@ Where = dict[tuple[Variable | None, Variable], told.Array]
 class Questions(NamedTuple):
     """Questions that steps answer beside those of beliefs.
 
-    `gate` is the probability of all sensors' gates, or a mapping from sensors to theirs; None for
-    no gate. `watched` says that beliefs have a watch, `reverses` that predictions are reversed.
+    `schedule` says how updates linearise, and has the gates. `watched` says that beliefs have a
+    watch, `reverses` that predictions are reversed.
     """
 
-    gate: gates.Asked | None = None
+    schedule: Filtering
     watched: bool = False
     reverses: bool = False
 
@@ -67,10 +72,10 @@ class Kind:
     """A kind of step, made from the plan and the values of its first one.
 
     `step` is the machine code, a function of a belief and values; None where there is none, for the
-    reason `why`. `status` is that of a belief after the step, and `gates` are the probabilities of
-    the gates that decide in it, by sensor. The `judge` compares the functions' traces with the
-    functions; `trials` is how many more steps are made in NumPy, too, before machine code is
-    trusted.
+    reason `why`. `gates` are the probabilities of the gates that decide in it, by sensor. The
+    `judge` compares the functions' traces with the functions; `trials` is how many more steps are
+    made in NumPy, too, before machine code is trusted. `warns` says that steps of the kind may end
+    before they have settled, of which a call has to warn.
     """
 
     # The plan of the first step, and the CPDs of its transition as machine code was told of them.
@@ -88,10 +93,14 @@ class Kind:
         status: Status,
         asked: Questions,
     ) -> None:
-        self.status, self.judge, self._asked = status, Judge(), asked
+        self._status, self.judge, self._asked = status, Judge(), asked
         self._plan = plan
+        curved = any(sensor.family.template for sensor in plan.read)
+        self._iterated = curved and asked.schedule.iterations > 1
+        self._settles = self._iterated or bool(plan.robust)
+        self.warns = self._settles and asked.schedule.iterations > 1
         each_gate = (
-            (sensor.variable, gate_of(asked.gate, sensor.variable)) for sensor in plan.read
+            (sensor.variable, gate_of(asked.schedule.gate, sensor.variable)) for sensor in plan.read
         )
         self.gates = {variable: gate for variable, gate in each_gate if gate is not None}
         try:
@@ -105,6 +114,8 @@ class Kind:
             why = "its sigma points lie close together, and lost digits are to be told"
         if why is not None:
             raise Uncompiled(why)
+        if self._iterated and isinstance(self._asked.schedule.damping, LevenbergMarquardt):
+            raise Uncompiled("steps are controlled (damping=LevenbergMarquardt(...))")
         table, layout = _Constants(plan), plan.layout
         given = {place: table.room(width) for place, width in _widths(values)}
         cpds = {"stored": False, "keep": False}
@@ -120,9 +131,7 @@ class Kind:
         sensors = []
         for sensor in plan.read:
             variable = sensor.variable
-            if sensor.robust:
-                raise Uncompiled(f"{sensor.family.cpd!r} has robust noise")
-            if isinstance(values[variable], Sightings) and not sensor.grouped:
+            if isinstance(values[variable], Sightings) and not sensor.correlates:
                 bounds[variable] = table.at(np.empty(0))
             sensors.append(
                 replace(
@@ -131,6 +140,7 @@ class Kind:
                     missing=True,
                     bounds=bounds.get(variable),
                     gate=self._gate_of(sensor, table),
+                    loss=_loss_of(sensor, table),
                     **_fed(sensor.family, sensor, given, table),
                 )
             )
@@ -148,7 +158,7 @@ class Kind:
             predicted=(),
             known=(table.room(size), table.room(size, size)),
             density=table.room(),
-            iterated=False,
+            iterated=self._iterated,
         )
         used = set(arrays(chain))
         if not used.issuperset(given.values()):
@@ -157,9 +167,11 @@ class Kind:
         read = {sensor.variable for sensor in plan.read}
         evidence = _evidence(values, given, bounds, read)
         moves = bool(plan.transition)
-        step = online.Step(chain, moves, tuple(constants), evidence, watched=self._asked.watched)
+        schedule, watched = self._asked.schedule, self._asked.watched
+        iterations = schedule.iterations if self._iterated else 1
+        step = online.Step(chain, moves, tuple(constants), evidence, watched, iterations)
         machine = online.made(step)
-        numbers = b"".join(each.tobytes() for each in constants.values())
+        numbers = b"".join(each.tobytes() for each in (*constants.values(), settings(schedule)))
         # As of `evidence.VARIABLES` and before.
         self._motions = motions
         names = "values", "step", "_given"
@@ -172,6 +184,25 @@ class Kind:
             return None
         limits = table.array(gates.limits(gate, sensor.height)[None, None])
         return told.Gate(limits, table.room(1), table.room(1))
+
+    def status(self, numbers: Array) -> Status:
+        """The status of a step that has left these numbers behind those of its belief."""
+        if not self._settles:
+            return self._status
+        record = self._record(numbers)
+        count = int(record[-2]) if self._iterated else 0
+        return Status.of(list(record[:count, None]), self.converged(numbers), ())
+
+    def converged(self, numbers: Array) -> Mask:
+        """Whether a step that has left these numbers has settled, (1,)."""
+        record = self._record(numbers)
+        settled = record[-1] == 0.0 if self._iterated else self._plan.linear
+        return np.array([settled and not (self._plan.robust and numbers[0])])
+
+    def _record(self, numbers: Array) -> Array:
+        """The record of iterations among the numbers that a step has left; empty without any."""
+        first = int(bool(self._plan.robust))
+        return numbers[first : first + (self._asked.schedule.iterations + 1) * self._iterated]
 
     def passed(self, numbers: Array) -> ChainPlan:
         """The plan of a transition, as machine code has linearised it behind a belief's numbers.
@@ -191,15 +222,29 @@ class Kind:
                 numbers = numbers[count:]
         return plan
 
+    def tell(self, found: bytes, size: int) -> None:
+        """Warn, where a step has left a belief of `size` bytes, and has not settled."""
+        if self.warns:
+            tell_online(self.converged(np.frombuffer(found, offset=size)), self._asked.schedule)
+
     def decided(self, numbers: Array) -> tuple[Decided, ...]:
         """The decisions of gates, as machine code has left them behind a belief's numbers."""
-        found = []
+        found, robust = [], {sensor.variable for sensor in self._plan.robust}
+        numbers = numbers[int(bool(robust)) + len(self._record(numbers)) :]
         for variable, gate in self.gates.items():
             count = int(numbers[0])
             square, rejected = numbers[1 : 1 + count], numbers[1 + count : 1 + 2 * count]
             found.append(decided(variable, gate, rejected != 0.0, square, np.arange(count)))
             numbers = numbers[1 + 2 * count :]
         return tuple(found)
+
+
+def _loss_of(sensor: Sensor, table: _Constants) -> told.Loss | None:
+    """The robust noise of a sensor, whose weights are found anew at each step."""
+    if not sensor.robust:
+        return None
+    loss = robust_noise_of(sensor, table, missing=True, found=False, controlled=False)
+    return replace(loss, weights=table.room(1), squares=table.room(1))
 
 
 def _kept(motion: told.Motion, table: _Constants) -> told.Motion:

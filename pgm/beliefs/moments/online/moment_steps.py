@@ -154,15 +154,15 @@ class MomentSteps(InCode, Immutable):
     def _compile(self) -> None:
         """Replace `predict` and `update` by compiled ones, where the settings allow it.
 
-        They allow it if the schedule has one linearisation.
+        They allow it unless windows of steps are linearised at each update.
         """
         layout = self._graph.layout
         wait = 0 if self.compiled else _LONG * -(-layout.slice_size // 4)
-        if self.schedule.iterations == 1:
+        if not isinstance(self._behind, Sliding):
             ways = self._ahead, self._seen, self.predict, self.update
             statuses = _DONE, _LINEARISED
-            reverses = isinstance(self.schedule, FixedLag) and self.schedule.lag > 0
-            asked = Questions(self.schedule.gate, watched=self.watch, reverses=reverses)
+            reverses = self._behind is not None and self._behind.lag > 0
+            asked = Questions(self._filtering, watched=self.watch, reverses=reverses)
             steps = CompiledSteps(layout, *ways, *statuses, asked, wait=wait)
             self._set(_steps=steps, predict=steps.predict, update=steps.update)
 
@@ -185,7 +185,7 @@ class MomentSteps(InCode, Immutable):
         if self.compiled is None and not self._is_safe:
             return "by NumPy: compiled=True would record the model's functions as they are"
         if self._steps is None:
-            return "not compiled: steps are iterated"
+            return "not compiled: the last steps are linearised again at each update"
         left = [f"{count} × {why}" for why, count in self._steps.left.items()]
         return f"compiled, but for: {'; '.join(left)}" if left else COMPILED
 

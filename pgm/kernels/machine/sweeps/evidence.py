@@ -68,6 +68,12 @@ class Table:
         self._addresses.store(place, bounds.address)
         self._counts[place] = count
 
+    def put_iterations(self, most: int, settings: Address, record: Address) -> None:
+        """Tell how often measurements are linearised, and where settings and the record are."""
+        self._wholes.store(told.ITERATIONS, self.code.whole(most))
+        self._addresses.store(told.SETTINGS, settings)
+        self._addresses.store(told.RESIDUALS, record)
+
     def count(self, sensor: told.Sensor) -> Whole:
         """How many sightings of a sensor the step has."""
         return self.code.whole(1) if sensor.bounds is None else self._counts[sensor.bounds]

@@ -1,9 +1,11 @@
 """A step of an online filter in machine code: from a belief and the evidence given to the next one.
 
 A belief is one bytes object: the mean (n,), the covariance (n, n), the log-evidence, and with a
-watch its numbers (`lost`). Behind them an update puts the decisions of its gates, sensor by sensor:
-the number M of sightings, their squares (M,), and 1 of each that is rejected, else 0 (M,). A
-prediction that is to be reversed puts its linearisations there, CPD by CPD: see `kept`. Python
+watch its numbers (`lost`). Behind them an update puts 1 if weights of robust noise are not settled,
+else 0, if there is any; the record of its iterations, if there are any (`settling`); of each sensor
+with a gate the number M of sightings, their squares (M,), and 1 of each that is rejected, else 0
+(M,); and of each with robust noise the weights (M,) and the squares that these are of (M,). A
+prediction that is to be reversed puts its linearisations there: see `kept`. Python
 calls ``step(belief, values)``, in which `values` is the mapping from variables to their evidence.
 The answer is the next belief; None where the evidence is of another kind than the step is made
 for; and no bytes, ``b""``, where more care is needed: numbers are too far apart for float64, or
@@ -32,6 +34,7 @@ from pgm.kernels.machine.sweeps.lines import Lines
 from pgm.kernels.machine.sweeps.motion import predicted
 from pgm.kernels.machine.sweeps.reading import taken
 from pgm.kernels.machine.sweeps.writer import Writer
+from pgm.kernels.numbers import where
 from pgm.kernels.step import AnyMatrix
 
 if TYPE_CHECKING:
@@ -46,8 +49,9 @@ _REGULAR, _FAR = 1.0 / 2e7, (2e-6 / 2.0**-52) ** 2
 class Step:
     """A prediction, if it `moves`, or an update: its chain of one step, and what it is made from.
 
-    `constants` are the arrays whose numbers the step is bound to, one after another. `watched` says
-    that beliefs have a watch.
+    `constants` are the arrays whose numbers the step is bound to, one after another, and behind
+    them the settings of iterations. `watched` says that beliefs have a watch; `iterations` is how
+    often measurements are linearised at most.
     """
 
     chain: told.Forward
@@ -55,6 +59,17 @@ class Step:
     constants: tuple[told.Array, ...]
     evidence: tuple[Evidence, ...]
     watched: bool = False
+    iterations: int = 1
+
+    @property
+    def weighs(self) -> bool:
+        """Whether some sensor has robust noise."""
+        return any(sensor.weighs for sensor in self.chain.sensors)
+
+    @property
+    def record(self) -> int:
+        """How many numbers the record of its iterations has."""
+        return self.iterations + 1 if self.chain.iterated else 0
 
 
 def kept(motion: told.Motion) -> list[told.Array]:
@@ -81,21 +96,27 @@ def _write(python: Python, online: Step) -> None:
     begin = python.bytes(known, 8 * count)
     table.put(chain.begin[0], begin)
     table.put(chain.begin[1], begin + size)
-    _constants(python, online, table)
+    settings = _constants(python, online, table)
     finite = read(python, online.evidence, table, values)
-    gated = [sensor for sensor in chain.sensors if sensor.gate is not None]
     lines = [array for motion in chain.motions for array in kept(motion)]
     length = code.whole(count + sum(prod(array.shape) for array in lines))
-    for sensor in gated:
-        length = length + 1 + 2 * table.count(sensor)
+    length = length + int(online.weighs) + online.record
+    for sensor in chain.sensors:
+        length = length + (2 * table.count(sensor) + 1) * int(sensor.gate is not None)
+        length = length + 2 * table.count(sensor) * int(sensor.weighs)
     later = python.call("PyBytes_FromStringAndSize", python.null, 8 * length)
     python.give_null_if(later.is_null())
     end = python.call("PyBytes_AsString", later)
     table.put(chain.known[0], end)
     table.put(chain.known[1], end + size)
     table.put(chain.density, end + last)
-    _decisions(gated, table, end + count)
-    _put(table, lines, end + count)
+    place = end + (count + int(online.weighs))
+    if chain.iterated:
+        table.put_iterations(online.iterations, settings, place)
+        with code.loop(code.whole(online.record)) as k:
+            code.memory(place).store(k, 0.0)
+    _sightings(chain, table, place + online.record)
+    _put(table, lines, place)
 
     frame = Frame.of_function(code)
     w = Writer(code, table.address, chain, Loops(code, frame) if is_long(chain, 1) else Lines(code))
@@ -114,6 +135,8 @@ def _write(python: Python, online: Step) -> None:
         total = total + found.density
         if online.watched:
             lost.read(*watch, found)
+        if online.weighs:
+            code.memory(end + count).store(0, where(found.settled, 0.0, 1.0))
     sure = sure & finite & (abs(total) < inf) & _is_moderate(w, after, spread, cov)
     w.keep(chain.known[0], after)
     w.keep(chain.known[1], spread)
@@ -125,19 +148,29 @@ def _write(python: Python, online: Step) -> None:
     frame.settle()
 
 
-def _decisions(gated: list[told.Sensor], table: Table, place: Address) -> None:
-    for sensor in gated:
-        assert sensor.gate is not None
-        count = table.count(sensor)
-        table.code.memory(place).store(0, count.number())
-        table.put(sensor.gate.squares, place + 1, 1)
-        table.put(sensor.gate.rejected, place + 1 + count, 1)
-        place = place + 1 + 2 * count
+def _sightings(chain: told.Forward, table: Table, place: Address) -> None:
+    """Tell where the decisions of gates lie, and behind them robust weights."""
+    for sensor in chain.sensors:
+        if sensor.gate is not None:
+            count = table.count(sensor)
+            table.code.memory(place).store(0, count.number())
+            table.put(sensor.gate.squares, place + 1, 1)
+            table.put(sensor.gate.rejected, place + 1 + count, 1)
+            place = place + 1 + 2 * count
+    for sensor in chain.sensors:
+        if sensor.loss is not None:
+            count = table.count(sensor)
+            table.put(sensor.loss.weights, place, 1)
+            table.put(sensor.loss.squares, place + count, 1)
+            place = place + 2 * count
 
 
-def _constants(python: Python, online: Step, table: Table) -> None:
+def _constants(python: Python, online: Step, table: Table) -> Address:
+    """Tell where constants lie; gives the address behind them."""
     count = sum(prod(array.shape) for array in online.constants)
-    _put(table, online.constants, python.bytes(python.mine(CONSTANTS), 8 * count))
+    begin = python.bytes(python.mine(CONSTANTS), 8 * count)
+    _put(table, online.constants, begin)
+    return begin + count
 
 
 def _put(table: Table, arrays: Sequence[told.Array], begin: Address) -> None:
