@@ -30,6 +30,7 @@ import numpy as np
 from pgm.beliefs.moments.digits import certificate, close_points, last_places
 from pgm.beliefs.moments.digits.careful_belief import Belief, over
 from pgm.beliefs.moments.online.judged import Decided
+from pgm.beliefs.moments.online.records import Records
 from pgm.beliefs.moments.online.watch import Watch
 from pgm.beliefs.moments.online.window import Sliding, Trail, is_like
 from pgm.beliefs.moments.steps.gate import Asked
@@ -59,20 +60,10 @@ from pgm.variables import Variable
 _REGULAR = 1.0 / certificate.MODERATE
 
 
-# The core of a belief: the compiled steps of its filter, its step, its numbers, its kind, the maker
-# of the step that left it, None of a belief that was adopted, and has its attributes; and the steps
+# The core of a belief: the compiled steps of its filter, its step, its numbers, its kind, how the
+# step's records are read, None of a belief that was adopted, and has its attributes; and the steps
 # behind it, None without a lag.
-Core = tuple["Steps", int, bytes, Kind, "Maker | None", "Trail | None"]
-
-
-class Maker(Protocol):
-    """A kind of compiled steps, as a belief reads what they have left behind its numbers."""
-
-    def status(self, numbers: Array) -> Status:
-        """The status of the step."""
-
-    def decided(self, numbers: Array) -> tuple[Decided, ...]:
-        """The decisions of gates."""
+Core = tuple["Steps", int, bytes, Kind, Records | None, Trail | None]
 
 
 class Steps(Protocol):
@@ -80,8 +71,7 @@ class Steps(Protocol):
 
     `layout` is that of the slices, and `only` the slice's hidden variable if there is just one,
     else None. `record` says how numbers lie in a core's bytes: the mean (n,), the covariance
-    (n, n), the log-evidence, and with a watch its numbers. Behind them stand the decisions of
-    gates, or the linearisations of a transition.
+    (n, n), the log-evidence, and with a watch its numbers. Behind them stand `Records`.
     """
 
     layout: SliceLayout
@@ -112,16 +102,16 @@ class _Later:
         core = None if belief is None else belief._core
         if belief is None or core is None:
             raise AttributeError(self.name)
-        steps, step, numbers, kind, maker, behind = core
-        assert maker is not None
+        steps, step, numbers, kind, records, behind = core
+        assert records is not None
         found = opened(steps, numbers)
         rest = np.frombuffer(numbers, offset=steps.record.itemsize)
         moments = found["mean"], found["cov"], found["total"]
-        parts = step, steps.layout, (), *moments, maker.status(rest), kind, None, behind
+        parts = step, steps.layout, (), *moments, records.status(rest), kind, None, behind
         MomentBelief.__init__(belief, *parts)
         if "watch" in steps.record.names:
             belief.__dict__["watch"] = Watch.of(found["watch"])
-        belief.__dict__["_gated"] = maker.decided(rest) if kind == FILTERED else ()
+        belief.__dict__["_gated"] = records.decided(rest) if kind == FILTERED else ()
         put_core(belief, core)
         return belief.__dict__[self.name]
 

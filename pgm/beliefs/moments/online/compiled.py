@@ -18,6 +18,7 @@ import numpy as np
 from pgm.beliefs.moments.compiled.judged import judge
 from pgm.beliefs.moments.online.beliefs import Core, MomentBelief, is_plain, opened, put_core
 from pgm.beliefs.moments.online.kind import Kind, Made, Questions
+from pgm.beliefs.moments.online.records import Records
 from pgm.beliefs.moments.online.window import Passed, Sliding
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.readings import Moments
@@ -51,13 +52,13 @@ _FAR = "numbers are too far apart, or a reading is too sharp"
 class _Passed(Passed):
     """A past transition that machine code has made, from a belief's core to new numbers."""
 
-    def __init__(self, kind: Kind, before: Core, after: bytes) -> None:
-        self._ends = kind, before[0], before[2], after
+    def __init__(self, records: Records, before: Core, after: bytes) -> None:
+        self._ends = records, before[0], before[2], after
 
     @cached_property
     def _made(self) -> tuple[ChainPlan, Moments, Moments]:  # type: ignore[override]
-        kind, steps, *ends = self._ends
-        plan = kind.passed(np.frombuffer(ends[1], offset=steps.record.itemsize))
+        records, steps, *ends = self._ends
+        plan = records.transition(np.frombuffer(ends[1], offset=steps.record.itemsize))
         before, after = (opened(steps, numbers) for numbers in ends)
         known, predicted = (Moments(each["mean"], each["cov"]) for each in (before, after))
         return plan, known, predicted
@@ -70,12 +71,12 @@ class CompiledSteps:
     `seen` make the plan of a prediction and of an update, which lays out the step's CPDs and
     evidence; `moved` and `taken` make these steps in the general way. `done` is the status after
     predictions and updates by linear sensors, `linearised` after others. `asked` are the questions
-    that steps answer beside those of beliefs. `left` counts the steps
-    made in the general way, by reason: the belief is of many runs or of another filter, or float64
-    has too few digits for it; a value is neither an array of numbers nor sightings without steps;
-    the update is at step 0; machine code cannot make steps of the kind, or its results, compared
-    with NumPy's, were others; or numbers are too far apart. So many steps of a kind as `wait` are
-    made in the general way before there is machine code.
+    that steps answer beside those of beliefs. `left` counts the steps made in the general way, by
+    reason: the belief is of many runs or of another filter, or float64 has too few digits for it; a
+    value is neither an array of numbers nor sightings without steps; the update is at step 0;
+    machine code cannot make steps of the kind, or its results, compared with NumPy's, were others;
+    or numbers are too far apart. So many steps of a kind as `wait` are made in the general way
+    before there is machine code.
     """
 
     def __init__(
@@ -102,8 +103,8 @@ class CompiledSteps:
         # Machine code tells variables by their identity: those of the model itself.
         self._own = {variable: variable for variable in (*model.inputs, *model.sensors)}
         self._grouped = {cpd.child for cpd in model.observation if getattr(cpd, "grouped", False)}
-        # The kinds of the last update and the last prediction, which are looked at first; all.
-        self._last: list[tuple[Made, Kind] | None] = [None, None]
+        # Of the kinds of the last update and the last prediction, looked at first; all kinds.
+        self._last: list[tuple[Made, Records] | None] = [None, None]
         self._known: dict[Key, Kind] = {}
         self._wait, self._waited = wait, Counter[Key]()
         # Why steps were made the general way, and how many of them.
@@ -170,11 +171,11 @@ class CompiledSteps:
                     after: MomentBelief = _new(MomentBelief)
                     known, behind = PREDICTED if moves else FILTERED, core[5]
                     if moves and behind is not None:
-                        behind = behind.on(_Passed(kind, core, found))
-                    put_core(after, (self, core[1] + moves, found, known, kind, behind))
+                        behind = behind.on(_Passed(kind.records, core, found))
+                    put_core(after, (self, core[1] + moves, found, known, kind.records, behind))
                     if not kind.trials:
-                        self._last[moves] = kind.step, kind
-                        kind.tell(found, self.record.itemsize)
+                        self._last[moves] = kind.step, kind.records
+                        kind.records.tell(found, self.record.itemsize)
                         return after
                     due = general(belief, values)
                     if _tried(kind, opened(self, found), due):

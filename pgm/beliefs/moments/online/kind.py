@@ -8,7 +8,6 @@ recorded as a graph of scalar operations.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -26,13 +25,13 @@ from pgm.beliefs.moments.compiled.plans import (
 )
 from pgm.beliefs.moments.compiled.sweep import settings
 from pgm.beliefs.moments.digits.close_points import families, largest
-from pgm.beliefs.moments.online.judged import Decided, decided
+from pgm.beliefs.moments.online.records import Records
 from pgm.beliefs.moments.steps import gate as gates
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.cpds import AffineCPD
 from pgm.evidence import Sightings
-from pgm.kernels.arrays import Array, Mask
+from pgm.kernels.arrays import Array
 from pgm.kernels.machine.emitter import python
 from pgm.kernels.machine.emitter.memory import Runs
 from pgm.kernels.machine.sweeps import online, told
@@ -40,9 +39,7 @@ from pgm.kernels.machine.sweeps.evidence import Evidence
 from pgm.kernels.machine.sweeps.writer import arrays
 from pgm.linearisation.family import Family
 from pgm.posteriors.status import Status
-from pgm.schedules.convergence import tell_online
 from pgm.schedules.damping import LevenbergMarquardt
-from pgm.schedules.gates import gate_of
 from pgm.schedules.schedule import Filtering
 from pgm.schedules.step_evidence import Values
 from pgm.tracing import Judge
@@ -72,37 +69,18 @@ class Kind:
     """A kind of step, made from the plan and the values of its first one.
 
     `step` is the machine code, a function of a belief and values; None where there is none, for the
-    reason `why`. `gates` are the probabilities of the gates that decide in it, by sensor. The
-    `judge` compares the functions' traces with the functions; `trials` is how many more steps are
-    made in NumPy, too, before machine code is trusted. `warns` says that steps of the kind may end
-    before they have settled, of which a call has to warn.
+    reason `why`. The `records` are read from what it leaves; `status` is that of a belief after a
+    step that settles nothing. The `judge` compares the functions' traces with the functions;
+    `trials` is how many more steps are made in NumPy, too, before machine code is trusted.
     """
-
-    # The plan of the first step, and the CPDs of its transition as machine code was told of them.
-    _plan: ChainPlan
-    _motions: tuple[told.Motion, ...] = ()
 
     step: Made | None = None
     why: str = ""
     trials: int = TRIALS
 
-    def __init__(
-        self,
-        plan: ChainPlan,
-        values: Values,
-        status: Status,
-        asked: Questions,
-    ) -> None:
-        self._status, self.judge, self._asked = status, Judge(), asked
-        self._plan = plan
-        curved = any(sensor.family.template for sensor in plan.read)
-        self._iterated = curved and asked.schedule.iterations > 1
-        self._settles = self._iterated or bool(plan.robust)
-        self.warns = self._settles and asked.schedule.iterations > 1
-        each_gate = (
-            (sensor.variable, gate_of(asked.schedule.gate, sensor.variable)) for sensor in plan.read
-        )
-        self.gates = {variable: gate for variable, gate in each_gate if gate is not None}
+    def __init__(self, plan: ChainPlan, values: Values, status: Status, asked: Questions) -> None:
+        self.judge, self._asked = Judge(), asked
+        self.records = Records(plan, asked.schedule, status)
         try:
             self.step = self._made(plan, values)
         except Uncompiled as error:
@@ -114,7 +92,7 @@ class Kind:
             why = "its sigma points lie close together, and lost digits are to be told"
         if why is not None:
             raise Uncompiled(why)
-        if self._iterated and isinstance(self._asked.schedule.damping, LevenbergMarquardt):
+        if self.records.iterated and isinstance(self._asked.schedule.damping, LevenbergMarquardt):
             raise Uncompiled("steps are controlled (damping=LevenbergMarquardt(...))")
         table, layout = _Constants(plan), plan.layout
         given = {place: table.room(width) for place, width in _widths(values)}
@@ -158,7 +136,7 @@ class Kind:
             predicted=(),
             known=(table.room(size), table.room(size, size)),
             density=table.room(),
-            iterated=self._iterated,
+            iterated=self.records.iterated,
         )
         used = set(arrays(chain))
         if not used.issuperset(given.values()):
@@ -168,75 +146,22 @@ class Kind:
         evidence = _evidence(values, given, bounds, read)
         moves = bool(plan.transition)
         schedule, watched = self._asked.schedule, self._asked.watched
-        iterations = schedule.iterations if self._iterated else 1
+        iterations = schedule.iterations if self.records.iterated else 1
         step = online.Step(chain, moves, tuple(constants), evidence, watched, iterations)
         machine = online.made(step)
         numbers = b"".join(each.tobytes() for each in (*constants.values(), settings(schedule)))
         # As of `evidence.VARIABLES` and before.
-        self._motions = motions
+        self.records.motions = motions
         names = "values", "step", "_given"
         own = numbers, np.ndarray, Sightings, *names, *(variable for _, variable in given)
         return python.bound(machine, online.STEP, own)
 
     def _gate_of(self, sensor: Sensor, table: _Constants) -> told.Gate | None:
-        gate = self.gates.get(sensor.variable)
+        gate = self.records.gates.get(sensor.variable)
         if gate is None:
             return None
         limits = table.array(gates.limits(gate, sensor.height)[None, None])
         return told.Gate(limits, table.room(1), table.room(1))
-
-    def status(self, numbers: Array) -> Status:
-        """The status of a step that has left these numbers behind those of its belief."""
-        if not self._settles:
-            return self._status
-        record = self._record(numbers)
-        count = int(record[-2]) if self._iterated else 0
-        return Status.of(list(record[:count, None]), self.converged(numbers), ())
-
-    def converged(self, numbers: Array) -> Mask:
-        """Whether a step that has left these numbers has settled, (1,)."""
-        record = self._record(numbers)
-        settled = record[-1] == 0.0 if self._iterated else self._plan.linear
-        return np.array([settled and not (self._plan.robust and numbers[0])])
-
-    def _record(self, numbers: Array) -> Array:
-        """The record of iterations among the numbers that a step has left; empty without any."""
-        first = int(bool(self._plan.robust))
-        return numbers[first : first + (self._asked.schedule.iterations + 1) * self._iterated]
-
-    def passed(self, numbers: Array) -> ChainPlan:
-        """The plan of a transition, as machine code has linearised it behind a belief's numbers.
-
-        Offsets of affine CPDs with inputs are those of the kind's first step: no reversal reads
-        them.
-        """
-        plan = self._plan.window(0, 1)
-        for link, motion in zip(plan.transition, self._motions, strict=True):
-            family = link.family
-            if motion.kept is not None:
-                family.keep_errors()
-            rooms = family.matrix, family.offset, family.noise
-            for array, room in zip(online.kept(motion), rooms, strict=False):
-                count = math.prod(array.shape)
-                room[0, 0] = numbers[:count].reshape(array.shape)
-                numbers = numbers[count:]
-        return plan
-
-    def tell(self, found: bytes, size: int) -> None:
-        """Warn, where a step has left a belief of `size` bytes, and has not settled."""
-        if self.warns:
-            tell_online(self.converged(np.frombuffer(found, offset=size)), self._asked.schedule)
-
-    def decided(self, numbers: Array) -> tuple[Decided, ...]:
-        """The decisions of gates, as machine code has left them behind a belief's numbers."""
-        found, robust = [], {sensor.variable for sensor in self._plan.robust}
-        numbers = numbers[int(bool(robust)) + len(self._record(numbers)) :]
-        for variable, gate in self.gates.items():
-            count = int(numbers[0])
-            square, rejected = numbers[1 : 1 + count], numbers[1 + count : 1 + 2 * count]
-            found.append(decided(variable, gate, rejected != 0.0, square, np.arange(count)))
-            numbers = numbers[1 + 2 * count :]
-        return tuple(found)
 
 
 def _loss_of(sensor: Sensor, table: _Constants) -> told.Loss | None:
