@@ -216,19 +216,15 @@ def _once(
     """Take in the measurements of a step, linearised at a point."""
     fresh = point.first is None  # no measurement has moved the belief from the point yet
     for sensor in chain.sensors:
-        if sensor.bounds is None:
-            with w.matrices.scratch():
-                _read(w, sensor, at, found, point, weighing, fresh=fresh)
-        else:
-            first, last = w.sightings(sensor, at)
-            with w.code.loop(last, first) as row, w.matrices.scratch():
-                _read(w, sensor, row, found, point, weighing)
+        fresh = fresh and sensor.bounds is None
+        with w.each_sighting(sensor, at) as row:
+            read(w, sensor, row, found, point, weighing, fresh=fresh)
         fresh = False
     if point.anchor is not None:
         found.hold(point.anchor)
 
 
-def _read(
+def read(
     w: Writer,
     sensor: Sensor,
     at: Whole,
@@ -244,12 +240,8 @@ def _read(
     again = None if weighing is None else weighing.again
     line = linearised(w, sensor, at, x, point.about.part(parents, parents), again)
     keep(w, sensor, at, x, line)
-    values = w.column(sensor.readings, at)
-    near = {k: step.nearest(values[k, 0], line.value[k, 0]) for k in sensor.angles}
-    values = w.matrices.replaced(values, near)
-    w.keep(sensor.moved, values, at)
-    left = values - line.value
-    sighting = _Sighting.of(w, sensor, line, left, point.at.shape[0], values)
+    sighting = Sighting.of(w, sensor, at, line, point.at.shape[0])
+    w.keep(sensor.moved, sighting.values, at)
     noise = sighting.noise
     begins = point.first
     if weighing is not None:
@@ -286,16 +278,15 @@ def _read(
     part = least(limit * (10.0 + after.square), w.code.constant(_MILD))
     whole = step.predict(point.cov, sighting.matrix, noise)
     sharp = (after.square < _FARTHEST) & _is_positive(w, noise - whole.scaled(part))
-    density = -0.5 * (after.square + LOG_2PI * sighting.count) - after.volume + surplus_of
+    density = sighting.density(after) + surplus_of
     if sensor.gate is None:
         sure = line.sure & (after.share > NEARLY_SINGULAR) & sharp
         found.take(after.mean, after.cov, density, sure)
         return
     square, share = after.square, after.share
     if not fresh:
-        root = whole.root()
-        white, share = root.solve(sighting.left), least(root.share, after.share)
-        square = (white.T @ white)[0, 0]
+        alone = step.innovation(sighting.left, whole)
+        square, share = alone.square, least(alone.share, after.share)
     rejected = gated(w, sensor, at, square, sighting.count, begins)
     sure = line.sure & (share > NEARLY_SINGULAR) & (rejected | sharp)
     found.take(
@@ -306,14 +297,16 @@ def _read(
     )
 
 
-class _Sighting(NamedTuple):
+class Sighting(NamedTuple):
     """A sighting as linearised: z = value + H (x − m) + e over the whole slice.
 
-    `left` is z − value, `own` and `error` are the covariances of the noise and of the line's error,
-    None for zero, and `count` is how many components were measured; others say nothing. `stands` is
-    the part of `own` that stands for these, None where there are none.
+    `values` is z, its angles on the branch of the line, and `left` is z − value. `own` and `error`
+    are the covariances of the noise and of the line's error, None for zero, and `count` is how many
+    components were measured; others say nothing. `stands` is the part of `own` that stands for
+    these, None where there are none.
     """
 
+    values: AnyMatrix
     left: AnyMatrix
     matrix: AnyMatrix
     own: AnyMatrix
@@ -322,26 +315,30 @@ class _Sighting(NamedTuple):
     stands: AnyMatrix | None = None
 
     @classmethod
-    def of(
-        cls, w: Writer, sensor: Sensor, line: Line, left: AnyMatrix, size: int, values: AnyMatrix
-    ) -> _Sighting:
-        """A sighting of some values, as linearised over a slice of so many components."""
-        m = w.matrices
-        matrix = m.widened(line.matrix, sensor.parents, size)
+    def of(cls, w: Writer, sensor: Sensor, at: Whole, line: Line, size: int) -> Sighting:
+        """The sighting at a row, as linearised over a slice of so many components."""
+        m, values = w.matrices, w.column(sensor.readings, at)
+        near = {k: step.nearest(values[k, 0], line.value[k, 0]) for k in sensor.angles}
+        values = m.replaced(values, near)
+        left, matrix = values - line.value, m.widened(line.matrix, sensor.parents, size)
         if not sensor.missing:
-            return cls(left, matrix, line.own, line.error, float(sensor.height))
+            return cls(values, left, matrix, line.own, line.error, float(sensor.height))
         known = [value == value for value in m.beside(values)]
         left, matrix, own = m.seen(known, left, matrix, line.own)
         error = None if line.error is None else m.kept(known, line.error)
         missing = w.sum([1.0 - truth.number() for truth in known])
         stands = own - m.kept(known, own) if sensor.weighs else None
-        return cls(left, matrix, own, error, float(sensor.height) - missing, stands)
+        return cls(values, left, matrix, own, error, float(sensor.height) - missing, stands)
 
     def weighed(self, weight: Any) -> AnyMatrix:
         """The covariance of the noise by a weight, which is not of what was not measured."""
         if self.stands is None:
             return self.own.scaled(1.0 / weight)
         return (self.own - self.stands).scaled(1.0 / weight) + self.stands
+
+    def density(self, of: step.Updated | step.Innovation) -> Any:
+        """The log-density of what was measured, by how likely it is."""
+        return -0.5 * (of.square + LOG_2PI * self.count) - of.volume
 
     @property
     def noise(self) -> AnyMatrix:
