@@ -16,7 +16,6 @@ from typing import Any
 from pgm.kernels import step
 from pgm.kernels.gaussian import NEARLY_SINGULAR
 from pgm.kernels.machine.emitter.wholes import Whole
-from pgm.kernels.machine.sweeps.cpd import linearised
 from pgm.kernels.machine.sweeps.lines import held
 from pgm.kernels.machine.sweeps.outliers import limit_of
 from pgm.kernels.machine.sweeps.reading import Point, Sighting, Taken, read, taken
@@ -51,7 +50,9 @@ def associated(w: Writer, chain: Forward, at: Whole, mean: AnyMatrix, cov: AnyMa
         point = Point(here.mean, here.cov, here.mean, here.cov, None)
         with w.each_sighting(sensor, at) as row:
             found.doubt(_choose(w, sensor, row, point))
-            read(w, chosen(sensor), row, found, point, None, fresh=sensor.bounds is None)
+            likeliest = chosen(sensor)
+            sighting = Sighting.of(w, likeliest, row, point)
+            read(w, likeliest, row, sighting, found, point, None, fresh=sensor.bounds is None)
     return found
 
 
@@ -59,15 +60,13 @@ def _choose(w: Writer, sensor: Sensor, at: Whole, point: Point) -> Any:
     """Choose a candidate for a sighting, and keep how it is read with it; whether that is sure."""
     of, code, m = sensor.candidates, w.code, w.matrices
     assert of is not None
-    parents, size = sensor.parents, point.at.shape[0]
     # The largest term, the first candidate that is as the one which has it, and the largest term of
     # those that are not.
     best, which, rival = held(code, -inf), held(code, -1.0), held(code, -inf)
     sure = code.varying(True)
     with code.loop(code.whole(of.count)) as k, m.scratch():
-        x, about = point.at.part(parents, (0,)), point.about.part(parents, parents)
-        line = linearised(w, sensor, at * of.count + k, x, about)
-        sighting = Sighting.of(w, sensor, at, line, size)
+        sighting = Sighting.of(w, sensor, at, point, row=at * of.count + k)
+        line = sighting.line
         spread = step.predict(point.cov, sighting.matrix, sighting.noise)
         seen = step.innovation(sighting.left, spread)
         density = sighting.density(seen)
@@ -88,7 +87,7 @@ def _choose(w: Writer, sensor: Sensor, at: Whole, point: Point) -> Any:
         best.set(where(better, term, before))
         which.set(where(better, alike, which.get()))
         with code.when(code.some(better)), m.scratch():
-            offset = line.value - line.matrix @ x
+            offset = line.value - line.matrix @ point.at.part(sensor.parents, (0,))
             w.keep(of.matrix, m.chosen(better, line.matrix, w.matrix(of.matrix)))
             w.keep(of.offset, m.chosen(better, offset, w.column(of.offset)))
             w.keep(of.noise, m.chosen(better, line.noise, w.symmetric(of.noise)))

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
+from functools import partial
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from pgm.kernels import step
@@ -178,10 +182,13 @@ def _solved(
         _once(w, chain, at, found, point, None)
         return
     weighing.begin()
+    # What stays the same in all turns; of several sightings it would have to be kept in memory.
+    alone = [each for each in chain.sensors if each.bounds is None and each.called is None]
+    shown = {sensor: Sighting.of(w, sensor, at, point) for sensor in alone}
     with w.code.loop(w.code.whole(REWEIGHINGS + 1)) as turn:
         weighing.turn(turn)
         found.begin(point.mean, point.cov)
-        _once(w, chain, at, found, point, weighing)
+        _once(w, chain, at, found, point, weighing, shown)
         w.code.leave_unless(weighing.turned(found.moments))
         w.code.leave_unless(w.code.some(found.sure))
     found.settle(weighing.settled)
@@ -211,14 +218,21 @@ def _move(w: Writer, point: Belief, found: Belief, damping: Number, settled: Num
 
 
 def _once(
-    w: Writer, chain: Forward, at: Whole, found: Taken, point: Point, weighing: Weighing | None
+    w: Writer,
+    chain: Forward,
+    at: Whole,
+    found: Taken,
+    point: Point,
+    weighing: Weighing | None,
+    shown: Mapping[Sensor, Sighting] = MappingProxyType({}),
 ) -> None:
-    """Take in the measurements of a step, linearised at a point."""
+    """Take in the measurements of a step, linearised at a point, where that is not `shown`."""
     fresh = point.first is None  # no measurement has moved the belief from the point yet
     for sensor in chain.sensors:
         fresh = fresh and sensor.bounds is None
         with w.each_sighting(sensor, at) as row:
-            read(w, sensor, row, found, point, weighing, fresh=fresh)
+            sighting = shown.get(sensor) or Sighting.of(w, sensor, row, point, weighing)
+            read(w, sensor, row, sighting, found, point, weighing, fresh=fresh)
         fresh = False
     if point.anchor is not None:
         found.hold(point.anchor)
@@ -228,6 +242,7 @@ def read(
     w: Writer,
     sensor: Sensor,
     at: Whole,
+    sighting: Sighting,
     found: Taken,
     point: Point,
     weighing: Weighing | None,
@@ -235,18 +250,11 @@ def read(
     fresh: bool = False,
 ) -> None:
     """Take in a sighting; `fresh` says that no other of its step is taken in yet."""
-    parents = sensor.parents
-    x = point.at.part(parents, (0,))
-    again = None if weighing is None else weighing.again
-    line = linearised(w, sensor, at, x, point.about.part(parents, parents), again)
-    keep(w, sensor, at, x, line)
-    sighting = Sighting.of(w, sensor, at, line, point.at.shape[0])
-    w.keep(sensor.moved, sighting.values, at)
-    noise = sighting.noise
+    line, noise = sighting.line, sighting.noise
     begins = point.first
     if weighing is not None:
         begins = ~weighing.again if begins is None else begins & ~weighing.again
-    surplus_of: Any = 0.0
+    surplus_of: Callable[[], Any] = float
     if sensor.loss is not None:
         count = sighting.count
         if sensor.weighs:
@@ -264,9 +272,9 @@ def read(
             if sensor.kept is not None:  # of components that are missing, or rejected, as well
                 own = line.own.scaled(1.0 / weight)
                 w.keep(sensor.kept, own if line.error is None else own + line.error, at)
-            surplus_of = surplus(w, sensor.loss, of, count, weight)
+            surplus_of = partial(surplus, w, sensor.loss, of, count, weight)
         else:
-            surplus_of = kept_surplus(w, sensor.loss, at, count)
+            surplus_of = partial(kept_surplus, w, sensor.loss, at, count)
     else:
         w.keep(sensor.kept, line.noise, at)
     mean, cov = found.moments.mean, found.moments.cov
@@ -274,11 +282,17 @@ def read(
     if not fresh:
         residual = residual - sighting.matrix @ (mean - point.at)
     after = step.update(mean, cov, sighting.matrix, residual, noise)
-    limit = _CURVED if sensor.curved else _STRAIGHT
-    part = least(limit * (10.0 + after.square), w.code.constant(_MILD))
     whole = step.predict(point.cov, sighting.matrix, noise)
-    sharp = (after.square < _FARTHEST) & _is_positive(w, noise - whole.scaled(part))
-    density = sighting.density(after) + surplus_of
+    # Of a turn that is not the last no more is asked than its belief.
+    told, mild = w.code.varying(0.0), w.code.varying(True)
+    with nullcontext() if weighing is None else w.code.when(weighing.may_end), w.matrices.scratch():
+        part = least(
+            (_CURVED if sensor.curved else _STRAIGHT) * (10.0 + after.square),
+            w.code.constant(_MILD),
+        )
+        told.set(sighting.density(after) + surplus_of())
+        mild.set((after.square < _FARTHEST) & _is_positive(w, noise - whole.scaled(part)))
+    density, sharp = told.get(), mild.get()
     if sensor.gate is None:
         sure = line.sure & (after.share > NEARLY_SINGULAR) & sharp
         found.take(after.mean, after.cov, density, sure)
@@ -300,13 +314,13 @@ def read(
 class Sighting(NamedTuple):
     """A sighting as linearised: z = value + H (x − m) + e over the whole slice.
 
-    `values` is z, its angles on the branch of the line, and `left` is z − value. `own` and `error`
-    are the covariances of the noise and of the line's error, None for zero, and `count` is how many
-    components were measured; others say nothing. `stands` is the part of `own` that stands for
-    these, None where there are none.
+    `left` is z − value, `own` and `error` are the covariances of the noise and of the line's error,
+    None for zero, and `count` is how many components were measured; others say nothing. `stands` is
+    the part of `own` that stands for these, None where there are none. `line` is the linearisation
+    by itself, over the sensor's parents.
     """
 
-    values: AnyMatrix
+    line: Line
     left: AnyMatrix
     matrix: AnyMatrix
     own: AnyMatrix
@@ -315,20 +329,38 @@ class Sighting(NamedTuple):
     stands: AnyMatrix | None = None
 
     @classmethod
-    def of(cls, w: Writer, sensor: Sensor, at: Whole, line: Line, size: int) -> Sighting:
-        """The sighting at a row, as linearised over a slice of so many components."""
-        m, values = w.matrices, w.column(sensor.readings, at)
+    def of(
+        cls,
+        w: Writer,
+        sensor: Sensor,
+        at: Whole,
+        point: Point,
+        weighing: Weighing | None = None,
+        row: Whole | None = None,
+    ) -> Sighting:
+        """A sensor's sighting at a row, linearised at a point, its angles on the nearest branch.
+
+        The CPD is linearised at a `row` of its own, where it has several for a sighting.
+        """
+        m, parents = w.matrices, sensor.parents
+        x = point.at.part(parents, (0,))
+        again = None if weighing is None else weighing.again
+        about, of = point.about.part(parents, parents), at if row is None else row
+        line = linearised(w, sensor, of, x, about, again)
+        keep(w, sensor, at, x, line)
+        values = w.column(sensor.readings, at)
         near = {k: step.nearest(values[k, 0], line.value[k, 0]) for k in sensor.angles}
         values = m.replaced(values, near)
-        left, matrix = values - line.value, m.widened(line.matrix, sensor.parents, size)
+        w.keep(sensor.moved, values, at)
+        left, matrix = values - line.value, m.widened(line.matrix, parents, point.at.shape[0])
         if not sensor.missing:
-            return cls(values, left, matrix, line.own, line.error, float(sensor.height))
+            return cls(line, left, matrix, line.own, line.error, float(sensor.height))
         known = [value == value for value in m.beside(values)]
         left, matrix, own = m.seen(known, left, matrix, line.own)
         error = None if line.error is None else m.kept(known, line.error)
         missing = w.sum([1.0 - truth.number() for truth in known])
         stands = own - m.kept(known, own) if sensor.weighs else None
-        return cls(values, left, matrix, own, error, float(sensor.height) - missing, stands)
+        return cls(line, left, matrix, own, error, float(sensor.height) - missing, stands)
 
     def weighed(self, weight: Any) -> AnyMatrix:
         """The covariance of the noise by a weight, which is not of what was not measured."""
