@@ -1,4 +1,4 @@
-"""Sightings of one of some candidates each: compared with all, and read with the likeliest.
+"""Associations: open sightings are compared with all candidates, and read with the likeliest.
 
 A step's sightings that leave nothing open are taken in first, and then the open ones of one sensor
 after another. All of a sensor's are compared, and linearised, at one belief, that before them. With
@@ -60,16 +60,12 @@ def _choose(w: Writer, sensor: Sensor, at: Whole, point: Point) -> Any:
     """Choose a candidate for a sighting, and keep how it is read with it; whether that is sure."""
     of, code, m = sensor.candidates, w.code, w.matrices
     assert of is not None
-    # The largest term, the first candidate that is as the one which has it, and the largest term of
-    # those that are not.
-    best, which, rival = held(code, -inf), held(code, -1.0), held(code, -inf)
-    sure = code.varying(True)
+    ranking, sure = _Ranking(w), code.varying(True)
     with code.loop(code.whole(of.count)) as k, m.scratch():
         sighting = Sighting.of(w, sensor, at, point, row=at * of.count + k)
-        line = sighting.line
         spread = step.predict(point.cov, sighting.matrix, sighting.noise)
         seen = step.innovation(sighting.left, spread)
-        density = sighting.density(seen)
+        density, line = sighting.density(seen), sighting.line
         fine = line.sure & (seen.share > NEARLY_SINGULAR) & (abs(density) < _LARGEST)
         term = density + w.at(of.shares, k).load(0)
         if of.limits is not None:
@@ -78,24 +74,45 @@ def _choose(w: Writer, sensor: Sensor, at: Whole, point: Point) -> Any:
             term = where(seen.square > limit, -inf, term)
         sure.set(sure.get() & fine)
         w.at(of.terms, at).store(k, term)
-        alike, before = w.at(of.alike, k).load(0), best.get()
-        other = which.get() != alike
-        if sensor.missing:  # of nothing measured all terms are alike, and do not matter
-            other = other & (sighting.count > 0.0)
-        rival.set(where(other, most(least(term, before), rival.get()), rival.get()))
-        better = term > before
-        best.set(where(better, term, before))
-        which.set(where(better, alike, which.get()))
+        # Of nothing measured all terms are alike, and do not matter.
+        matters = sighting.count > 0.0 if sensor.missing else w.true
+        better = ranking.meet(term, w.at(of.alike, k).load(0), matters)
         with code.when(code.some(better)), m.scratch():
             offset = line.value - line.matrix @ point.at.part(sensor.parents, (0,))
             w.keep(of.matrix, m.chosen(better, line.matrix, w.matrix(of.matrix)))
             w.keep(of.offset, m.chosen(better, offset, w.column(of.offset)))
             w.keep(of.noise, m.chosen(better, line.noise, w.symmetric(of.noise)))
     none = most(w.at(of.others).load(0), w.at(of.others).load(1))
-    first = most(best.get(), none)
-    second = most(least(best.get(), none), rival.get())
     if of.values is not None:
-        nothing = m.constant([[nan]] * sensor.height)
-        values = w.column(sensor.readings, at)
-        w.keep(of.values, m.chosen(best.get() > none, values, nothing))
-    return sure.get() & ~(first - second <= _CLOSE * (1.0 + abs(first)))
+        values, nothing = w.column(sensor.readings, at), m.constant([[nan]] * sensor.height)
+        w.keep(of.values, m.chosen(ranking.best > none, values, nothing))
+    return sure.get() & ranking.is_clear(none)
+
+
+class _Ranking:
+    """The largest term of those that were met, and the largest one of candidates unlike its own."""
+
+    def __init__(self, w: Writer) -> None:
+        self._best, self._rival = held(w.code, -inf), held(w.code, -inf)
+        self._which = held(w.code, -1.0)
+
+    @property
+    def best(self) -> Any:
+        """The largest term."""
+        return self._best.get()
+
+    def meet(self, term: Any, alike: Any, matters: Any) -> Any:
+        """Meet a candidate; whether its term is the largest. `alike` is the first one like it."""
+        best, rival = self.best, self._rival.get()
+        other = (self._which.get() != alike) & matters
+        better = term > best
+        self._rival.set(where(other, most(least(term, best), rival), rival))
+        self._best.set(where(better, term, best))
+        self._which.set(where(better, alike, self._which.get()))
+        return better
+
+    def is_clear(self, none: Any) -> Any:
+        """Whether no rounding chooses between what is likeliest, and all else, `none` too."""
+        first = most(self.best, none)
+        second = most(least(self.best, none), self._rival.get())
+        return ~(first - second <= _CLOSE * (1.0 + abs(first)))
