@@ -121,6 +121,11 @@ class Sensor:
         return wide.copy("K") if self.variable.angles else wide
 
     @property
+    def shape(self) -> tuple[int, int]:
+        """The numbers of sightings and of runs."""
+        return len(self.values), self.family.shape[1]
+
+    @property
     def marked(self) -> Array:
         """The measured values, NaN where nothing was measured, or a gate has rejected it."""
         return _marked(self.values, self.taken)
