@@ -63,8 +63,7 @@ RULES = Unscented, Cubature, GaussHermite
 POINTS = 128
 # Angles and components without noise are told to kernels by the bits of a number.
 MOST = 60
-# Why a schedule, or a filter's settings online, leave machine code.
-GATE = "a gate (gate=) decides at one predicted belief after another"
+# Why a schedule leaves machine code.
 CONTROL = "Levenberg–Marquardt (damping=) judges the windows of a lag"
 # Why a CPD does whose sightings are one vector in sweeps that linearise going forward.
 GROUPED = "its sightings are grouped, and gated, weighed or linearised again"

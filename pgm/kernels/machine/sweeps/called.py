@@ -8,7 +8,7 @@ from typing import NamedTuple
 from pgm.kernels.machine.emitter.code import Code
 from pgm.kernels.machine.emitter.wholes import Whole
 from pgm.kernels.machine.sweeps import differences
-from pgm.kernels.machine.sweeps.told import Called, Row
+from pgm.kernels.machine.sweeps.told import Called, Row, Sensor
 from pgm.kernels.machine.sweeps.writer import Writer
 from pgm.kernels.step import AnyMatrix
 
@@ -45,6 +45,13 @@ class Rows(NamedTuple):
     def ask_alone(self, w: Writer, called: Called, count: int) -> None:
         """Ask for the row at hand."""
         w.ask(called.number, count, self.at, self.at + 1, self.place)
+
+
+def rows_of(w: Writer, sensor: Sensor, at: Whole, row: Whole) -> Rows | None:
+    """The sightings of a step, one of which is at hand; None where no program is asked for them."""
+    if sensor.called is None or sensor.bounds is None:
+        return None
+    return Rows(row, *w.sightings(sensor, at))
 
 
 def values_at(w: Writer, called: Called, rows: Rows, points: AnyMatrix) -> AnyMatrix:
