@@ -171,3 +171,26 @@ def test_the_error_of_a_regression_is_written_once():
 def test_another_regression_is_found(line):
     source = f"def twice(left, weights, signs):\n    return {line}\n"
     assert list(weighed_squares(source)) == ["twice"]
+
+
+# ---- kinds of matrices
+
+KINDS = {
+    ("kernels/numbers.py", "Matrix"),
+    *(("kernels/dense.py", name) for name in ("Dense", "Runs", "Stack")),
+    ("kernels/machine/loops/stored.py", "Stored"),
+    ("kernels/extended.py", "Twofold"),
+}
+
+
+def kinds(source):
+    """The names of classes with products, and products that are symmetric, of their own."""
+    for each in ast.walk(ast.parse(source)) if "__matmul__" in source else ():
+        if isinstance(each, ast.ClassDef):
+            methods = {line.name for line in each.body if isinstance(line, ast.FunctionDef)}
+            if "__matmul__" in methods:
+                yield each.name
+
+
+def test_a_kind_of_matrices_is_written_once():
+    assert everywhere(kinds) == KINDS
