@@ -190,11 +190,11 @@ def _told(cpd: CPD, template: FunctionTemplate | None, sensor: bool) -> str:
         return f"it has more than {MOST} components"
     if isinstance(cpd, AffineCPD):
         return COMPILED
-    if isinstance(cpd, NonlinearGaussianCPD) and cpd.grouped:
-        return "its sightings are grouped, where a step has several"
     assert template is not None
     whole = template.whole.traced()
     rule = cpd.lineariser if isinstance(cpd, NonlinearGaussianCPD) else None
+    if isinstance(cpd, NonlinearGaussianCPD) and cpd.grouped and rule and type(rule) is not Taylor:
+        return f"its sightings are grouped, where a step has several, and linearised by {rule!r}"
     why = None if rule is None else rule_told(rule, template)
     why = why or (whole if isinstance(whole, str) else None)
     return f"{CALLED}{why}" if why else COMPILED

@@ -138,8 +138,8 @@ def unknown(plan: ChainPlan) -> str | None:
         rule = sensor.family.lineariser
         if getattr(rule, "fresh_per_run", False) and max(np.diff(sensor.bounds)) > 1:
             return f"{sensor.family.cpd!r} draws points anew for each of several sightings"
-        if sensor.grouped and max(np.diff(sensor.bounds)) > 1:
-            return f"{sensor.family.cpd!r} has several sightings in a group"
+        if sensor.is_correlated:
+            return f"{sensor.family.cpd!r} has several sightings in a group, linearised by {rule!r}"
     for family in plan.families:
         if max(family.cpd.child.dimension, family.shape[3]) > MOST:
             return f"{family.cpd!r} has more than {MOST} components"

@@ -34,7 +34,7 @@ from pgm.kernels.arrays import (
 )
 from pgm.linearisation.family import Family
 from pgm.linearisation.rows import At
-from pgm.linearisers import BoundFunction
+from pgm.linearisers import BoundFunction, Taylor
 from pgm.posteriors.gate_record import GateRecord
 from pgm.variables import Variable
 
@@ -88,6 +88,12 @@ class Sensor:
     def grouped(self) -> bool:
         """Whether the sightings of a step are linearised as one vector."""
         return self.family.grouped
+
+    @property
+    def is_correlated(self) -> bool:
+        """Whether the errors of a step's sightings may be correlated; Taylor's rule has none."""
+        several = max(np.diff(self.bounds), default=0) > 1
+        return bool(self.grouped and several and type(self.family.lineariser) is not Taylor)
 
     @cached_property
     def robust(self) -> bool:

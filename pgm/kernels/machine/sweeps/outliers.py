@@ -67,7 +67,7 @@ class Weighing:
         self.belief = w.matrices.carried(mean, cov)
         self._active, self._moved = w.code.varying(True), w.code.varying(0.0)
         self._left = w.code.varying(float("inf"))
-        self.again = w.code.constant(False).lane(0)
+        self.again = self._last = w.code.constant(False).lane(0)
 
     def begin(self) -> None:
         """Begin with a new linearisation."""
@@ -76,7 +76,7 @@ class Weighing:
 
     def turn(self, count: Whole) -> None:
         """Begin a turn: all sightings are taken in, and weighed before from the second one on."""
-        self.again = count > 0
+        self.again, self._last = count > 0, count == REWEIGHINGS
         self._moved.set(0.0)
 
     def turned(self, found: Belief) -> Number:
@@ -87,6 +87,12 @@ class Weighing:
             self._active.set(self._left.get() > SETTLED)
         self.belief.set(found.mean, found.cov)
         return code.some(self._active.get())
+
+    @property
+    def may_end(self) -> Number:
+        """Whether a turn may be the last: no weight moves, of those that it has found so far."""
+        moved = self._w.code.some(self._moved.get() > SETTLED)
+        return self._last | (self.again & ~moved)
 
     @property
     def settled(self) -> Any:
