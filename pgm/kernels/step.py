@@ -50,7 +50,11 @@ def squares(cov: AnyMatrix, gain: AnyMatrix, matrix: AnyMatrix, noise: AnyMatrix
 
     It is a sum of squares, which loses no digits (Bucy and Joseph, 1968).
     """
-    keep = (gain @ matrix).one_minus()
+    return squares_by((gain @ matrix).one_minus(), cov, gain, noise)
+
+
+def squares_by(keep: AnyMatrix, cov: AnyMatrix, gain: AnyMatrix, noise: AnyMatrix) -> AnyMatrix:
+    """The `squares`, K P Kᵀ + G R Gᵀ, by the matrix K = I − G H."""
     return (keep @ cov).times(keep) + (gain @ noise).times(gain)
 
 
