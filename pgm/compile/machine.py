@@ -24,7 +24,6 @@ from pgm.linearisers import (
     Taylor,
     Unscented,
 )
-from pgm.linearisers.regression import FEW
 from pgm.resources import optional
 
 
@@ -60,6 +59,8 @@ class Compiled(InCode):
 
 # Points of these rules are the same at all steps.
 RULES = Unscented, Cubature, GaussHermite
+# The most points of a rule: NumPy takes no longer where there are more.
+POINTS = 128
 # Angles and components without noise are told to kernels by the bits of a number.
 MOST = 60
 # Why a schedule, or a filter's settings online, leave machine code.
@@ -207,4 +208,4 @@ def rule_told(rule: Lineariser, template: FunctionTemplate) -> str | None:
     if type(rule) not in RULES or not isinstance(rule, StatisticalRegression):
         return f"it is linearised by {rule!r}"
     count = len(rule.points(template.size, template.child.name, 0).points)
-    return f"{rule!r} has {count} points; up to {FEW} are compiled" if count > FEW else None
+    return f"{rule!r} has {count} points; up to {POINTS} are compiled" if count > POINTS else None

@@ -72,7 +72,7 @@ def test_schedules(schedule, whole, why):
 
 SENSORS = {
     "graduated": ({"noise": pgm.TruncatedLeastSquares(4)}, "graduated"),
-    "many points": ({"lineariser": pgm.GaussHermite(9)}, "81 points; up to 64 are compiled"),
+    "many points": ({"lineariser": pgm.GaussHermite(12)}, "144 points; up to 128 are compiled"),
     "drawn points": ({"lineariser": pgm.MonteCarlo(20)}, "linearised by MonteCarlo"),
 }
 
@@ -91,9 +91,9 @@ def test_cpds_are_told_by_the_graph_and_the_status(name):
 
 
 def test_the_lineariser_of_a_call():
-    status, compilation = told(network(), pgm.Filtering(), lineariser=pgm.GaussHermite(9))
+    status, compilation = told(network(), pgm.Filtering(), lineariser=pgm.GaussHermite(12))
     assert set(compilation.values()) == {"compiled"}
-    assert "81 points" in status.compilation
+    assert "144 points" in status.compilation
     few = told(network(), pgm.Filtering(), lineariser=pgm.Unscented())[0]
     assert few.compilation == "compiled"
     rule = {"lineariser": pgm.Unscented()}
