@@ -77,12 +77,26 @@ def names(node):
     return {each.id for each in ast.walk(node) if isinstance(each, ast.Name)}
 
 
-def sums(source):
-    """The names of functions that write A P Aᵀ + B R Bᵀ, of any two matrices."""
-    for function in functions(source, " + "):
+# Bounds of rounding, and expected squares.
+OF_BOUNDS = {
+    ("beliefs/moments/digits/careful_belief.py", "through"),
+    ("beliefs/moments/digits/adjoint_belief.py", "past"),
+    ("learning/gaussian.py", "_left"),
+}
+
+
+def sums(source, least=2):
+    """The names of functions that write A P Aᵀ + B R Bᵀ; or, at `least` one, A P Aᵀ + N."""
+    for function in functions(source, ".T", ".mT", ".times(", "sandwich("):
         every = (e for e in ast.walk(function) if isinstance(e, ast.BinOp))
-        if any(isinstance(e.op, ast.Add) and squared(e.left) and squared(e.right) for e in every):
+        added = (e for e in every if isinstance(e.op, ast.Add))
+        if any(squared(e.left) + squared(e.right) >= least for e in added):
             yield function.name
+
+
+def predictions(source):
+    """The names of functions that write A P Aᵀ + N."""
+    yield from sums(source, 1)
 
 
 def squared(node):
@@ -103,6 +117,11 @@ def squared(node):
 def test_a_sum_of_squares_is_written_once():
     assert everywhere(sandwiches) == OTHERS
     assert everywhere(sums) == {("kernels/step.py", "squares_by")}
+
+
+def test_a_prediction_is_written_once():
+    found = everywhere(predictions) - everywhere(sums) - OF_BOUNDS
+    assert found == {("kernels/step.py", "predict")}
 
 
 @pytest.mark.parametrize(
@@ -128,6 +147,13 @@ def test_another_is_found(lines):
 )
 def test_another_of_any_matrices_is_found(line):
     assert list(sums(f"def twice(keep, gain, cov, other):\n    return {line}\n")) == ["twice"]
+
+
+@pytest.mark.parametrize("line", ["noise + wide @ covs[of] @ wide.mT", "(f @ p).times(f) + noise"])
+def test_another_prediction_is_found(line):
+    source = f"def twice(f, p, wide, covs, of, noise):\n    return {line}\n"
+    assert list(predictions(source)) == ["twice"]
+    assert not list(sums(source))
 
 
 # ---- the error of a regression, X W Xᵀ

@@ -12,7 +12,6 @@ from collections.abc import Iterator, Sequence
 from itertools import groupby, product
 from typing import Any
 
-from pgm.kernels import step
 from pgm.kernels.machine.emitter.code import Code
 from pgm.kernels.machine.emitter.kinds import ADDRESS, WHOLE
 from pgm.kernels.machine.emitter.memory import Cells, Memory
@@ -173,8 +172,7 @@ class Rows:
         """Residuals; and the line, moved where a transition's child is on another branch."""
         cpd, w, matrices, value = self.cpd, self.w, self.matrices, line.value
         given = self._vector(child) if cpd.readings is None else w.column(cpd.readings, self.run)
-        near = {k: step.nearest(given[k, 0], value[k, 0]) for k in cpd.angles}
-        left = matrices.replaced(given, near)
+        left = cpds.on_branch(w, given, value, cpd.angles)
         w.keep(cpd.moved, left, self.run)
         residual = left - value
         if cpd.missing:
@@ -182,7 +180,7 @@ class Rows:
             found = [where(a == a, b, 0.0) for a, b in both]
             residual = matrices.with_columns(residual, {0: found})
         if cpd.readings is None:
-            moved = {k: value[k, 0] + (given[k, 0] - number) for k, number in near.items()}
+            moved = {k: value[k, 0] + (given[k, 0] - left[k, 0]) for k in cpd.angles}
             line = line._replace(value=matrices.replaced(value, moved))
         return residual, line
 
