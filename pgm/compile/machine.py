@@ -63,8 +63,7 @@ RULES = Unscented, Cubature, GaussHermite
 POINTS = 128
 # Angles and components without noise are told to kernels by the bits of a number.
 MOST = 60
-# Why a schedule, or a filter's settings online, leave machine code.
-GATE = "a gate (gate=) decides at one predicted belief after another"
+# Why a schedule leaves machine code.
 CONTROL = "Levenberg–Marquardt (damping=) judges the windows of a lag"
 COMPILED = "compiled"
 # Before the reason why machine code calls a function rather than having it itself.

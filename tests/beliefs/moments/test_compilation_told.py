@@ -155,12 +155,7 @@ def test_runs_in_parts_tell_as_one():
 
 def test_a_filter_online_tells_of_its_settings_and_its_steps():
     model = network()
-    for options, why in (
-        ({"gate": 0.99}, "a gate"),
-        ({"watch": True}, "watch"),
-        ({"lag": 3}, "lag"),
-        ({"schedule": pgm.Filtering(iterations=2)}, "iterated"),
-    ):
+    for options, why in (({"schedule": pgm.FixedLag(2, iterations=2)}, "linearised again"),):
         told_of = pgm.OnlineFilter(model, compiled=True, **options).compilation
         assert told_of.startswith("not compiled: ")
         assert why in told_of
@@ -175,3 +170,8 @@ def test_a_filter_online_tells_of_its_settings_and_its_steps():
     robust = pgm.OnlineFilter(network(noise=pgm.TruncatedLeastSquares(4)), compiled=True)
     robust.update(robust.predict(robust.initial()), {Z: [0.1]})
     assert "noise" in robust.compilation
+    slow = pgm.OnlineFilter(
+        model, compiled=True, schedule=pgm.Filtering(iterations=2, tolerance=0.0, damping=CONTROL)
+    )
+    slow.update(slow.predict(slow.initial()), {Z: [0.1]})
+    assert "steps are controlled" in slow.compilation

@@ -161,14 +161,18 @@ class Drawn:
         return found, bool(told)
 
     def apart(self, one, other):
-        """The largest difference of means, in deviations; of exact ones, in digits."""
+        """The largest difference of means, in deviations; of exact ones, in digits.
+
+        Their last places do not count: far from zero they are more than a deviation's 1e-10.
+        """
         worst = 0.0
         for variable in (self.x, self.y) if self.y is not None else (self.x,):
             left = one[variable].mean - other[variable].mean
             mask, std = variable.angle_mask, one[variable].std
             left[..., mask] = (left[..., mask] + np.pi) % (2 * np.pi) - np.pi
             unit = np.maximum(std, 1e-5 * (1e-300 + np.abs(one[variable].mean)) * (std == 0.0))
-            worst = max(worst, (np.abs(left) / unit).max())
+            beyond = np.maximum(np.abs(left) - 4.0 * np.spacing(np.abs(one[variable].mean)), 0.0)
+            worst = max(worst, (beyond / unit).max())
         return worst
 
 

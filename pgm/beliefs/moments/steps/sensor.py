@@ -90,10 +90,14 @@ class Sensor:
         return self.family.grouped
 
     @property
+    def correlates(self) -> bool:
+        """Whether errors of several sightings of a step are correlated; Taylor's rule has none."""
+        return self.grouped and type(self.family.lineariser) is not Taylor
+
+    @property
     def is_correlated(self) -> bool:
-        """Whether the errors of a step's sightings may be correlated; Taylor's rule has none."""
-        several = max(np.diff(self.bounds), default=0) > 1
-        return bool(self.grouped and several and type(self.family.lineariser) is not Taylor)
+        """Whether the errors of a step's sightings may be correlated, as it has several."""
+        return self.correlates and bool(max(np.diff(self.bounds), default=0) > 1)
 
     @cached_property
     def robust(self) -> bool:
@@ -115,6 +119,11 @@ class Sensor:
         count, runs, height, _ = self.family.shape
         wide = np.broadcast_to(self.values, (count, runs, height))
         return wide.copy("K") if self.variable.angles else wide
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """The numbers of sightings and of runs."""
+        return len(self.values), self.family.shape[1]
 
     @property
     def marked(self) -> Array:

@@ -33,6 +33,8 @@ def operations(chain: Forward | Backward | Linearised, lanes: int) -> int:
         # Components on which it does not depend leave zeros, of which nothing is written.
         d, p = sensor.height, len(sensor.parents)
         found += _of(sensor, lanes) + (3 * n**2 * p) // 2 + 2 * d * n * p + 3 * d**2 * n
+        if sensor.candidates is not None:  # with which a sighting is compared before it is read
+            found += d * n * p + 2 * d**2 * n
     return found
 
 

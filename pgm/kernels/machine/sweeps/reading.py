@@ -31,6 +31,19 @@ _CURVED, _STRAIGHT, _MILD = 1e-6, 1e-8, 1e-3
 _FARTHEST = 1e12
 
 
+class Counts(NamedTuple):
+    """Numbers of the sightings of a step.
+
+    `nis` is the normalised innovation squared of those taken in, `dof` the number of their
+    components. `judged` counts the sightings that gates have judged, `rejected` those rejected.
+    """
+
+    nis: Any
+    dof: Any
+    rejected: Any
+    judged: Any
+
+
 class Taken:
     """A belief that takes in measurements: moments, their log-density, and whether it is sure."""
 
@@ -38,6 +51,12 @@ class Taken:
         self.moments = w.matrices.carried(mean, cov)
         self._density, self._sure = w.code.varying(0.0), w.code.varying(True)
         self._settled = w.code.varying(True)
+        self._counts = [w.code.varying(0.0) for _ in Counts._fields]
+
+    @property
+    def counts(self) -> Counts:
+        """Numbers of the sightings so far."""
+        return Counts(*(each.get() for each in self._counts))
 
     @property
     def density(self) -> Number:
@@ -59,6 +78,13 @@ class Taken:
         self.moments.set(mean, cov)
         self._density.set(0.0)
         self._sure.set(True)
+        for each in self._counts:
+            each.set(0.0)
+
+    def count(self, *more: Any) -> None:
+        """Count a sighting, as `Counts` has it."""
+        for each, number in zip(self._counts, more, strict=True):
+            each.set(each.get() + number)
 
     def take(self, mean: AnyMatrix, cov: AnyMatrix, density: Any, sure: Number) -> None:
         """Go on to a belief that knows one measurement more."""
@@ -184,7 +210,7 @@ def _solved(
     weighing.begin()
     # What stays the same in all turns; of several sightings it would have to be kept in memory.
     alone = [each for each in chain.sensors if each.bounds is None and each.called is None]
-    shown = {sensor: _Sighting.of(w, sensor, at, point) for sensor in alone}
+    shown = {sensor: Sighting.of(w, sensor, at, point) for sensor in alone}
     with w.code.loop(w.code.whole(REWEIGHINGS + 1)) as turn:
         weighing.turn(turn)
         found.begin(point.mean, point.cov)
@@ -224,30 +250,25 @@ def _once(
     found: Taken,
     point: Point,
     weighing: Weighing | None,
-    shown: Mapping[Sensor, _Sighting] = MappingProxyType({}),
+    shown: Mapping[Sensor, Sighting] = MappingProxyType({}),
 ) -> None:
     """Take in the measurements of a step, linearised at a point, where that is not `shown`."""
     fresh = point.first is None  # no measurement has moved the belief from the point yet
     for sensor in chain.sensors:
-        if sensor.bounds is None:
-            with w.matrices.scratch():
-                sighting = shown.get(sensor) or _Sighting.of(w, sensor, at, point, weighing)
-                _read(w, sensor, at, sighting, found, point, weighing, fresh=fresh)
-        else:
-            first, last = w.sightings(sensor, at)
-            with w.code.loop(last, first) as row, w.matrices.scratch():
-                sighting = _Sighting.of(w, sensor, row, point, weighing)
-                _read(w, sensor, row, sighting, found, point, weighing)
+        fresh = fresh and sensor.bounds is None
+        with w.each_sighting(sensor, at) as row:
+            sighting = shown.get(sensor) or Sighting.of(w, sensor, row, point, weighing)
+            read(w, sensor, row, sighting, found, point, weighing, fresh=fresh)
         fresh = False
     if point.anchor is not None:
         found.hold(point.anchor)
 
 
-def _read(
+def read(
     w: Writer,
     sensor: Sensor,
     at: Whole,
-    sighting: _Sighting,
+    sighting: Sighting,
     found: Taken,
     point: Point,
     weighing: Weighing | None,
@@ -295,18 +316,18 @@ def _read(
             (_CURVED if sensor.curved else _STRAIGHT) * (10.0 + after.square),
             w.code.constant(_MILD),
         )
-        told.set(-0.5 * (after.square + LOG_2PI * sighting.count) - after.volume + surplus_of())
+        told.set(sighting.density(after) + surplus_of())
         mild.set((after.square < _FARTHEST) & _is_positive(w, noise - whole.scaled(part)))
     density, sharp = told.get(), mild.get()
     if sensor.gate is None:
         sure = line.sure & (after.share > NEARLY_SINGULAR) & sharp
         found.take(after.mean, after.cov, density, sure)
+        found.count(after.square, sighting.count, 0.0, 0.0)
         return
     square, share = after.square, after.share
     if not fresh:
-        root = whole.root()
-        white, share = root.solve(sighting.left), least(root.share, after.share)
-        square = (white.T @ white)[0, 0]
+        alone = step.innovation(sighting.left, whole)
+        square, share = alone.square, least(alone.share, after.share)
     rejected = gated(w, sensor, at, square, sighting.count, begins)
     sure = line.sure & (share > NEARLY_SINGULAR) & (rejected | sharp)
     found.take(
@@ -315,9 +336,15 @@ def _read(
         where(rejected, 0.0, density),
         sure,
     )
+    found.count(
+        where(rejected, 0.0, after.square),
+        where(rejected, 0.0, sighting.count),
+        rejected.number(),
+        where(sighting.count > 0.0, 1.0, 0.0),
+    )
 
 
-class _Sighting(NamedTuple):
+class Sighting(NamedTuple):
     """A sighting as linearised: z = value + H (x − m) + e over the whole slice.
 
     `left` is z − value, `own` and `error` are the covariances of the noise and of the line's error,
@@ -327,7 +354,6 @@ class _Sighting(NamedTuple):
     """
 
     line: Line
-
     left: AnyMatrix
     matrix: AnyMatrix
     own: AnyMatrix
@@ -337,13 +363,23 @@ class _Sighting(NamedTuple):
 
     @classmethod
     def of(
-        cls, w: Writer, sensor: Sensor, at: Whole, point: Point, weighing: Weighing | None = None
-    ) -> _Sighting:
-        """A sensor's sighting at a row, linearised at a point, its angles on the nearest branch."""
+        cls,
+        w: Writer,
+        sensor: Sensor,
+        at: Whole,
+        point: Point,
+        weighing: Weighing | None = None,
+        row: Whole | None = None,
+    ) -> Sighting:
+        """A sensor's sighting at a row, linearised at a point, its angles on the nearest branch.
+
+        The CPD is linearised at a `row` of its own, where it has several for a sighting.
+        """
         m, parents = w.matrices, sensor.parents
         x = point.at.part(parents, (0,))
         again = None if weighing is None else weighing.again
-        line = linearised(w, sensor, at, x, point.about.part(parents, parents), again)
+        about, of = point.about.part(parents, parents), at if row is None else row
+        line = linearised(w, sensor, of, x, about, again)
         keep(w, sensor, at, x, line)
         values = readings(w, sensor, at, line.value)
         left, matrix = values - line.value, m.widened(line.matrix, parents, point.at.shape[0])
@@ -361,6 +397,10 @@ class _Sighting(NamedTuple):
         if self.stands is None:
             return self.own.scaled(1.0 / weight)
         return (self.own - self.stands).scaled(1.0 / weight) + self.stands
+
+    def density(self, of: step.Updated | step.Innovation) -> Any:
+        """The log-density of what was measured, by how likely it is."""
+        return -0.5 * (of.square + LOG_2PI * self.count) - of.volume
 
     @property
     def noise(self) -> AnyMatrix:
