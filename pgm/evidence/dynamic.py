@@ -55,6 +55,30 @@ class Reading:
     inputs: Inputs
     unknown: tuple[Variable, Unknown] | None = None
 
+    def alike(self, other: Reading) -> bool:
+        """Whether other measurements are laid out in the same way: all but values is equal."""
+        return (
+            self.cpd is other.cpd
+            and self.unknown is None is other.unknown
+            and self.values.shape == other.values.shape
+            and self.taken.shape == other.taken.shape
+            and _same(self.step, other.step)
+            and _same(self.order, other.order)
+            and _same_shapes(self.inputs, other.inputs)
+        )
+
+
+def _same(one: Integers, other: Integers) -> bool:
+    return one is other or np.array_equal(one, other)
+
+
+def _same_shapes(one: Inputs, other: Inputs) -> bool:
+    """Whether values of the same variables, in the same order, have the same shapes."""
+    return len(one) == len(other) and all(
+        a == b and x.shape == y.shape
+        for (a, x), (b, y) in zip(one.items(), other.items(), strict=True)
+    )
+
 
 @dataclass(frozen=True, eq=False)
 class BoundEvidence:
@@ -74,6 +98,33 @@ class BoundEvidence:
     def runs(self) -> int:
         """Number of runs."""
         return math.prod(self.lead)
+
+    def emptied(self) -> BoundEvidence:
+        """The layout with values of the same shapes that take no memory."""
+
+        def blank(inputs: Inputs) -> Inputs:
+            return {v: np.broadcast_to(0.0, values.shape) for v, values in inputs.items()}
+
+        readings = tuple(
+            replace(
+                each,
+                values=np.broadcast_to(each.values.dtype.type(0), each.values.shape),
+                taken=np.broadcast_to(True, each.taken.shape),
+                inputs=blank(each.inputs),
+            )
+            for each in self.readings
+        )
+        return replace(self, transition=tuple(map(blank, self.transition)), readings=readings)
+
+    def alike(self, other: BoundEvidence) -> bool:
+        """Whether other evidence is laid out in the same way: all but its values is equal."""
+        if self.steps != other.steps or self.lead != other.lead:
+            return False
+        if self.first_run != other.first_run or len(self.readings) != len(other.readings):
+            return False
+        return all(map(_same_shapes, self.transition, other.transition)) and all(
+            one.alike(another) for one, another in zip(self.readings, other.readings, strict=True)
+        )
 
 
 # About so many numbers are turned round at a time: they stay in the cache.

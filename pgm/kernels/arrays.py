@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
@@ -38,22 +39,22 @@ def stacked(lead: tuple[int, ...], shape: tuple[int, ...]) -> Array:
     Kernels go along contiguous rows of runs; element-wise results and `multiply` keep that layout.
     """
     *before, runs = lead
-    return _last_to(np.zeros((*before, *shape, runs)), len(before))
+    return np.zeros((*before, *shape, runs)).transpose(_order(len(before), len(shape)))
 
 
 def vacant(lead: tuple[int, ...], shape: tuple[int, ...]) -> Array:
     """An uninitialised array (*lead, *shape), in memory with the last axis of `lead` fastest."""
     *before, runs = lead
-    return _last_to(np.empty((*before, *shape, runs)), len(before))
+    return np.empty((*before, *shape, runs)).transpose(_order(len(before), len(shape)))
 
 
-def _last_to(memory: Array, place: int) -> Array:
-    """A view of the array `memory` with its last axis moved to the place `place`.
+@lru_cache(maxsize=64)
+def _order(before: int, own: int) -> tuple[int, ...]:
+    """The axes of an array whose last one is moved behind its first `before`, `own` being between.
 
-    It is made ten times as fast as by `moveaxis`.
+    With them `transpose` takes a tenth of the time of `moveaxis`.
     """
-    last = memory.ndim - 1
-    return memory.transpose(*range(place), last, *range(place, last))
+    return (*range(before), before + own, *range(before, before + own))
 
 
 def components_last(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
