@@ -12,8 +12,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from ctypes import addressof, c_char
 from functools import lru_cache
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -55,6 +56,14 @@ def _order(before: int, own: int) -> tuple[int, ...]:
     With them `transpose` takes a tenth of the time of `moveaxis`.
     """
     return (*range(before), before + own, *range(before, before + own))
+
+
+def address(array: npt.NDArray[Any]) -> int:
+    """Where an array's memory begins, for machine code."""
+    if array.flags.carray and array.size:  # which takes a fifth of the time
+        return addressof(c_char.from_buffer(array))
+    found: int = array.__array_interface__["data"][0]
+    return found
 
 
 def components_last(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:

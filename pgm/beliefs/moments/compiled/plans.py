@@ -12,12 +12,11 @@ import numpy.typing as npt
 
 from pgm.beliefs.moments.compiled.called import Call, Calls, Lines
 from pgm.beliefs.moments.compiled.functions import function_of, loss_of, points_of
-from pgm.beliefs.moments.compiled.memory import address
 from pgm.beliefs.moments.steps import gate as gates
 from pgm.beliefs.moments.steps.plan import ChainPlan, Link
 from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.compile.machine import MOST
-from pgm.kernels.arrays import Array, Index
+from pgm.kernels.arrays import Array, Index, address
 from pgm.kernels.machine.emitter.memory import Runs
 from pgm.kernels.machine.sweeps import told
 from pgm.linearisation.family import Family

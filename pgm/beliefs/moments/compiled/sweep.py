@@ -13,7 +13,6 @@ import numpy as np
 
 from pgm.beliefs.moments.compiled.called import Calls, Failed
 from pgm.beliefs.moments.compiled.judged import judge
-from pgm.beliefs.moments.compiled.memory import address
 from pgm.beliefs.moments.compiled.plans import (
     Integers64,
     Record,
@@ -32,7 +31,7 @@ from pgm.beliefs.moments.steps.chain import MomentChain
 from pgm.beliefs.moments.steps.gate import Asked
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.compile.machine import Compiled
-from pgm.kernels.arrays import Array, Mask, vacant
+from pgm.kernels.arrays import Array, Mask, address, vacant
 from pgm.kernels.machine.sweeps import chain as sweeps
 from pgm.kernels.machine.sweeps import told
 from pgm.kernels.machine.sweeps.asking import asking
@@ -261,10 +260,10 @@ def backward(
     slices: Conditional | None,
     *,
     smooth: bool,
-) -> tuple[Conditional, tuple[Array, Array] | None] | None:
+) -> tuple[Conditional, tuple[Array, Array] | None, bool] | None:
     """The states given the slices after them, (T, runs, ...), and smoothed moments, if asked for.
 
-    None where the plan is not compiled, or a covariance is singular. `transition` and `slices` are
+    And whether these surely have the digits that are promised, in all runs. None where the plan is not compiled, or a covariance is singular. `transition` and `slices` are
     as of `Reverse`.
     """
     if not is_used(plan):
@@ -303,7 +302,7 @@ def backward(
     ended = _run(plan, ("back", *record), tell, owners, (*states, *(beliefs or ())))
     left = bool(ended[sweeps.LEFT].any())
     count(plan, [slice(0, plan.runs)] if left else [], _SINGULAR)
-    return None if left else (states, beliefs)
+    return None if left else (states, beliefs, bool(ended[sweeps.KEPT].all()))
 
 
 def _run(

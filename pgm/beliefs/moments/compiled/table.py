@@ -13,10 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pgm.beliefs.moments.compiled.called import Calls
-from pgm.beliefs.moments.compiled.memory import address
 from pgm.beliefs.moments.compiled.plans import Get, Integers64, Record, Table, readable
 from pgm.beliefs.moments.steps.plan import ChainPlan
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, address
 from pgm.kernels.machine.sweeps import told
 
 

@@ -299,12 +299,20 @@ def _fitting(found: Any, schedule: Schedule) -> ChainOutcome:
 
 def _suffices(posterior: ChainOutcome) -> bool:
     """Whether float64 has left enough digits; NumericalError where it has left no numbers."""
-    _refuse_infinite(posterior)
+    kept = _is_kept(posterior)
+    if not kept:
+        _refuse_infinite(posterior)
     smoothed = None if posterior._smoothed is None else posterior._smoothed.cov
     # Windows that slide have each been looked at.
     return bool(posterior._windows) or certificate.suffices(
-        posterior._planned, posterior._swept, smoothed
+        posterior._planned, posterior._swept, smoothed, kept=kept
     )
+
+
+def _is_kept(posterior: ChainOutcome) -> bool:
+    """Whether the sweep back has told that its beliefs have the digits that are promised."""
+    reverse = posterior._reverse_given
+    return reverse is not None and reverse.kept and reverse.beliefs is posterior._smoothed
 
 
 def _carefully(solver: Solver, plan: ChainPlan, given: Array | None) -> ChainOutcome:
@@ -329,13 +337,11 @@ def _told(posterior: ChainOutcome) -> ChainOutcome:
     lost = close_points.error(plan, swept)
     if lost is not None:
         status = status._losing(lost, CLOSE_POINTS)
-    lost = last_places.error(
-        plan,
-        swept,
-        posterior._smoothed,
-        careful=posterior._careful is not None,
-        measured=status.digits is not None,
-    )
+    measured = status.digits is not None
+    if not measured and not swept.far and _is_kept(posterior):
+        return posterior  # no mean is so far from zero
+    careful = posterior._careful is not None
+    lost = last_places.error(plan, swept, posterior._smoothed, careful=careful, measured=measured)
     if lost is not None:
         status = status._losing(lost, LAST_PLACE)
     return posterior if status is posterior.status else replace(posterior, status=status)
