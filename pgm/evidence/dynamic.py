@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -99,22 +99,26 @@ class BoundEvidence:
         """Number of runs."""
         return math.prod(self.lead)
 
-    def emptied(self) -> BoundEvidence:
-        """The layout with values of the same shapes that take no memory."""
+    def mapped(self, change: Callable[[Any], Any]) -> BoundEvidence:
+        """The layout with a function's values of all its arrays, of the same shapes."""
 
-        def blank(inputs: Inputs) -> Inputs:
-            return {v: np.broadcast_to(0.0, values.shape) for v, values in inputs.items()}
+        def inputs(own: Inputs) -> Inputs:
+            return {v: change(values) for v, values in own.items()}
 
         readings = tuple(
             replace(
                 each,
-                values=np.broadcast_to(each.values.dtype.type(0), each.values.shape),
-                taken=np.broadcast_to(True, each.taken.shape),
-                inputs=blank(each.inputs),
+                values=change(each.values),
+                taken=change(each.taken),
+                inputs=inputs(each.inputs),
             )
             for each in self.readings
         )
-        return replace(self, transition=tuple(map(blank, self.transition)), readings=readings)
+        return replace(self, transition=tuple(map(inputs, self.transition)), readings=readings)
+
+    def emptied(self) -> BoundEvidence:
+        """The layout with zeros that take no memory."""
+        return self.mapped(lambda array: np.broadcast_to(array.dtype.type(0), array.shape))
 
     def alike(self, other: BoundEvidence) -> bool:
         """Whether other evidence is laid out in the same way: all but its values is equal."""

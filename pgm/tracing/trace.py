@@ -142,6 +142,10 @@ class Tracer:
             self.trace, self._proven, self._calls = found, False, 0
         return True
 
+    def stands(self, trace: Program) -> bool:
+        """Whether a call would use this trace, and calls have often found it right."""
+        return self.trace is trace and self.often and not (self._stale or self._waits)
+
     def renew(self) -> None:
         """Have the function traced anew at its next use."""
         self._stale, self._waits = True, 0

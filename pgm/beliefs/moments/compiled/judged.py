@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -28,21 +28,34 @@ def judge(
     A transition is evaluated at the belief `known` from the measurements of the step before, a
     sensor at the `predicted` one, and `again`, in an iterated update, at the one that is known.
     """
-    layout, runs = plan.layout, None if done.all() else np.flatnonzero(done)
+    runs = None if done.all() else np.flatnonzero(done)
     alone = runs is None and plan.runs == 1
-    for link in plan.transition:
-        family = link.family
-        if family.compiled is not None and plan.steps:
-            at = _Points.of(family, plan.runs, runs)
-            _judge(family, at, _Pair(layout, link.parents, at, known, predicted), alone=alone)
+    moments = [(known, predicted)] if not again else [(known, predicted), (None, known)]
+    for each in moments:
+        for family, belief in evaluated(plan, *each, runs=runs):
+            _judge(family, belief, alone=alone)
+
+
+def evaluated(
+    plan: ChainPlan,
+    known: Moments | None,
+    predicted: Moments,
+    runs: Integers | None = None,
+) -> Iterator[tuple[Family, _Slice | _Pair]]:
+    """The families whose traces a sweep has evaluated, with the beliefs at which it did.
+
+    They are of `runs`, None for all. Without `known` beliefs they are the sensors alone.
+    """
+    for link in plan.transition if known is not None and plan.steps else ():
+        if link.family.compiled is not None:
+            assert known is not None
+            at = _Points.of(link.family, plan.runs, runs)
+            yield link.family, _Pair(plan.layout, link.parents, at, known, predicted)
     for sensor in plan.read:
         family = sensor.family
-        if family.compiled is None:
-            continue
-        at = _Points.of(family, plan.runs, runs)
-        step = family.step - plan.first
-        for moments in (predicted, known) if again else (predicted,):
-            _judge(family, at, _Slice(sensor.parents, at, moments, step), alone=alone)
+        if family.compiled is not None:
+            at = _Points.of(family, plan.runs, runs)
+            yield family, _Slice(sensor.parents, at, predicted, family.step - plan.first)
 
 
 def judge_at(plan: ChainPlan, mean: Array, std: Array) -> None:
@@ -197,8 +210,8 @@ def _picked(every: Places, places: Index) -> Places:
     return every[places] if isinstance(places, slice) else [every[k] for k in places.tolist()]
 
 
-def _is_cleared(family: Family, belief: _Slice | _Pair) -> bool:
-    """Whether machine code clears a trace of one run at once, where its points stand in memory."""
+def standing(family: Family, belief: _Slice | _Pair) -> Standing:
+    """The points at which a trace of one run was evaluated, where they stand in memory."""
     template, answers = family.template, family.compiled
     assert template is not None
     assert answers is not None
@@ -207,7 +220,7 @@ def _is_cleared(family: Family, belief: _Slice | _Pair) -> bool:
     order, every = in_order(count), list[tuple[int, int, int]]()
     for parent, place in zip(template.given, template.places, strict=True):
         if place is not None:
-            every += mean[place]
+            every += _picked(mean, place)
             continue
         values = family.inputs[parent]
         down, _, across = values.strides
@@ -215,20 +228,21 @@ def _is_cleared(family: Family, belief: _Slice | _Pair) -> bool:
         every += [(begin + k * across, down, order[1]) for k in range(values.shape[-1])]
     every += [variance[k] for k in answers.places]
     flat = [number for each in every for number in each]
-    return answers.clear(Standing(count, flat, True, (rows, order)))
+    return Standing(count, flat, True, (rows, order))
 
 
-def _judge(family: Family, at: _Points, belief: _Slice | _Pair, *, alone: bool) -> None:
+def _judge(family: Family, belief: _Slice | _Pair, *, alone: bool) -> None:
     template, rule, answers = family.template, family.lineariser, family.compiled
     assert template is not None
     assert answers is not None
     regressed = isinstance(rule, StatisticalRegression) and not isinstance(rule, Taylor)
     regressed = regressed and bool(family.hidden)
-    if alone and not regressed and answers.tracer.often and _is_cleared(family, belief):
-        return
+    if alone and not regressed and answers.tracer.often:
+        if answers.clear(standing(family, belief)):
+            return
     x = belief.mean
     known = [
-        None if place is not None else at.inputs(family.inputs[parent], family.shape[:2])
+        None if place is not None else belief.at.inputs(family.inputs[parent], family.shape[:2])
         for parent, place in zip(template.given, template.places, strict=True)
     ]
     spread = belief.cov if regressed else belief.std

@@ -25,8 +25,9 @@ from pgm.beliefs.moments.passes.forward import Filtered, Forward, Room
 from pgm.beliefs.moments.smoothers import fixed_lag, parallel, smoother
 from pgm.beliefs.moments.smoothers.fixed_lag import Lagged, Windows
 from pgm.beliefs.moments.solvers.balanced import BalancedOutcome
+from pgm.beliefs.moments.solvers.bound import bind, bound_to
 from pgm.beliefs.moments.steps import gate
-from pgm.beliefs.moments.steps.plan import ChainPlan
+from pgm.beliefs.moments.steps.plan import Blank, ChainPlan
 from pgm.compile import BalancedGraph, DynamicGraph, SliceLayout
 from pgm.display import titled
 from pgm.errors import EvidenceError, GraphError, ModelError, NumericalError
@@ -242,6 +243,11 @@ def run(
     if isinstance(schedule, FixedLag) and not schedule.lag and schedule.solver is None:
         require_known(schedule, "a filter, which a lag of 0 is")
         schedule = schedule.filtering
+    plain = start is None and room is None
+    blank = Blank.known(graph.layout, bound, lineariser) if plain else None
+    swept_before = bound_to(blank, graph, schedule, bound)
+    if swept_before is not None:
+        return swept_before
     solver = solver_of(graph, schedule)
     given = None if start is None else _start(graph.layout, bound, start)
     for judge in judged():
@@ -259,6 +265,7 @@ def run(
             if found is None:
                 found = _carefully(solver, plan, given)
     assert found is not None
+    bind(blank, schedule, found, bound)
     return found
 
 

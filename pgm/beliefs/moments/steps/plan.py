@@ -232,8 +232,7 @@ class ChainPlan:
         evidence.
         """
         layout, whole = graph.layout, prior and not first
-        fitting = (each for each in layout.plans if each.fits(bound, lineariser))
-        known = next(fitting, None) if whole else None
+        known = Blank.known(layout, bound, lineariser) if whole else None
         if known is not None:
             plan = known.renewed(bound)
         else:
@@ -310,13 +309,23 @@ class ChainPlan:
 class Blank:
     """A plan without evidence, of which plans for evidence of one form are made.
 
-    `plan` has evidence that takes no memory, and `bound` the evidence's layout. The `lineariser` is
-    as of `ChainPlan.make`.
+    `plan` has evidence that takes no memory, and so has `evidence`, whose layout is that of the
+    form. The `lineariser` is as of `ChainPlan.make`. `bound` has what was found for calls of some
+    kinds; see `solvers.bound`.
     """
 
     plan: ChainPlan
-    bound: BoundEvidence
+    evidence: BoundEvidence
     lineariser: Lineariser
+    bound: dict[Any, Any] = field(default_factory=dict)
+
+    @classmethod
+    def known(
+        cls, layout: SliceLayout, evidence: BoundEvidence, lineariser: Lineariser
+    ) -> Blank | None:
+        """The blank plan that a layout has kept for evidence of this form, if there is one."""
+        fitting = (each for each in layout.plans if each.fits(evidence, lineariser))
+        return next(fitting, None)
 
     @classmethod
     def of(cls, plan: ChainPlan, bound: BoundEvidence, lineariser: Lineariser) -> Blank:
@@ -333,7 +342,7 @@ class Blank:
         """Whether evidence is of this form, and to be linearised in the same way."""
         rule = self.lineariser
         alike = rule is lineariser or (isinstance(rule, StatisticalRegression) and rule == lineariser)
-        return alike and self.bound.alike(bound)
+        return alike and self.evidence.alike(bound)
 
     def renewed(self, bound: BoundEvidence) -> ChainPlan:
         """The plan for evidence of this form."""
