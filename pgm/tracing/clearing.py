@@ -58,8 +58,8 @@ class Standing(NamedTuple):
 
     Attributes
     ----------
-    count : int
-        k, the number of points.
+    number : int
+        k of them.
     places : sequence of int
         Three for each component of the arguments side by side, and then for each column of the
         derivative, of its deviation: the address of the component's numbers, how many floats they
@@ -70,8 +70,8 @@ class Standing(NamedTuple):
         What owns that memory.
     """
 
-    count: int
-    places: Sequence[int]
+    number: int
+    places: Sequence[int] | npt.NDArray[np.int64]
     squared: bool
     kept: object
 
@@ -123,7 +123,7 @@ class Clearing:
 
     def clears(self, points: Standing) -> bool:
         """Whether all is surely right at points."""
-        count, size = points.count, len(self.columns)
+        count, size = points.number, len(self.columns)
         even = min(EVEN, count) if self.differs else 0
         every = count * (1 + self.beside)
         rows = every + len(SCALES) * even * self.moves * 4

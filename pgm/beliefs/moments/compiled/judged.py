@@ -10,7 +10,16 @@ import numpy as np
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.compile import SliceLayout
 from pgm.kernels import roots
-from pgm.kernels.arrays import Array, Index, Integers, Mask, address, block, times_transposed, variances
+from pgm.kernels.arrays import (
+    Array,
+    Index,
+    Integers,
+    Mask,
+    address,
+    block,
+    times_transposed,
+    variances,
+)
 from pgm.linearisation.family import Family
 from pgm.linearisers import Taylor
 from pgm.linearisers.regression import StatisticalRegression
@@ -237,9 +246,9 @@ def _judge(family: Family, belief: _Slice | _Pair, *, alone: bool) -> None:
     assert answers is not None
     regressed = isinstance(rule, StatisticalRegression) and not isinstance(rule, Taylor)
     regressed = regressed and bool(family.hidden)
-    if alone and not regressed and answers.tracer.often:
-        if answers.clear(standing(family, belief)):
-            return
+    ready = alone and not regressed and answers.tracer.often
+    if ready and answers.clear(standing(family, belief)):
+        return
     x = belief.mean
     known = [
         None if place is not None else belief.at.inputs(family.inputs[parent], family.shape[:2])

@@ -263,8 +263,9 @@ def backward(
 ) -> tuple[Conditional, tuple[Array, Array] | None, bool] | None:
     """The states given the slices after them, (T, runs, ...), and smoothed moments, if asked for.
 
-    And whether these surely have the digits that are promised, in all runs. None where the plan is not compiled, or a covariance is singular. `transition` and `slices` are
-    as of `Reverse`.
+    Third is whether smoothed moments surely have the digits that are promised, in all runs. None
+    where the plan is not compiled, or a covariance is singular. `transition` and `slices` are as of
+    `Reverse`.
     """
     if not is_used(plan):
         return None

@@ -38,7 +38,8 @@ from pgm.schedules.schedule import Filtering, Schedule, Smoothing
 from pgm.tracing import Program, Tracer
 from pgm.tracing.clearing import Clearing, Standing
 
-
+# Means and covariances.
+Pair = tuple[Array, ...]
 # Names of arrays, with the numbers of their owners.
 Owned = list[tuple[int, Named]]
 
@@ -77,7 +78,10 @@ class _Room:
         self.reversed = [self._take(plan.steps, each) for each in own] if back else []
         # By the number of a family its slopes and offsets, by that of a sensor its moved readings.
         self.lines = {
-            k: (self._take(each.shape[0], each.shape[2:]), self._take(each.shape[0], each.shape[2:3]))
+            k: (
+                self._take(each.shape[0], each.shape[2:]),
+                self._take(each.shape[0], each.shape[2:3]),
+            )
             for k, each in enumerate(plan.families)
             if not each.exact and each.step.size
         }
@@ -247,10 +251,13 @@ class Bound:
         """What each of the sweeps tells of its end."""
         return [each.of(blocks) for each in self._room.ended]
 
-    def _moments(self, blocks: Sequence[Array]) -> tuple[list[Array], list[Array]]:
+    def _moments(self, blocks: Sequence[Array]) -> tuple[Pair, Pair]:
         """The known and the predicted means and covariances."""
-        room = self._room
-        return [each.of(blocks) for each in room.known], [each.of(blocks) for each in room.predicted]
+        known, predicted = (
+            tuple(each.of(blocks) for each in views)
+            for views in (self._room.known, self._room.predicted)
+        )
+        return known, predicted
 
     def _tabled(self, plan: ChainPlan, owners: list[Any]) -> tuple[list[int], Owned]:
         """The table of the sweep forward, and the names of its arrays."""
@@ -274,8 +281,9 @@ class Bound:
         return table.numbers
 
     def _forward(self, blocks: Sequence[Array], closest: float = 0.0) -> Forward:
-        known, predicted = self._moments(blocks)
-        return Forward(*predicted, *known, self._room.density.of(blocks), closest, False)
+        (mean, cov), predicted = self._moments(blocks)
+        density = self._room.density.of(blocks)
+        return Forward(*predicted, mean, cov, density, closest, far=False)
 
     def _reversed(self, blocks: Sequence[Array]) -> tuple[Conditional, Beliefs]:
         states = Conditional(*(each.of(blocks) for each in self._room.reversed))

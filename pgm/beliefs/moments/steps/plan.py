@@ -35,7 +35,6 @@ from pgm.linearisers import Lineariser, StatisticalRegression
 from pgm.schedules.argument_checks import require_plain
 from pgm.tracing import Judge
 
-
 # Blank plans of so many forms of evidence are kept.
 _PLANS = 8
 
@@ -305,6 +304,7 @@ class ChainPlan:
         sensors = [sensor(reading) for reading in bound.readings]
         return cls(layout, bound.steps, lead, links, transition, sensors, first)
 
+
 @dataclass(frozen=True, eq=False)
 class Blank:
     """A plan without evidence, of which plans for evidence of one form are made.
@@ -334,14 +334,20 @@ class Blank:
         def links(every: list[Link]) -> list[Link]:
             return [link.with_family(link.family.emptied()) for link in every]
 
-        sensors = [sensor.emptied() for sensor in plan.sensors]
-        parts = {"prior": links(plan.prior), "transition": links(plan.transition)}
-        return cls(replace(plan, **parts, sensors=sensors), bound.emptied(), lineariser)
+        plan = replace(
+            plan,
+            prior=links(plan.prior),
+            transition=links(plan.transition),
+            sensors=[sensor.emptied() for sensor in plan.sensors],
+        )
+        return cls(plan, bound.emptied(), lineariser)
 
     def fits(self, bound: BoundEvidence, lineariser: Lineariser) -> bool:
         """Whether evidence is of this form, and to be linearised in the same way."""
         rule = self.lineariser
-        alike = rule is lineariser or (isinstance(rule, StatisticalRegression) and rule == lineariser)
+        alike = rule is lineariser or (
+            isinstance(rule, StatisticalRegression) and rule == lineariser
+        )
         return alike and self.evidence.alike(bound)
 
     def renewed(self, bound: BoundEvidence) -> ChainPlan:

@@ -158,7 +158,10 @@ def _backward(w: Writer, chain: Backward) -> None:
             for array, part in zip(chain.smoothed, moments, strict=True):
                 w.keep(array, part, at)
             if judged:
-                own, after = (w.symmetric(each[1], at + k) for k, each in enumerate((chain.known, chain.predicted)))
+                own, after = (
+                    w.symmetric(each[1], at + k)
+                    for k, each in enumerate((chain.known, chain.predicted))
+                )
                 total = w.sum([abs(x) for each in (own, after, *moments) for x in _entries(each)])
                 fine = (total < _LARGEST) & rounding.counts_not(own, after, moments[1])
                 kept.set(kept.get() & fine & ~is_far(*moments))
