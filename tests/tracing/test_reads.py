@@ -8,7 +8,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from numpy.random import normal
 
 import pgm
 from pgm.tracing import Tracer
@@ -67,7 +66,7 @@ marked.rate = 0.5
         lambda a: a + box[0],
         lambda a: a + names.rate,
         lambda a: a + random.random(),
-        lambda a: a + normal(),
+        lambda a: a + np.random.default_rng(0).normal() * names.rate,
         lambda a: a + Motion.rate,
         lambda a: a + eval("rate"),
         lambda a: a + globals()["rate"],

@@ -38,8 +38,8 @@ from pgm.schedules.schedule import Filtering, Schedule, Smoothing
 from pgm.tracing import Program, Tracer
 from pgm.tracing.clearing import Clearing, Standing
 
-# Means and covariances.
-Pair = tuple[Array, ...]
+# A mean and a covariance of each step.
+Pair = tuple[Array, Array]
 # Names of arrays, with the numbers of their owners.
 Owned = list[tuple[int, Named]]
 
@@ -253,11 +253,10 @@ class Bound:
 
     def _moments(self, blocks: Sequence[Array]) -> tuple[Pair, Pair]:
         """The known and the predicted means and covariances."""
-        known, predicted = (
-            tuple(each.of(blocks) for each in views)
-            for views in (self._room.known, self._room.predicted)
+        mean, cov, *predicted = (
+            each.of(blocks) for each in (*self._room.known, *self._room.predicted)
         )
-        return known, predicted
+        return (mean, cov), (predicted[0], predicted[1])
 
     def _tabled(self, plan: ChainPlan, owners: list[Any]) -> tuple[list[int], Owned]:
         """The table of the sweep forward, and the names of its arrays."""
@@ -281,9 +280,9 @@ class Bound:
         return table.numbers
 
     def _forward(self, blocks: Sequence[Array], closest: float = 0.0) -> Forward:
-        (mean, cov), predicted = self._moments(blocks)
+        known, (mean, cov) = self._moments(blocks)
         density = self._room.density.of(blocks)
-        return Forward(*predicted, mean, cov, density, closest, far=False)
+        return Forward(mean, cov, *known, density, closest, far=False)
 
     def _reversed(self, blocks: Sequence[Array]) -> tuple[Conditional, Beliefs]:
         states = Conditional(*(each.of(blocks) for each in self._room.reversed))
