@@ -85,7 +85,8 @@ class BoundEvidence:
     """Evidence laid out by step; inside, the leading axes, of runs, are flattened to one.
 
     For each transition CPD it has the values of observed parents, (T, runs or 1, d), row k being of
-    step k + 1. Messages count runs from `first_run`, where these are a part of more.
+    step k + 1. Messages count runs from `first_run`, where these are a part of more. All evidence
+    that has the same `form`, if it has any, is laid out in the same way.
     """
 
     steps: int
@@ -93,6 +94,7 @@ class BoundEvidence:
     transition: tuple[Inputs, ...]
     readings: tuple[Reading, ...]
     first_run: int = 0
+    form: object = None
 
     @property
     def runs(self) -> int:

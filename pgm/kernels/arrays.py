@@ -10,8 +10,7 @@ last: vectors (n, *batch) and matrices (m, n, *batch).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from ctypes import addressof, c_char
 from functools import lru_cache
 from typing import Any, TypeVar
@@ -305,11 +304,9 @@ def cut(array: npt.NDArray[Kind], runs: slice, axis: int = 1) -> npt.NDArray[Kin
     return array if array.shape[axis] == 1 else array[(slice(None),) * axis + (runs,)]
 
 
-@contextmanager
-def quiet() -> Iterator[None]:
+def quiet() -> np.errstate:
     """A context in which overflow and undefined results become infinity or NaN, with no warning."""
-    with np.errstate(all="ignore"):
-        yield
+    return np.errstate(all="ignore")
 
 
 def may_hold(mask: Mask) -> bool:

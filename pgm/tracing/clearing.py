@@ -136,9 +136,8 @@ class Clearing:
             count * size * self.beside,
         )
         room = np.empty(sum(lengths) + 1)
-        told, slope, moves, spread = (
-            address(room) + 8 * first for first in accumulate((0, *lengths[:-1]))
-        )
+        begin = address(room)
+        told, slope, moves, spread = (begin + 8 * first for first in accumulate((0, *lengths[:-1])))
         shared = _shares(count, size)
         before, after = self._code
         own = address(asked), told, slope, moves, spread, address(places), shared[1]

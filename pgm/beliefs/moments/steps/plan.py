@@ -311,13 +311,14 @@ class Blank:
 
     `plan` has evidence that takes no memory, and so has `evidence`, whose layout is that of the
     form. The `lineariser` is as of `ChainPlan.make`. `bound` has what was found for calls of some
-    kinds; see `solvers.bound`.
+    kinds; see `solvers.bound`. `forms` are some that evidence has had; see `BoundEvidence`.
     """
 
     plan: ChainPlan
     evidence: BoundEvidence
     lineariser: Lineariser
     bound: dict[Any, Any] = field(default_factory=dict)
+    forms: list[object] = field(default_factory=list)
 
     @classmethod
     def known(
@@ -345,10 +346,17 @@ class Blank:
     def fits(self, bound: BoundEvidence, lineariser: Lineariser) -> bool:
         """Whether evidence is of this form, and to be linearised in the same way."""
         rule = self.lineariser
-        alike = rule is lineariser or (
-            isinstance(rule, StatisticalRegression) and rule == lineariser
-        )
-        return alike and self.evidence.alike(bound)
+        if not (
+            rule is lineariser or (isinstance(rule, StatisticalRegression) and rule == lineariser)
+        ):
+            return False
+        form = bound.form
+        if form is not None and any(form is each for each in self.forms):
+            return True
+        alike = self.evidence.alike(bound)
+        if alike and form is not None and len(self.forms) < _PLANS:
+            self.forms.append(form)
+        return alike
 
     def renewed(self, bound: BoundEvidence) -> ChainPlan:
         """The plan for evidence of this form."""
