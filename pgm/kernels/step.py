@@ -77,6 +77,21 @@ def update(
     return given(mean, cov, matrix, residual, noise, root, gain(root, cross))
 
 
+class Innovation(NamedTuple):
+    """How likely a measurement is: `square`, `volume` and `share` as of `Updated`."""
+
+    square: Number
+    volume: Number
+    share: Number
+
+
+def innovation(residual: AnyMatrix, spread: AnyMatrix) -> Innovation:
+    """How likely a measurement of this residual is, S being `spread`; no belief takes it in."""
+    root = spread.root()
+    white = root.solve(residual)
+    return Innovation((white.T @ white)[0, 0], root.volume, root.share)
+
+
 def gain(root: Any, cross: AnyMatrix) -> AnyMatrix:
     """The gain Cᵀ S⁻¹, for C = `cross`, H P or F P, and the root of S."""
     return root.solve_transposed(root.solve(cross)).T

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pgm.beliefs.moments.steps.open_sensor import OpenSensor
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.compile import SliceLayout
 from pgm.kernels import roots
@@ -35,7 +36,8 @@ def judge(
     """Judge the traces of a plan at the beliefs of its sweep, in runs that are done.
 
     A transition is evaluated at the belief `known` from the measurements of the step before, a
-    sensor at the `predicted` one, and `again`, in an iterated update, at the one that is known.
+    sensor at the `predicted` one, or at that which is kept where its sightings are open, and
+    `again`, in an iterated update, at the one that is known.
     """
     runs = None if done.all() else np.flatnonzero(done)
     alone = runs is None and plan.runs == 1
@@ -64,7 +66,10 @@ def evaluated(
         family = sensor.family
         if family.compiled is not None:
             at = _Points.of(family, plan.runs, runs)
-            yield family, _Slice(sensor.parents, at, predicted, family.step - plan.first)
+            # Those that are open are linearised first at beliefs that are kept.
+            first = known is not None and isinstance(sensor, OpenSensor)
+            moments = sensor.point if first else predicted
+            yield family, _Slice(sensor.parents, at, moments, family.step - plan.first)
 
 
 def judge_at(plan: ChainPlan, mean: Array, std: Array) -> None:

@@ -110,7 +110,13 @@ def _decided(part: Reading) -> Decided:
     the decisions is sighting ``order[k]`` of the evidence.
     """
     assert part.gated is not None
-    rejected, square = (each.reshape(len(each), -1) for each in part.gated)
-    nothing = np.ones((0, 0, 0), dtype=bool)
-    record = GateRecord(part.gate, nothing, rejected.astype(bool), square.astype(float))
-    return part.sensor.variable, record, part.sensor.order
+    return decided(part.sensor.variable, part.gate, *part.gated, part.sensor.order)
+
+
+def decided(
+    variable: Variable, gate: float, rejected: Mask, square: Array, order: Integers
+) -> Decided:
+    """The decisions (M, *batch) of a sensor's gate, whose probability is `gate`, as a record."""
+    shape, nothing = (len(order), -1), np.ones((0, 0, 0), dtype=bool)
+    masks, squares = rejected.reshape(shape).astype(bool), square.reshape(shape).astype(float)
+    return variable, GateRecord(gate, nothing, masks, squares), order

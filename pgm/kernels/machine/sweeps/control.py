@@ -129,20 +129,11 @@ class Control:
         first, share = self._prior.square(x)
         total, sure = held(code, first), code.variable(self._w.true & (share > _TOLD_APART))
         for sensor in self._chain.sensors:
-            if sensor.bounds is None:
-                self._add(sensor, self._at, x, cov, total, sure)
-                continue
-            begin, end = self._w.sightings(sensor, self._at)
-            with code.loop(end, begin) as row:
-                self._add(sensor, row, x, cov, total, sure)
+            with self._w.each_sighting(sensor, self._at) as row:
+                square, certain = cost(self._w, sensor, row, x, cov)
+                total.set(total.get() + square)
+                sure.set(sure.get() & certain)
         return total.get(), sure.get()
-
-    def _add(
-        self, sensor: Sensor, row: Whole, x: Matrix, cov: Matrix, total: Any, sure: Any
-    ) -> None:
-        square, certain = cost(self._w, sensor, row, x, cov)
-        total.set(total.get() + square)
-        sure.set(sure.get() & certain)
 
 
 class _Prior:

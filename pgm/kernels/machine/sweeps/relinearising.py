@@ -88,11 +88,7 @@ def read(w: Writer, chain: Steps, at: Whole, beliefs: Beliefs, row: Whole) -> Nu
     for sensor in chain.sensors:
         if sensor.function is None and sensor.loss is None and sensor.moved is None:
             continue
-        if sensor.bounds is None:
-            sure.set(sure.get() & _read(w, sensor, at, mean, cov))
-            continue
-        first, last = w.sightings(sensor, at)
-        with w.code.loop(last, first) as sighting, w.matrices.scratch():
+        with w.each_sighting(sensor, at) as sighting:
             sure.set(sure.get() & _read(w, sensor, sighting, mean, cov))
     return sure.get()
 
