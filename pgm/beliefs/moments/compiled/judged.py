@@ -67,8 +67,9 @@ def evaluated(
         if family.compiled is not None:
             at = _Points.of(family, plan.runs, runs)
             # Those that are open are linearised first at beliefs that are kept.
-            first = known is not None and isinstance(sensor, OpenSensor)
-            moments = sensor.point if first else predicted
+            moments = predicted
+            if known is not None and isinstance(sensor, OpenSensor):
+                moments = sensor.point
             yield family, _Slice(sensor.parents, at, moments, family.step - plan.first)
 
 
