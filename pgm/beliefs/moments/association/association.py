@@ -51,7 +51,7 @@ from pgm.compile import DynamicGraph
 from pgm.errors import EvidenceError, NumericalError, PgmError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.evidence.values import JOINT, SUM
-from pgm.kernels import mahalanobis, roots, solving
+from pgm.kernels import mahalanobis, moments, roots, solving
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, quiet, vacant
 from pgm.kernels.semirings import log_sum
 from pgm.linearisers import Lineariser
@@ -479,7 +479,7 @@ def _innovations(
     noises = np.broadcast_to(
         noise.reshape(height, height, -1).transpose(2, 0, 1), (every, height, height)
     )
-    innovation = noises + wide @ covs[of] @ wide.mT
+    innovation = moments.predict(covs[of], wide, noises)
     lower = roots.root(innovation)
     if not roots.is_proper(lower) or roots.determined(lower).any():
         raise NumericalError(

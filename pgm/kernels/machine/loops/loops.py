@@ -27,7 +27,6 @@ class Loops:
     def __init__(self, code: Code, frame: Frame) -> None:
         self.code, self._frame = code, frame
         self._space = Space(code, frame, Layout.of(code.lanes))
-        self._functions: dict[Function, int] = {}
 
     # From arrays and to them
 
@@ -102,7 +101,7 @@ class Loops:
         return found.T
 
     def above(self, one: Stored, other: Stored) -> Stored:
-        """A vector, and below it another."""
+        """A matrix, and below it another."""
         return one.above(other)
 
     def shifted(self, matrix: Stored, vector: Stored) -> Stored:
@@ -183,7 +182,7 @@ class Loops:
 
     def _apply(self, function: Function, at: Stored, inputs: Inputs, *out: Stored) -> None:
         """Write the value, and the slope, if there is room for one, of a function."""
-        number = self._functions.setdefault(function, len(self._functions))
+        number = self.code.module.number("function", function)
         memories = list({id(cells): cells for cells, _ in inputs.values()}.values())
         told = " ".join(map(lie, memories))
         given = [value for cells in memories for value in place(cells)]

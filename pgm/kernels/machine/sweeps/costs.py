@@ -11,7 +11,7 @@ from pgm.kernels import step
 from pgm.kernels.machine.emitter.numbers import Number
 from pgm.kernels.machine.emitter.wholes import Whole
 from pgm.kernels.machine.sweeps.control import cost, expected
-from pgm.kernels.machine.sweeps.cpd import REGULAR
+from pgm.kernels.machine.sweeps.cpd import REGULAR, on_branch
 from pgm.kernels.machine.sweeps.relinearising import Beliefs, pair_at
 from pgm.kernels.machine.sweeps.told import Linearised, Motion
 from pgm.kernels.machine.sweeps.writer import Writer
@@ -45,7 +45,6 @@ def _moved(
 ) -> tuple[Any, Number]:
     """The cost of a CPD of a transition at a row, and whether it is right, so far as is told."""
     value, sure = expected(w, motion, at, x, cov)
-    near = {k: step.nearest(child[k, 0], value[k, 0]) for k in motion.angles}
     noise = w.symmetric(motion.kept or motion.noise, at)
-    square = step.weighed_square(w.matrices.replaced(child, near) - value, noise)
+    square = step.weighed_square(on_branch(w, child, value, motion.angles) - value, noise)
     return square, sure & (noise.root().share > REGULAR)

@@ -92,8 +92,8 @@ class Lines:
         return Matrix(rows, matrix.width)
 
     def above(self, one: Matrix, other: Matrix) -> Matrix:
-        """A vector, and below it another."""
-        return Matrix([*one.rows, *other.rows], 1)
+        """A matrix, and below it another."""
+        return Matrix([*one.rows, *other.rows], one.width)
 
     def shifted(self, matrix: Matrix, vector: Matrix) -> Matrix:
         """The matrix with a vector added to each of its rows."""

@@ -14,7 +14,7 @@ from pgm.kernels.gaussian import NEARLY_SINGULAR
 from pgm.kernels.machine.emitter.numbers import Number
 from pgm.kernels.machine.emitter.wholes import Whole
 from pgm.kernels.machine.sweeps.control import Anchor, Control, Solve, tried
-from pgm.kernels.machine.sweeps.cpd import REGULAR, Line, keep, linearised
+from pgm.kernels.machine.sweeps.cpd import REGULAR, Line, keep, linearised, readings
 from pgm.kernels.machine.sweeps.matrices import Belief
 from pgm.kernels.machine.sweeps.outliers import REWEIGHINGS, Weighing, gated, kept_surplus, surplus
 from pgm.kernels.machine.sweeps.settling import Settling, moved
@@ -381,10 +381,7 @@ class Sighting(NamedTuple):
         about, of = point.about.part(parents, parents), at if row is None else row
         line = linearised(w, sensor, of, x, about, again)
         keep(w, sensor, at, x, line)
-        values = w.column(sensor.readings, at)
-        near = {k: step.nearest(values[k, 0], line.value[k, 0]) for k in sensor.angles}
-        values = m.replaced(values, near)
-        w.keep(sensor.moved, values, at)
+        values = readings(w, sensor, at, line.value)
         left, matrix = values - line.value, m.widened(line.matrix, parents, point.at.shape[0])
         if not sensor.missing:
             return cls(line, left, matrix, line.own, line.error, float(sensor.height))
