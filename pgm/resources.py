@@ -36,6 +36,10 @@ def retain() -> None:
     np.empty(_SIZE, dtype=np.uint8)
 
 
+# So many doubles are a megabyte.
+_FEW = 2**17
+
+
 def most_memory() -> int:
     """Bytes that arrays may take: the machine's memory, or the process's share."""
     try:
@@ -60,6 +64,8 @@ def require_memory(
 
     `what` names the arrays in the message, `advice` the way out; `where` are the objects concerned.
     """
+    if entries < _FEW:  # which every machine holds
+        return
     limit = most_memory()
     if entries * NUMBER > limit:
         raise error(

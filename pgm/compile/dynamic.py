@@ -13,7 +13,7 @@ import numpy as np
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.clustergraph.cluster import Edge
 from pgm.compile.machine import Choice, Compilation
-from pgm.cpds import CPD, NonlinearGaussianCPD
+from pgm.cpds import CPD, AffineCPD, NonlinearGaussianCPD
 from pgm.display import InCode
 from pgm.errors import GraphError
 from pgm.factors.scope import Scope, dimension, positions
@@ -117,6 +117,20 @@ class SliceLayout:
     def told(self) -> dict[Any, Any]:
         """Sweeps in machine code of the forms of plans that there were, with their tables."""
         return {}
+
+    @cached_property
+    def plans(self) -> list[Any]:
+        """Plans without evidence, of the forms of evidence that there were last."""
+        return []
+
+    @cached_property
+    def prior_means(self) -> dict[Variable, Array]:
+        """The means of the states of affine priors, of the first run, (d,)."""
+        return {
+            cpd.child: cpd.offset.reshape(-1, cpd.child.dimension)[0]
+            for cpd in self.model.prior
+            if isinstance(cpd, AffineCPD)
+        }
 
     @cached_property
     def begun(self) -> list[tuple[Array, Array]]:

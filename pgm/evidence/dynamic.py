@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -55,13 +55,38 @@ class Reading:
     inputs: Inputs
     unknown: tuple[Variable, Unknown] | None = None
 
+    def alike(self, other: Reading) -> bool:
+        """Whether other measurements are laid out in the same way: all but values is equal."""
+        return (
+            self.cpd is other.cpd
+            and self.unknown is None is other.unknown
+            and self.values.shape == other.values.shape
+            and self.taken.shape == other.taken.shape
+            and _same(self.step, other.step)
+            and _same(self.order, other.order)
+            and _same_shapes(self.inputs, other.inputs)
+        )
+
+
+def _same(one: Integers, other: Integers) -> bool:
+    return one is other or np.array_equal(one, other)
+
+
+def _same_shapes(one: Inputs, other: Inputs) -> bool:
+    """Whether values of the same variables, in the same order, have the same shapes."""
+    return len(one) == len(other) and all(
+        a == b and x.shape == y.shape
+        for (a, x), (b, y) in zip(one.items(), other.items(), strict=True)
+    )
+
 
 @dataclass(frozen=True, eq=False)
 class BoundEvidence:
     """Evidence laid out by step; inside, the leading axes, of runs, are flattened to one.
 
     For each transition CPD it has the values of observed parents, (T, runs or 1, d), row k being of
-    step k + 1. Messages count runs from `first_run`, where these are a part of more.
+    step k + 1. Messages count runs from `first_run`, where these are a part of more. All evidence
+    that has the same `form`, if it has any, is laid out in the same way.
     """
 
     steps: int
@@ -69,11 +94,43 @@ class BoundEvidence:
     transition: tuple[Inputs, ...]
     readings: tuple[Reading, ...]
     first_run: int = 0
+    form: object = None
 
     @property
     def runs(self) -> int:
         """Number of runs."""
         return math.prod(self.lead)
+
+    def mapped(self, change: Callable[[Any], Any]) -> BoundEvidence:
+        """The layout with a function's values of all its arrays, of the same shapes."""
+
+        def inputs(own: Inputs) -> Inputs:
+            return {v: change(values) for v, values in own.items()}
+
+        readings = tuple(
+            replace(
+                each,
+                values=change(each.values),
+                taken=change(each.taken),
+                inputs=inputs(each.inputs),
+            )
+            for each in self.readings
+        )
+        return replace(self, transition=tuple(map(inputs, self.transition)), readings=readings)
+
+    def emptied(self) -> BoundEvidence:
+        """The layout with zeros that take no memory."""
+        return self.mapped(lambda array: np.broadcast_to(array.dtype.type(0), array.shape))
+
+    def alike(self, other: BoundEvidence) -> bool:
+        """Whether other evidence is laid out in the same way: all but its values is equal."""
+        if self.steps != other.steps or self.lead != other.lead:
+            return False
+        if self.first_run != other.first_run or len(self.readings) != len(other.readings):
+            return False
+        return all(map(_same_shapes, self.transition, other.transition)) and all(
+            one.alike(another) for one, another in zip(self.readings, other.readings, strict=True)
+        )
 
 
 # About so many numbers are turned round at a time: they stay in the cache.

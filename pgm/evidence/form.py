@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from pgm.errors import EvidenceError
 from pgm.evidence.dynamic import BoundEvidence, Reading, by_row
 from pgm.evidence.rows import Rows, complete, rows_of, taken_of
 from pgm.evidence.values import Constant, Evidence, Sightings
-from pgm.kernels.arrays import Integers
+from pgm.kernels.arrays import Integers, Mask
 from pgm.variables import Variable
 
 # A variable with values of its own, or a sensor with sightings and itself, or a parent given there.
@@ -78,7 +79,15 @@ class Form:
             {v: self._input(rows, v, v, None) for v in inputs} for inputs in bound.transition
         )
         readings = tuple(self._reading(reading, rows) for reading in bound.readings)
-        return replace(bound, transition=transition, readings=readings)
+        return BoundEvidence(
+            bound.steps, bound.lead, transition, readings, bound.first_run, bound.readings
+        )
+
+    @cached_property
+    def _sorted(self) -> frozenset[Variable]:
+        """The sensors whose sightings were given in the order of their steps."""
+        every = [(reading.cpd.child, reading.order) for reading in self.bound.readings]
+        return frozenset(child for child, order in every if (order[1:] > order[:-1]).all())
 
     def _checked(self, key: Key, value: Any) -> Rows:
         """Values of the shape that is due, (..., rows, d); of a constant (..., d)."""
@@ -102,21 +111,21 @@ class Form:
     def _reading(self, reading: Reading, rows: Mapping[Key, Rows]) -> Reading:
         """The measurements of a sensor."""
         sensor, step, lead = reading.cpd.child, reading.step, self.bound.lead
-        values = (
-            rows[sensor, sensor][..., reading.order, :] if sensor in self.steps else rows[sensor]
-        )
+        values = rows[sensor, sensor] if sensor in self.steps else rows[sensor]
+        if sensor in self.steps and sensor not in self._sorted:
+            values = values[..., reading.order, :]
         taken = taken_of(sensor, values, step, 1)
         if taken is None:
-            taken = np.ones(values.shape[-2:], dtype=bool)
+            taken = _all(values.shape[-2:])
         else:
             values = np.where(taken, values, 0.0)
+            taken = by_row(taken, lead)
         inputs = {}
         for v in reading.inputs:
             key = (sensor, v) if (sensor, v) in rows else v
             inputs[v] = self._input(rows, key, v, reading)
-        return replace(
-            reading, values=by_row(values, lead), taken=by_row(taken, lead), inputs=inputs
-        )
+        order, unknown = reading.order, reading.unknown
+        return Reading(reading.cpd, step, order, by_row(values, lead), taken, inputs, unknown)
 
     def _input(
         self, rows: Mapping[Key, Rows], key: Key, variable: Variable, reading: Reading | None
@@ -129,7 +138,10 @@ class Form:
             return by_row(np.broadcast_to(found, (*found.shape[:-2], count, found.shape[-1])), lead)
         found = complete(variable, found)
         if reading is not None and reading.cpd.child in self.steps:
-            found = found[..., reading.order if isinstance(key, tuple) else reading.step - 1, :]
+            if not isinstance(key, tuple):
+                found = found[..., reading.step - 1, :]
+            elif reading.cpd.child not in self._sorted:
+                found = found[..., reading.order, :]
         return by_row(found, lead)
 
     def _other(self, given: Mapping[Key, Any]) -> EvidenceError:
@@ -159,6 +171,12 @@ def _rows(key: Key, value: Any, *, constant: bool) -> Rows:
     if type(value) is np.ndarray and value.dtype is _FLOATS and value.ndim > 1:
         return value
     return rows_of(variable, value, None if constant else axis)
+
+
+@lru_cache(maxsize=64)
+def _all(shape: tuple[int, ...]) -> Mask:
+    """The mask of measurements of one run that are all taken, (rows, 1, d)."""
+    return by_row(np.ones(shape, dtype=bool), ())
 
 
 def _name(key: Key) -> str:

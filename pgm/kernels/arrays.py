@@ -10,9 +10,10 @@ last: vectors (n, *batch) and matrices (m, n, *batch).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from typing import TypeVar
+from collections.abc import Sequence
+from ctypes import addressof, c_char
+from functools import lru_cache
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -38,22 +39,30 @@ def stacked(lead: tuple[int, ...], shape: tuple[int, ...]) -> Array:
     Kernels go along contiguous rows of runs; element-wise results and `multiply` keep that layout.
     """
     *before, runs = lead
-    return _last_to(np.zeros((*before, *shape, runs)), len(before))
+    return np.zeros((*before, *shape, runs)).transpose(_order(len(before), len(shape)))
 
 
 def vacant(lead: tuple[int, ...], shape: tuple[int, ...]) -> Array:
     """An uninitialised array (*lead, *shape), in memory with the last axis of `lead` fastest."""
     *before, runs = lead
-    return _last_to(np.empty((*before, *shape, runs)), len(before))
+    return np.empty((*before, *shape, runs)).transpose(_order(len(before), len(shape)))
 
 
-def _last_to(memory: Array, place: int) -> Array:
-    """A view of the array `memory` with its last axis moved to the place `place`.
+@lru_cache(maxsize=64)
+def _order(before: int, own: int) -> tuple[int, ...]:
+    """The axes of an array whose last one is moved behind its first `before`, `own` being between.
 
-    It is made ten times as fast as by `moveaxis`.
+    With them `transpose` takes a tenth of the time of `moveaxis`.
     """
-    last = memory.ndim - 1
-    return memory.transpose(*range(place), last, *range(place, last))
+    return (*range(before), before + own, *range(before, before + own))
+
+
+def address(array: npt.NDArray[Any]) -> int:
+    """Where an array's memory begins, for machine code."""
+    if array.flags.carray and array.size:  # which takes a fifth of the time
+        return addressof(c_char.from_buffer(array.data))
+    found: int = array.__array_interface__["data"][0]
+    return found
 
 
 def components_last(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
@@ -285,11 +294,9 @@ def cut(array: npt.NDArray[Kind], runs: slice, axis: int = 1) -> npt.NDArray[Kin
     return array if array.shape[axis] == 1 else array[(slice(None),) * axis + (runs,)]
 
 
-@contextmanager
-def quiet() -> Iterator[None]:
+def quiet() -> np.errstate:
     """A context in which overflow and undefined results become infinity or NaN, with no warning."""
-    with np.errstate(all="ignore"):
-        yield
+    return np.errstate(all="ignore")
 
 
 def may_hold(mask: Mask) -> bool:

@@ -152,6 +152,30 @@ class Family(Rows):
         """
         return vacant(self.shape[:2], self.shape[2:3])
 
+    def emptied(self) -> Family:
+        """The family with evidence of the same shape that takes no memory, to be `renewed`."""
+        part, inputs = copy(self), self.inputs.items()
+        part.inputs = {parent: np.broadcast_to(0.0, values.shape) for parent, values in inputs}
+        assert part.shape is not None  # which all that are made of it have in common
+        assert part.bare is not None
+        return part
+
+    def renewed(self, inputs: Mapping[Variable, Array], lead: tuple[int, ...]) -> Family:
+        """The family, as it was `emptied`, with other evidence of the same shape.
+
+        What depends on evidence is made anew. An affine CPD of Gaussian noise that has none, and is
+        never linearised, stays the same object. `lead` is as of `make`.
+        """
+        if self.noisy or (self.exact and inputs):
+            timed, first = self.timed, self.first_run
+            parts = self.cpd, self.hidden, self.step, inputs, self.lineariser, lead
+            return Family.make(*parts, timed=timed, template=self.template, first_run=first)
+        if self.settled:
+            return self
+        part = object.__new__(Family)
+        part.__dict__.update(self.__dict__, inputs=inputs)
+        return part
+
     def of(self, runs: slice) -> Family:
         """The family of some runs alone, with views of the evidence.
 

@@ -11,12 +11,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any
+from functools import cached_property, lru_cache, reduce
+from itertools import accumulate
+from operator import add
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, address
 from pgm.tracing.measures import (
     APART,
     BESIDE,
@@ -40,7 +43,7 @@ if TYPE_CHECKING:
     from pgm.kernels.machine.emitter.code import Code
     from pgm.kernels.machine.emitter.memory import Memory
     from pgm.kernels.machine.emitter.numbers import Number
-    from pgm.kernels.machine.emitter.wholes import Whole
+    from pgm.kernels.machine.emitter.wholes import Address, Whole
     from pgm.tracing.slopes import Slopes
 
 # Longer traces and larger derivatives are judged by NumPy alone, whose time they take up.
@@ -48,6 +51,41 @@ _OPERATIONS, _ENTRIES = 400, 40
 _TURN = 2.0 * math.pi
 # A unit in the last place of x is between these shares of it.
 _UNIT = 2.0**-53, 2.0**-52
+
+
+class Standing(NamedTuple):
+    """Points (k, widths) whose components stand in memory, and the deviations by which to judge.
+
+    Attributes
+    ----------
+    number : int
+        k of them.
+    places : sequence of int
+        Three for each component of the arguments side by side, and then for each column of the
+        derivative, of its deviation: the address of the component's numbers, how many floats they
+        are apart from row to row, and the address of the row of each point, (k,) of int64.
+    squared : bool
+        Whether variances stand there in place of deviations.
+    kept : object
+        What owns that memory.
+    """
+
+    number: int
+    places: Sequence[int] | npt.NDArray[np.int64]
+    squared: bool
+    kept: object
+
+    @classmethod
+    def of(cls, flat: Array, std: Array | None) -> Standing:
+        """Points (k, widths), with deviations (k, n) if derivatives were used."""
+        flat, (order, rows) = np.ascontiguousarray(flat), in_order(len(flat))
+        std = None if std is None else np.ascontiguousarray(std)
+        places: list[int] = []
+        for each in (flat,) if std is None else (flat, std):
+            begin, width = address(each), each.shape[1]
+            for k in range(width):
+                places += (begin + 8 * k, width, rows)
+        return cls(len(flat), places, False, (flat, std, order))
 
 
 class Clearing:
@@ -83,31 +121,41 @@ class Clearing:
         entries = len(self.program.value) * max(len(self.columns), 1)
         return len(self.program.graph.operations) <= _OPERATIONS and entries <= _ENTRIES
 
-    def clears(self, flat: Array, std: Array | None) -> bool:
-        """Whether all is surely right at points (k, widths), with deviations `std` (k, n)."""
-        count = len(flat)
+    def clears(self, points: Standing) -> bool:
+        """Whether all is surely right at points."""
+        count, size = points.number, len(self.columns)
         even = min(EVEN, count) if self.differs else 0
-        rows = count * (1 + self.beside) + len(SCALES) * even * self.moves * 4
-        asked = np.empty((rows, self.widths))
-        asked[:count] = flat
-        height, size = len(self.program.value), len(self.columns)
-        told = np.empty((count * (1 + self.beside), len(self.trace.value)))
-        slope = np.empty((count if self.differs else 0, height, size))
-        moves = np.empty((len(SCALES), even, self.moves, size))
-        spread = asked if std is None else np.ascontiguousarray(std)
-        known = asked, told, slope, moves, spread, _shares(count, size), *self._constants
-        places = [each.__array_interface__["data"][0] for each in known]
+        every = count * (1 + self.beside)
+        rows = every + len(SCALES) * even * self.moves * 4
+        # An array of its own, of which the function may keep a view.
+        asked, places = np.empty((rows, self.widths)), np.array(points.places, dtype=np.int64)
+        lengths = (
+            every * len(self.trace.value),
+            count * size * len(self.program.value) * self.differs,
+            len(SCALES) * even * self.moves * size,
+            count * size * self.beside,
+        )
+        room = np.empty(sum(lengths) + 1)
+        begin = address(room)
+        told, slope, moves, spread = (begin + 8 * first for first in accumulate((0, *lengths[:-1])))
+        shared = _shares(count, size)
         before, after = self._code
-        if before(*places, count, even):
+        own = address(asked), told, slope, moves, spread, address(places), shared[1]
+        if before(*own, *self._fixed, count, even, points.squared):
             return False
         due = self.slopes.function(asked)
         if due is None or due.shape != (rows, len(self.trace.value)):
             return False
         due = np.ascontiguousarray(due)
-        return not after(*places[1:4], due.__array_interface__["data"][0], places[6], count, even)
+        return not after(told, slope, moves, address(due), self._fixed[0], count, even)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "_code"}
+        return {k: value for k, value in self.__dict__.items() if k not in ("_code", "_fixed")}
+
+    @cached_property
+    def _fixed(self) -> tuple[int, ...]:
+        """The addresses of what loops read: scales, steps to both sides, directions of moves."""
+        return tuple(map(address, self._constants))
 
     @cached_property
     def _code(self) -> tuple[Any, Any]:
@@ -117,7 +165,7 @@ class Clearing:
 
         module = Module(contract=False)
         counts = WHOLE, WHOLE
-        before = module.function("before", (*(ADDRESS,) * 9, *counts), WHOLE)
+        before = module.function("before", (*(ADDRESS,) * 10, *counts, WHOLE), WHOLE)
         self._lay_out(before)
         after = module.function("after", (*(ADDRESS,) * 5, *counts), WHOLE)
         self._compare(after)
@@ -128,17 +176,27 @@ class Clearing:
 
     def _lay_out(self, code: Code) -> None:
         """Write the trace's values at points and beside them, and where else it is to be asked."""
-        *addresses, count, even = code.arguments
-        asked, told, slope, moves, std, share, *constants = map(code.memory, addresses)
+        *addresses, count, even, squared = code.arguments
+        places, memories = addresses.pop(5), list(map(code.memory, addresses))
+        asked, told, slope, moves, std, share, *constants = memories
         scales, near, directions = constants
         doubtful = code.varying(False)
         width, size = self.widths, len(self.columns)
+        sources = _sources(code, places, width + size * self.beside)
         with code.loop(count) as k:
-            x = [asked.load(k * width + i) for i in range(width)]
+            x = [_at(code, source, k) for source in sources[:width]]
+            _keep(asked, k, x)
+            doubtful.set(doubtful.get() | ~(reduce(add, map(abs, x)) < math.inf))
             value, steep = self._evaluated(code, x, slope=self.differs)
             _keep(told, k, value)
             if self.beside:
-                spread = [_told(std.load(k * size + j)) for j in range(size)]
+                spread = [_at(code, source, k) for source in sources[width:]]
+                roots = [(each > 0.0).where(each, 0.0).apply("sqrt") for each in spread]
+                spread = [
+                    _told((squared > 0).where(root, each))
+                    for root, each in zip(roots, spread, strict=True)
+                ]
+                _keep(std, k, spread)
                 own = [share.load(k * size + j) for j in range(size)]
                 steps = [BESIDE * a * b for a, b in zip(own, spread, strict=True)]
                 y = self._moved(x, steps)
@@ -228,7 +286,7 @@ class Clearing:
         k, count, e, even = where
         size, doubtful = len(self.columns), code.varying(False)
         x = [asked.load(k * self.widths + i) for i in range(self.widths)]
-        spread = [_told(std.load(k * size + j)) for j in range(size)]
+        spread = [std.load(k * size + j) for j in range(size)]
         with code.loop(len(SCALES)) as s:
             scale, steps = scales.load(s), []
             for column, deviation in zip(self.columns, spread, strict=True):
@@ -356,6 +414,29 @@ def _even(code: Code, e: Whole, count: Whole) -> Whole:
     return place.get()
 
 
+def _sources(code: Code, places: Address, count: int) -> list[tuple[Any, ...]]:
+    """Where components stand: their numbers, how far apart these are, and the points' rows."""
+    from pgm.kernels.machine.emitter.memory import Cells
+    from pgm.kernels.machine.emitter.wholes import Address, Whole
+
+    addresses, wholes = Cells(code, places, Address), Cells(code, places, Whole)
+    return [
+        (
+            code.memory(addresses.load(3 * k)),
+            wholes.load(3 * k + 1),
+            Cells(code, addresses.load(3 * k + 2), Whole),
+        )
+        for k in range(count)
+    ]
+
+
+def _at(code: Code, source: tuple[Any, ...], k: Whole) -> Number:
+    """A component of a point."""
+    memory, apart, rows = source
+    found: Number = memory.load(rows.load(k) * apart)
+    return found
+
+
 def _keep(memory: Memory, row: Whole, numbers: Sequence[Any]) -> None:
     """Write numbers to a row."""
     for i, number in enumerate(numbers):
@@ -377,6 +458,14 @@ def _flag(code: Code, truth: Number) -> Whole:
 
 
 @lru_cache(maxsize=16)
-def _shares(count: int, size: int) -> Array:
-    """The shares of a deviation by which points lie beside others, (k, n)."""
-    return shares((count, size))
+def _shares(count: int, size: int) -> tuple[Array, int]:
+    """The shares of a deviation by which points lie beside others, (k, n), and their address."""
+    found = shares((count, size))
+    return found, address(found)
+
+
+@lru_cache(maxsize=16)
+def in_order(count: int) -> tuple[npt.NDArray[np.int64], int]:
+    """The rows of points that stand in order, (k,), and their address."""
+    found = np.arange(count, dtype=np.int64)
+    return found, address(found)

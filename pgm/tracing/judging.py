@@ -19,6 +19,7 @@ import numpy as np
 from pgm.errors import PgmError
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Integers, components_last, quiet
+from pgm.tracing.clearing import Standing
 from pgm.tracing.measures import EVEN, OF_LARGEST, OF_VALUE, VALUES_OF_NOISE
 from pgm.tracing.program import Column, Program
 from pgm.tracing.slopes import Points, beside, choice, shown
@@ -64,7 +65,7 @@ class Answers:
         # Of so many points one is looked at, and of so many of these the value is judged.
         self.every = self.thin = 1
         self._open, self._passed = True, 0
-        self._places, self._noise = list(places), self.slopes.noise
+        self.places, self._noise = list(places), self.slopes.noise
         # Of single evaluations: arguments, value and derivative, covariance.
         self._asked: list[list[float]] = []
         self._told: list[tuple[float, ...]] = []
@@ -111,7 +112,7 @@ class Answers:
             # Of batch after batch other points, such as other runs of the steps of a filter.
             first = -self._passed % self.every
             self._passed += math.prod(shape)
-            own = None if std is None else std[..., self._places]
+            own = None if std is None else std[..., self.places]
             chosen = slice(first, None, self.every)
             points = Points.of_batch(shape, arguments, value, slope, own, chosen)
             self._batches.append(points)
@@ -137,10 +138,26 @@ class Answers:
             flat = flat[:: self.thin]
         for first in range(0, len(flat), _BATCH):
             rows = slice(first, first + _BATCH)
-            self._swept.append((flat[rows], None if std is None else std[rows, self._places]))
+            self._swept.append((flat[rows], None if std is None else std[rows, self.places]))
             self._count += len(self._swept[-1][0])
             if self._count >= _BATCH:
                 self._look_back()
+
+    def clear(self, points: Standing) -> bool:
+        """Clear the trace at points where machine code evaluated it, if that can be done at once.
+
+        Its derivatives were used there. Machine code is made for a trace that calls have often
+        found right, as there may be many more.
+        """
+        if not self._open or self.fault is not None:
+            return True
+        if not self.tracer.often or self.every > 1:
+            return False
+        clearing = self.slopes.clearing(self.trace, differentiated=True)
+        if clearing is None or not clearing.clears(points):
+            return False
+        self.used = True
+        return True
 
     def close(self) -> None:
         """Judge all that has been kept, and keep nothing more."""
@@ -185,13 +202,13 @@ class Answers:
         if clearing is None or self.thin > 1:
             return False
         flat = flats[0] if len(flats) == 1 else np.concatenate(flats)
-        return clearing.clears(flat, None if alone else np.concatenate(stds))
+        return clearing.clears(Standing.of(flat, None if alone else np.concatenate(stds)))
 
     def _points(self, flat: Array, std: Array) -> Points:
         """Points at which machine code evaluated the trace, as it evaluates here."""
         shape = (len(flat),)
         if self.program.smooth:  # whose slopes are not looked at
-            steep = np.broadcast_to(0.0, (*shape, len(self._noise), len(self._places)))
+            steep = np.broadcast_to(0.0, (*shape, len(self._noise), len(self.places)))
             return Points(flat, self._values(flat), steep, std)
         value, slope = self.program.batch(self.slopes.apart(flat), shape)
         told = (
@@ -205,8 +222,8 @@ class Answers:
 
     def _deviations(self, cov: Array | None) -> Array:
         if cov is None:
-            return np.full(len(self._places), np.nan)
-        return np.sqrt(np.maximum(cov.diagonal()[self._places], 0.0))
+            return np.full(len(self.places), np.nan)
+        return np.sqrt(np.maximum(cov.diagonal()[self.places], 0.0))
 
     def _look(self, points: Points | None, alone: Sequence[Array], *, last: bool) -> None:
         """Look at points, and at others `alone`, whose values were used, at the `last` at slopes.
@@ -221,10 +238,10 @@ class Answers:
             asked.append(some.arguments)
             told.append(some.value)
             first += 1
-            if self._places:
+            if self.places:
                 asked.append(self._beside(some))
                 told.append(self._values(asked[-1]))
-            if self._places and not self.program.smooth:
+            if self.places and not self.program.smooth:
                 doubts = self.slopes.doubts(points)
                 chosen = _chosen(doubts)
                 self._chosen.append((points.at(chosen), doubts[chosen]))

@@ -11,6 +11,7 @@ import numpy as np
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Mask, components_last
 from pgm.tracing.program import Program
+from pgm.tracing.reads import Reads, reads_of
 from pgm.tracing.slopes import Slopes
 from pgm.tracing.traced import STAND_INS, Node, Recorder, Traced, Untraceable, bare, traced_elements
 
@@ -119,18 +120,21 @@ class Tracer:
         self._proven, self._failures, self._waits = False, 0, 0
         self._stale, self._calls = False, 0
         self._slopes: tuple[Program, tuple[float, ...], Slopes] | None = None
+        # What the function read when it was traced, if a call has asked for that.
+        self._reads: Reads | None = None
 
     def confirm(self, centres: Sequence[Array], *, anew: bool = False) -> bool:
         """Whether there is a trace. A new one must equal its function about some values (width,).
 
-        Where nobody judges the trace afterwards it is to be made `anew`.
+        Where the trace is judged at a few points alone, it is to be as if it were made `anew`: it
+        is, unless all that the function reads is surely as it was.
         """
         if self._waits:
             self._waits -= 1
             return False
-        if self.trace is not None and not (anew or self._stale):
+        if self.trace is not None and not self._stale and (not anew or self._is_fresh):
             return True
-        self._stale = False
+        self._stale, self._reads = False, reads_of(self.function) if anew else None
         found = trace(self.function, self.widths, (self.angles.size,))
         if not isinstance(found, Program):
             self._fail(found)
@@ -141,6 +145,15 @@ class Tracer:
         if repr(found) != repr(self.trace):  # else what was made of it is still good
             self.trace, self._proven, self._calls = found, False, 0
         return True
+
+    @property
+    def _is_fresh(self) -> bool:
+        """Whether the function would give the same trace again, so far as is known."""
+        return self._reads is not None and self._reads.stand()
+
+    def stands(self, trace: Program) -> bool:
+        """Whether a call would use this trace, and calls have often found it right."""
+        return self.trace is trace and self.often and not (self._stale or self._waits)
 
     def renew(self) -> None:
         """Have the function traced anew at its next use."""
@@ -183,10 +196,10 @@ class Tracer:
         return str(self.reason) if self.trace is None else self.trace
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_proven": False, "_calls": 0, "_slopes": None}
+        return self.__dict__ | {"_proven": False, "_calls": 0, "_slopes": None, "_reads": None}
 
     def _fail(self, reason: str) -> None:
-        self.trace, self.reason, self._proven = None, reason, False
+        self.trace, self.reason, self._proven, self._reads = None, reason, False, None
         self._failures = min(self._failures + 1, _MOST_FAILURES)
         self._waits = 2**self._failures - 1
 

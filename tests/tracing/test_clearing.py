@@ -7,6 +7,7 @@ import pytest
 
 import pgm
 from pgm.tracing import Answers, Tracer
+from pgm.tracing.clearing import Standing
 
 pytestmark = pytest.mark.skipif(find_spec("llvmlite") is None, reason="llvmlite is not installed")
 
@@ -60,7 +61,7 @@ class Traced:
         """What the judge finds, and whether machine code clears all."""
         answers = self.answers()
         clearing = answers.slopes.clearing(answers.trace, differentiated=std is not None)
-        cleared = clearing.clears(np.concatenate([x, u], axis=-1), std)
+        cleared = clearing.clears(Standing.of(np.concatenate([x, u], axis=-1), std))
         self.tracer._calls = 0  # so that the judge looks by NumPy
         answers.judge([x, u], std)
         answers.close()

@@ -9,8 +9,8 @@ from typing import NamedTuple, NoReturn
 
 import numpy as np
 
-from pgm.beliefs.moments.compiled.memory import address, aligned
-from pgm.kernels.arrays import Array, Integers
+from pgm.beliefs.moments.compiled.memory import aligned
+from pgm.kernels.arrays import Array, Integers, address
 from pgm.kernels.machine.emitter.waiting import ALIGNED
 from pgm.kernels.machine.sweeps import told
 from pgm.kernels.machine.sweeps.asking import Asking

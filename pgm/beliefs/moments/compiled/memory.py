@@ -1,19 +1,10 @@
-"""The memory of arrays, as machine code is given it."""
+"""Memory that begins where machine code needs it to."""
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 
-from pgm.kernels.arrays import Array
-
-
-def address(array: npt.NDArray[Any]) -> int:
-    """Where an array's memory begins."""
-    found: int = array.__array_interface__["data"][0]
-    return found
+from pgm.kernels.arrays import Array, address
 
 
 def aligned(floats: int, width: int) -> Array:

@@ -20,14 +20,13 @@ from pgm.beliefs.moments.compiled.groups import (
     together,
     widened,
 )
-from pgm.beliefs.moments.compiled.memory import address
 from pgm.beliefs.moments.steps import gate as gates
 from pgm.beliefs.moments.steps.open_sensor import OpenSensor
 from pgm.beliefs.moments.steps.plan import ChainPlan, Link
 from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.compile.machine import MOST
 from pgm.evidence.values import JOINT
-from pgm.kernels.arrays import Array, Index
+from pgm.kernels.arrays import Array, Index, address
 from pgm.kernels.machine.emitter.memory import Runs
 from pgm.kernels.machine.sweeps import told
 from pgm.linearisation.family import Family

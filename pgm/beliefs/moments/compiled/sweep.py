@@ -14,7 +14,6 @@ import numpy as np
 from pgm.beliefs.moments.compiled.called import Calls, Failed
 from pgm.beliefs.moments.compiled.groups import Group
 from pgm.beliefs.moments.compiled.judged import judge
-from pgm.beliefs.moments.compiled.memory import address
 from pgm.beliefs.moments.compiled.plans import (
     Integers64,
     Record,
@@ -36,7 +35,7 @@ from pgm.beliefs.moments.steps.gate import Asked
 from pgm.beliefs.moments.steps.open_sensor import OpenSensor
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.compile.machine import Compiled
-from pgm.kernels.arrays import Array, Mask, vacant
+from pgm.kernels.arrays import Array, Mask, address, vacant
 from pgm.kernels.machine.sweeps import chain as sweeps
 from pgm.kernels.machine.sweeps import told
 from pgm.kernels.machine.sweeps.asking import asking
@@ -58,11 +57,11 @@ _SINGULAR = "a covariance is singular on the way back"
 # Sweeps of so many forms of plans are kept by a network's layout.
 _TOLD = 64
 # The names in a record of the belief to begin with, of beliefs, and of densities.
-_BEGIN, _PREDICTED = ("begin mean", "begin cov"), ("predicted mean", "predicted cov")
-_KNOWN = "known mean", "known cov", "density"
+BEGIN, PREDICTED = ("begin mean", "begin cov"), ("predicted mean", "predicted cov")
+KNOWN = "known mean", "known cov", "density"
 _ANCHOR = "anchor mean", "anchor std", "anchor weight"
 # And those of a sweep back.
-_REVERSED, _SMOOTHED = ("gain", "shift", "cov"), ("smoothed mean", "smoothed cov")
+REVERSED, SMOOTHED = ("gain", "shift", "cov"), ("smoothed mean", "smoothed cov")
 _CONTROLS = "control matrix", "control offset", "control cov"
 
 
@@ -141,9 +140,9 @@ def forward(
             predicted = tuple(np.empty_like(part) for part in known[:2])  # for the judge alone
         nonlinear = any(sensor.family.template for sensor in plan.read)
         iterated = asked.iterations > 1 and not stored and nonlinear
-        record: Record = dict(zip(_BEGIN, begun(plan, schedule, keep=keep), strict=True))
-        record |= zip(_KNOWN, known, strict=True)
-        record |= zip(_PREDICTED, predicted, strict=False)
+        record: Record = dict(zip(BEGIN, begun(plan, schedule, keep=keep), strict=True))
+        record |= zip(KNOWN, known, strict=True)
+        record |= zip(PREDICTED, predicted, strict=False)
         record |= undecided(plan, asked.gate, stored=stored)
         residuals = np.zeros((asked.iterations + 1, plan.runs if iterated else 0))
         if iterated:
@@ -156,7 +155,7 @@ def forward(
 
         def tell(table: NamedTable) -> told.Forward:
             cpds = {"stored": stored, "keep": keep, "controlled": control}
-            chain = _told(plan, table, groups, **cpds, gate=asked.gate)
+            chain = told_ahead(plan, table, groups, **cpds, gate=asked.gate)
             if (control or chain.anchor) and is_long(chain, table.lanes):
                 raise Uncompiled(LONG)
             return chain
@@ -197,7 +196,7 @@ def forward(
     return Swept(left, list(residuals[:longest]), converged, closest, far)
 
 
-def _told(
+def told_ahead(
     plan: ChainPlan,
     table: NamedTable,
     groups: Sequence[Group],
@@ -231,10 +230,10 @@ def _told(
         single=bool(layout.single),
         motions=motions,
         sensors=sensors,
-        begin=(array(_BEGIN[0]), array(_BEGIN[1])),
-        predicted=tuple(array(name) for name in _PREDICTED if name in record),
-        known=(array(_KNOWN[0]), array(_KNOWN[1])),
-        density=array(_KNOWN[2]),
+        begin=(array(BEGIN[0]), array(BEGIN[1])),
+        predicted=tuple(array(name) for name in PREDICTED if name in record),
+        known=(array(KNOWN[0]), array(KNOWN[1])),
+        density=array(KNOWN[2]),
         iterated=iterated,
         controlled=controlled,
         anchor=tuple(array(name) for name in _ANCHOR if name in record),
@@ -276,11 +275,12 @@ def backward(
     slices: Conditional | None,
     *,
     smooth: bool,
-) -> tuple[Conditional, tuple[Array, Array] | None] | None:
+) -> tuple[Conditional, tuple[Array, Array] | None, bool] | None:
     """The states given the slices after them, (T, runs, ...), and smoothed moments, if asked for.
 
-    None where the plan is not compiled, or a covariance is singular. `transition` and `slices` are
-    as of `Reverse`.
+    Third is whether smoothed moments surely have the digits that are promised, in all runs. None
+    where the plan is not compiled, or a covariance is singular. `transition` and `slices` are as of
+    `Reverse`.
     """
     if not is_used(plan):
         return None
@@ -291,34 +291,42 @@ def backward(
     if smooth:
         every = plan.steps + 1, plan.runs
         beliefs = vacant(every, (width,)), vacant(every, (width, width))
-    record = dict(zip(_REVERSED, states, strict=True))
-    record |= zip(_SMOOTHED, beliefs or (), strict=False)
+    record = dict(zip(REVERSED, states, strict=True))
+    record |= zip(SMOOTHED, beliefs or (), strict=False)
     record |= zip(_CONTROLS, (slices or ()) if smooth else (), strict=False)
+    owners = ahead, transition, record
 
     def tell(table: NamedTable) -> told.Backward:
-        def of(name: str) -> told.Array:
-            return table.of(record, itemgetter(name))
+        return told_back(plan, table, *owners)
 
-        def pair(owner: Any, one: str, other: str) -> tuple[told.Array, told.Array]:
-            return table.of(owner, attrgetter(one)), table.of(owner, attrgetter(other))
-
-        gain, shift, cov = map(of, _REVERSED)
-        return told.Backward(
-            size=width,
-            states=places(layout.state_places, width),
-            known=pair(ahead, "mean", "cov"),
-            predicted=pair(ahead, "predicted_mean", "predicted_cov"),
-            motion=pair(transition, "matrix", "cov"),
-            reversed=(gain, shift, cov),
-            smoothed=tuple(of(name) for name in _SMOOTHED if name in record),
-            controls=tuple(of(name) for name in _CONTROLS if name in record),
-        )
-
-    owners = ahead, transition, record
     ended = _run(plan, ("back", *record), tell, owners, (*states, *(beliefs or ())))
     left = bool(ended[sweeps.LEFT].any())
     count(plan, [slice(0, plan.runs)] if left else [], _SINGULAR)
-    return None if left else (states, beliefs)
+    return None if left else (states, beliefs, bool(ended[sweeps.KEPT].all()))
+
+
+def told_back(
+    plan: ChainPlan, table: NamedTable, ahead: Any, transition: Any, record: Record
+) -> told.Backward:
+    """A sweep back, told; see `backward`."""
+
+    def of(name: str) -> told.Array:
+        return table.of(record, itemgetter(name))
+
+    def pair(owner: Any, one: str, other: str) -> tuple[told.Array, told.Array]:
+        return table.of(owner, attrgetter(one)), table.of(owner, attrgetter(other))
+
+    gain, shift, cov = map(of, REVERSED)
+    return told.Backward(
+        size=plan.layout.slice_size,
+        states=places(plan.layout.state_places, plan.layout.slice_size),
+        known=pair(ahead, "mean", "cov"),
+        predicted=pair(ahead, "predicted_mean", "predicted_cov"),
+        motion=pair(transition, "matrix", "cov"),
+        reversed=(gain, shift, cov),
+        smoothed=tuple(of(name) for name in SMOOTHED if name in record),
+        controls=tuple(of(name) for name in _CONTROLS if name in record),
+    )
 
 
 def _run(

@@ -13,10 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pgm.beliefs.moments.compiled.called import Calls
-from pgm.beliefs.moments.compiled.memory import address
 from pgm.beliefs.moments.compiled.plans import Get, Integers64, Record, Table, readable
 from pgm.beliefs.moments.steps.plan import ChainPlan
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, address
 from pgm.kernels.machine.sweeps import told
 
 
@@ -53,9 +52,9 @@ class Form(NamedTuple):
         It begins with the numbers `first`.
         """
         numbers, kept = [*first, *self.numbers[len(first) :]], []
-        for place, owner, get, lies, copied in self.named:
+        for place, owner, get, lies_, copied in self.named:
             array = get(owners[owner])
-            if lies is not None and lies != _lies(array):
+            if lies_ is not None and lies_ != lies(array):
                 return None
             if copied:
                 array = readable(array)
@@ -85,7 +84,7 @@ class NamedTable(Table):
         given = get(owner)
         found = self.array(given)
         copied = readable(given) is not given
-        self._note(Named(found.place, self._owners[id(owner)], get, _lies(given), copied))
+        self._note(Named(found.place, self._owners[id(owner)], get, lies(given), copied))
         return found
 
     def at_of(self, owner: Any, get: Get) -> int:
@@ -112,6 +111,6 @@ class NamedTable(Table):
         self._named.append(named)
 
 
-def _lies(array: Array) -> tuple[Any, ...]:
+def lies(array: Array) -> tuple[Any, ...]:
     """How an array (rows, runs, own axes) lies, but for its number of rows."""
     return array.strides, array.shape[0] == 1, array.size == 0, array.shape[1:]

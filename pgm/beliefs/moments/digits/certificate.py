@@ -75,11 +75,18 @@ def is_ordinary(mean: Array, cov: Array, share: float = _TOLD) -> bool:
     return bool((share * deviation(cov) >= _EPS * np.abs(mean)).all())
 
 
-def suffices(plan: ChainPlan, swept: Forward | Filtered, smoothed: Array | None = None) -> bool:
+def suffices(
+    plan: ChainPlan,
+    swept: Forward | Filtered,
+    smoothed: Array | None = None,
+    *,
+    kept: bool = False,
+) -> bool:
     """Whether a forward pass, and the covariances that a smoother made of it, kept their digits.
 
-    `smoothed` are the smoothed covariances (T+1, runs, n, n), or None after a filter; the plan is
-    as it was linearised for the pass. A `Filtered` is a pass that kept no predicted covariances.
+    `smoothed` are the smoothed covariances (T+1, runs, n, n), or None after a filter; of those that
+    are known to be `kept`, as of `Reverse`, only the pass is judged. The plan is as it was
+    linearised for the pass. A `Filtered` is a pass that kept no predicted covariances.
     Only its means are judged, and its `closest`: the smallest 1/κ of the module's first two
     ratios κ, as recorded during the pass.
     """
@@ -90,11 +97,11 @@ def suffices(plan: ChainPlan, swept: Forward | Filtered, smoothed: Array | None 
         if isinstance(swept, Filtered):
             return moderate
         predicted, known = swept.predicted_cov, swept.cov
-        if smoothed is not None and not _hold(known, smoothed, MODERATE):
+        if smoothed is not None and not kept and not _hold(known, smoothed, MODERATE):
             return False
         if not (moderate or composes(predicted, known, MODERATE)) or not _told_apart(plan, swept):
             return False
-        if smoothed is None:
+        if smoothed is None or kept:
             return True
         return reversal_rounding.keeps_digits(plan, predicted, known, smoothed)
 

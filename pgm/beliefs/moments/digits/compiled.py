@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pgm.beliefs.moments.compiled.judged import judge
-from pgm.beliefs.moments.compiled.memory import address
 from pgm.beliefs.moments.compiled.plans import (
     Table,
     Uncompiled,
@@ -35,7 +34,7 @@ from pgm.beliefs.moments.steps.readings import Moments
 from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.compile.machine import CONTROL, Compiled
 from pgm.kernels import roots
-from pgm.kernels.arrays import LOG_2PI, Array, Integers, quiet, vacant, variances
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, address, quiet, vacant, variances
 from pgm.kernels.extended import Twofold
 from pgm.kernels.machine.emitter.functions import Function
 from pgm.kernels.machine.sweeps import digits, told

@@ -119,12 +119,14 @@ class Reverse:
     `states` (T, runs, ...) has in row t p(states at t | slice at t + 1, measurements up to t).
     `slices` (T+1, runs, ...) has in row t p(slice at t | its states, measurements up to t); None if
     there are no controls, so that the states are the slice. `beliefs` are the smoothed moments if
-    they have been found already, else None.
+    they have been found already, else None; `kept` says that all of their numbers, and those of the
+    forward pass, are finite, and that the way back surely left them the digits that are promised.
     """
 
     states: Conditional
     slices: Conditional | None
     beliefs: Beliefs | None = None
+    kept: bool = False
 
     @classmethod
     def make(cls, plan: ChainPlan, forward: Ahead, *, smooth: bool = False) -> Reverse:
@@ -138,7 +140,8 @@ class Reverse:
         slices = _given_states(plan, forward) if plan.layout.control_places.size else None
         found = compiled.backward(plan, forward, moved, slices, smooth=smooth)
         if found is not None:
-            return cls(found[0], slices, None if found[1] is None else Beliefs(*found[1]))
+            states, beliefs, kept = found
+            return cls(states, slices, None if beliefs is None else Beliefs(*beliefs), kept)
         matrix, _, noise = moved
         parts = _Step(
             forward.mean[:-1][..., places],

@@ -6,14 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from pgm.beliefs.moments.compiled.memory import address
 from pgm.beliefs.moments.compiled.plans import Table, Uncompiled, places, row_of, unknown
 from pgm.beliefs.moments.passes.newton import Means, precision
 from pgm.beliefs.moments.steps.chain import MomentChain
 from pgm.beliefs.moments.steps.plan import ChainPlan, Link
 from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.compile.machine import Compiled
-from pgm.kernels.arrays import Array, Mask, apply, block, independent, room
+from pgm.kernels.arrays import Array, Mask, address, apply, block, independent, room
 from pgm.kernels.machine.newton import steps as newton
 from pgm.kernels.machine.newton.equations import Layout
 from pgm.kernels.machine.newton.squares import is_small

@@ -156,7 +156,8 @@ def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[S
             if chain.machine is not None:
                 chain.machine.rebind()
         found = _iterated(chain, schedule, chain.solve(), first)
-    if any(family.compiled is not None for family in plan.families):
+    again = schedule.iterations > 1 or not isinstance(first, Smoothed)
+    if again and any(family.compiled is not None for family in plan.families):
         moments = found[0].beliefs.mean, found[0].beliefs.cov
         judge(plan, moments, moments, np.ones(plan.runs, dtype=bool))
     return found

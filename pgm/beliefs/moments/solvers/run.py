@@ -25,8 +25,9 @@ from pgm.beliefs.moments.passes.forward import Filtered, Forward, Room
 from pgm.beliefs.moments.smoothers import fixed_lag, parallel, smoother
 from pgm.beliefs.moments.smoothers.fixed_lag import Lagged, Windows
 from pgm.beliefs.moments.solvers.balanced import BalancedOutcome
+from pgm.beliefs.moments.solvers.bound import bind, bound_to
 from pgm.beliefs.moments.steps import gate
-from pgm.beliefs.moments.steps.plan import ChainPlan
+from pgm.beliefs.moments.steps.plan import Blank, ChainPlan
 from pgm.compile import BalancedGraph, DynamicGraph, SliceLayout
 from pgm.display import titled
 from pgm.errors import EvidenceError, GraphError, ModelError, NumericalError
@@ -242,6 +243,11 @@ def run(
     if isinstance(schedule, FixedLag) and not schedule.lag and schedule.solver is None:
         require_known(schedule, "a filter, which a lag of 0 is")
         schedule = schedule.filtering
+    plain = start is None and room is None
+    blank = Blank.known(graph.layout, bound, lineariser) if plain else None
+    swept_before = bound_to(blank, graph, schedule, bound)
+    if swept_before is not None:
+        return swept_before
     solver = solver_of(graph, schedule)
     given = None if start is None else _start(graph.layout, bound, start)
     for judge in judged():
@@ -259,6 +265,7 @@ def run(
             if found is None:
                 found = _carefully(solver, plan, given)
     assert found is not None
+    bind(blank, schedule, found, bound)
     return found
 
 
@@ -299,12 +306,20 @@ def _fitting(found: Any, schedule: Schedule) -> ChainOutcome:
 
 def _suffices(posterior: ChainOutcome) -> bool:
     """Whether float64 has left enough digits; NumericalError where it has left no numbers."""
-    _refuse_infinite(posterior)
+    kept = _is_kept(posterior)
+    if not kept:
+        _refuse_infinite(posterior)
     smoothed = None if posterior._smoothed is None else posterior._smoothed.cov
     # Windows that slide have each been looked at.
     return bool(posterior._windows) or certificate.suffices(
-        posterior._planned, posterior._swept, smoothed
+        posterior._planned, posterior._swept, smoothed, kept=kept
     )
+
+
+def _is_kept(posterior: ChainOutcome) -> bool:
+    """Whether the sweep back has told that its beliefs have the digits that are promised."""
+    reverse = posterior._reverse_given
+    return reverse is not None and reverse.kept and reverse.beliefs is posterior._smoothed
 
 
 def _carefully(solver: Solver, plan: ChainPlan, given: Array | None) -> ChainOutcome:
@@ -329,13 +344,11 @@ def _told(posterior: ChainOutcome) -> ChainOutcome:
     lost = close_points.error(plan, swept)
     if lost is not None:
         status = status._losing(lost, CLOSE_POINTS)
-    lost = last_places.error(
-        plan,
-        swept,
-        posterior._smoothed,
-        careful=posterior._careful is not None,
-        measured=status.digits is not None,
-    )
+    measured = status.digits is not None
+    if not measured and not swept.far and _is_kept(posterior):
+        return posterior  # no mean is so far from zero
+    careful = posterior._careful is not None
+    lost = last_places.error(plan, swept, posterior._smoothed, careful=careful, measured=measured)
     if lost is not None:
         status = status._losing(lost, LAST_PLACE)
     return posterior if status is posterior.status else replace(posterior, status=status)

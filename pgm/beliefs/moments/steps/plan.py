@@ -32,9 +32,12 @@ from pgm.evidence.dynamic import Inputs
 from pgm.factors.scope import Scope
 from pgm.kernels.arrays import Array, Index, Integers, cut
 from pgm.linearisation.family import Family
-from pgm.linearisers import Lineariser
+from pgm.linearisers import Lineariser, StatisticalRegression
 from pgm.schedules.argument_checks import require_plain
 from pgm.tracing import Judge
+
+# Blank plans of so many forms of evidence are kept.
+_PLANS = 8
 
 
 @dataclass(eq=False)
@@ -52,6 +55,12 @@ class Link:
     child: slice
     angles: Integers
     before: Integers
+
+    def with_family(self, family: Family) -> Link:
+        """The CPD's place, with its family for other evidence."""
+        part = object.__new__(Link)
+        part.__dict__.update(self.__dict__, family=family)
+        return part
 
     @cached_property
     def turning(self) -> list[tuple[int, int]]:
@@ -222,7 +231,44 @@ class ChainPlan:
         Functions may be replaced by traces, programs recorded from a call of the function. A
         trace's values are compared with the function's: by the `judge` when the inference is done,
         or at once if that is None.
+
+        What does not depend on values is kept by the graph's layout, for the last few forms of
+        evidence.
         """
+        layout = graph.layout
+        whole = prior and not first and all(each.unknown is None for each in bound.readings)
+        known = Blank.known(layout, bound, lineariser) if whole else None
+        if known is not None:
+            plan = known.renewed(bound)
+        else:
+            plan = cls._laid_out(graph, bound, lineariser, first=first, prior=prior)
+            if whole:
+                layout.plans.insert(0, Blank.of(plan, bound, lineariser))
+                del layout.plans[_PLANS:]
+        if not probe and judge is None:
+            return plan
+        means = layout.prior_means
+        for made in plan.families:
+            if made.exact:
+                continue
+            # A graph is probed once; what comes back is checked in every call.
+            if probe and made.cpd not in layout.probed:
+                made.probe(means)
+                layout.probed.update([made.cpd] * bool(made.step.size))
+            made.trace(means, judge)
+        return plan
+
+    @classmethod
+    def _laid_out(
+        cls,
+        graph: DynamicGraph,
+        bound: BoundEvidence,
+        lineariser: Lineariser,
+        *,
+        first: int,
+        prior: bool,
+    ) -> ChainPlan:
+        """The families of a graph with evidence; see `make`."""
         layout, lead = graph.layout, bound.lead
 
         def family(cpd: Any, place: Place, step: Integers, inputs: Inputs) -> Family:
@@ -262,23 +308,76 @@ class ChainPlan:
             for cpd, inputs in zip(layout.model.transition, bound.transition, strict=False)
         ]
         sensors = [sensor(reading) for reading in bound.readings]
-        plan = cls(layout, bound.steps, lead, links, transition, sensors, first)
-        if not probe and judge is None:
-            return plan
-        means = {
-            cpd.child: cpd.offset.reshape(-1, cpd.child.dimension)[0]
-            for cpd in layout.model.prior
-            if isinstance(cpd, AffineCPD)
-        }
-        for made in plan.families:
-            if made.exact:
-                continue
-            # A graph is probed once; what comes back is checked in every call.
-            if probe and made.cpd not in layout.probed:
-                made.probe(means)
-                layout.probed.update([made.cpd] * bool(made.step.size))
-            made.trace(means, judge)
-        return plan
+        return cls(layout, bound.steps, lead, links, transition, sensors, first)
+
+
+@dataclass(frozen=True, eq=False)
+class Blank:
+    """A plan without evidence, of which plans for evidence of one form are made.
+
+    `plan` has evidence that takes no memory, and so has `evidence`, whose layout is that of the
+    form. The `lineariser` is as of `ChainPlan.make`. `bound` has what was found for calls of some
+    kinds; see `solvers.bound`. `forms` are some that evidence has had; see `BoundEvidence`.
+    """
+
+    plan: ChainPlan
+    evidence: BoundEvidence
+    lineariser: Lineariser
+    bound: dict[Any, Any] = field(default_factory=dict)
+    forms: list[object] = field(default_factory=list)
+
+    @classmethod
+    def known(
+        cls, layout: SliceLayout, evidence: BoundEvidence, lineariser: Lineariser
+    ) -> Blank | None:
+        """The blank plan that a layout has kept for evidence of this form, if there is one."""
+        fitting = (each for each in layout.plans if each.fits(evidence, lineariser))
+        return next(fitting, None)
+
+    @classmethod
+    def of(cls, plan: ChainPlan, bound: BoundEvidence, lineariser: Lineariser) -> Blank:
+        """What a plan, just laid out, has in common with those for other evidence of its form."""
+
+        def links(every: list[Link]) -> list[Link]:
+            return [link.with_family(link.family.emptied()) for link in every]
+
+        plan = replace(
+            plan,
+            prior=links(plan.prior),
+            transition=links(plan.transition),
+            sensors=[sensor.emptied() for sensor in plan.sensors],
+        )
+        return cls(plan, bound.emptied(), lineariser)
+
+    def fits(self, bound: BoundEvidence, lineariser: Lineariser) -> bool:
+        """Whether evidence is of this form, and to be linearised in the same way."""
+        rule = self.lineariser
+        if not (
+            rule is lineariser or (isinstance(rule, StatisticalRegression) and rule == lineariser)
+        ):
+            return False
+        form = bound.form
+        if form is not None and any(form is each for each in self.forms):
+            return True
+        alike = self.evidence.alike(bound)
+        if alike and form is not None and len(self.forms) < _PLANS:
+            self.forms.append(form)
+        return alike
+
+    def renewed(self, bound: BoundEvidence) -> ChainPlan:
+        """The plan for evidence of this form."""
+        known, lead = self.plan, self.plan.lead
+        sensors = []
+        for sensor, reading in zip(known.sensors, bound.readings, strict=True):
+            taken = None if reading.taken.all() else reading.taken
+            family = sensor.family.renewed(reading.inputs, lead)
+            sensors.append(sensor.renewed(family, reading.values, taken))
+        transition = [
+            link.with_family(link.family.renewed(inputs, lead))
+            for link, inputs in zip(known.transition, bound.transition, strict=False)
+        ]
+        prior = [link.with_family(link.family.renewed({}, lead)) for link in known.prior]
+        return ChainPlan(known.layout, known.steps, lead, prior, transition, sensors)
 
 
 def _sensor(

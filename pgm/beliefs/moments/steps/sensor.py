@@ -84,6 +84,22 @@ class Sensor:
     whole: bool
     gated: GateRecord | None = None
 
+    def emptied(self) -> Sensor:
+        """The sensor with evidence of the same shape that takes no memory, to be `renewed`."""
+        part = copy(self)
+        part.family, part.taken = self.family.emptied(), None
+        part.values = np.broadcast_to(0.0, self.values.shape)
+        assert part.edges is not None  # which all that are made of it have in common
+        return part
+
+    def renewed(self, family: Family, values: Array, taken: Mask | None) -> Sensor:
+        """The sensor with other measurements at the same steps; `family` has their evidence."""
+        part = object.__new__(Sensor)
+        part.__dict__.update(self.__dict__, family=family, values=values, taken=taken, cross={})
+        if family.noisy:
+            part.__dict__.pop("exact", None)
+        return part
+
     @property
     def grouped(self) -> bool:
         """Whether the sightings of a step are linearised as one vector."""

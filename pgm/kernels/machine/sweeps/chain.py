@@ -19,6 +19,7 @@ from pgm.kernels.machine.sweeps.extent import is_long
 from pgm.kernels.machine.sweeps.lines import Lines
 from pgm.kernels.machine.sweeps.motion import predicted
 from pgm.kernels.machine.sweeps.reading import taken
+from pgm.kernels.machine.sweeps.rounding import Rounding, is_far
 from pgm.kernels.machine.sweeps.told import Backward, Forward, Linearised, Windows
 from pgm.kernels.machine.sweeps.watch import Watch
 from pgm.kernels.machine.sweeps.writer import Writer
@@ -27,8 +28,10 @@ from pgm.kernels.numbers import where
 # Runs that are swept together, as the lanes of packs.
 LANES = 8
 # What a sweep tells of each run: whether it is left to be swept with more care, the least share of
-# a variance, whether a mean is far from zero, and whether weights have not settled.
+# a variance, whether a mean is far from zero, and whether weights have not settled; of a sweep back
+# whether it is left, and whether smoothed numbers surely have the digits that are promised.
 LEFT, CLOSEST, FAR, MOVING = range(4)
+KEPT = 1
 TOLD = 4
 # A number from which on little or nothing can be told.
 _LARGEST = 1e150
@@ -128,6 +131,9 @@ def _backward(w: Writer, chain: Backward) -> None:
     for array, part in zip(chain.smoothed, final, strict=False):
         w.keep(array, part, last)
     sure = code.varying(True)
+    # In loops that would take as long as the sweep: NumPy looks at all steps together.
+    judged = bool(chain.smoothed) and isinstance(w.matrices, Lines)
+    kept, rounding = code.varying(judged), Rounding(w)
     with code.loop(last, down=True) as at, w.matrices.scratch():
         states = chain.states
         mean = w.column(chain.known[0], at).part(states, (0,))
@@ -152,9 +158,24 @@ def _backward(w: Writer, chain: Backward) -> None:
                 moments = step.push(*moments, *own)
             for array, part in zip(chain.smoothed, moments, strict=True):
                 w.keep(array, part, at)
+            if judged:
+                own, after = (
+                    w.symmetric(each[1], at + k)
+                    for k, each in enumerate((chain.known, chain.predicted))
+                )
+                total = w.sum([abs(x) for each in (own, after, *moments) for x in _entries(each)])
+                fine = (total < _LARGEST) & rounding.counts_not(own, after, moments[1])
+                kept.set(kept.get() & fine & ~is_far(*moments))
             later.set(*moments)
         code.leave_unless(code.some(sure.get()))
     _tell(w, LEFT, where(sure.get(), 0.0, 1.0))
+    _tell(w, KEPT, where(kept.get(), 1.0, 0.0))
+
+
+def _entries(matrix: Any) -> list[Any]:
+    """The entries of a matrix; of a square one, which is symmetric, those of its lower half."""
+    rows = matrix.rows
+    return [x for i, row in enumerate(rows) for x in (row[: i + 1] if matrix.width > 1 else row)]
 
 
 def _tell(w: Writer, what: int, number: Any) -> None:

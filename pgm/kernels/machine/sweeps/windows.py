@@ -18,15 +18,12 @@ from pgm.kernels.machine.sweeps.lines import Carried
 from pgm.kernels.machine.sweeps.motion import predicted, transition
 from pgm.kernels.machine.sweeps.reading import taken
 from pgm.kernels.machine.sweeps.relinearising import Beliefs
+from pgm.kernels.machine.sweeps.rounding import MODERATE, Rounding, hold, is_far
 from pgm.kernels.machine.sweeps.settling import Settling, moved
 from pgm.kernels.machine.sweeps.told import Windows, as_kept
 from pgm.kernels.machine.sweeps.writer import Writer
-from pgm.kernels.numbers import Matrix, most, where
+from pgm.kernels.numbers import Matrix, where
 
-# As of `certificate`, `reversal_rounding` and `sweeps`: shares of variances that leave the digits
-# that are promised, the squared deviations from zero at which the last digit of a mean may count,
-# the part of a variance that rounding may be, and its unit.
-_MODERATE, _FAR, _TOLD, _EPS = 1.0 / 2e7, 1e16, 1e-7, 2.0**-52
 # The least share of a root on the way back.
 _CORRELATED = 3e-5
 
@@ -90,7 +87,7 @@ class _Window:
             self._be_sure(after.sure)
         found = taken(w, ahead, self._newest, belief.mean, belief.cov)
         share = step.open_share(belief.cov)
-        self._be_sure(found.sure & (share > _MODERATE))
+        self._be_sure(found.sure & (share > MODERATE))
 
     def settle(self) -> None:
         """Smooth the window again and again, until its means settle."""
@@ -188,14 +185,14 @@ class _Window:
             w.keep(chain.known[1], spread, at)
             w.at(chain.density, at).store(0, found.density)
             self._density.set(self._density.get() + found.density)
-            self._doubt(found.sure & _hold(cov, spread) & (step.open_share(spread) > _MODERATE))
-            self._doubt(~_is_far(known, spread))
+            self._doubt(found.sure & hold(cov, spread) & (step.open_share(spread) > MODERATE))
+            self._doubt(~is_far(known, spread))
             belief.set(known, spread)
         return belief
 
     def _backward(self, last: Carried) -> None:
         w, code, chain = self._w, self._w.code, self._chain
-        rounding = code.varying(0.0)
+        rounding = Rounding(w)
         self._leave(self._newest, last)
         with code.loop(self._newest, self._first, down=True) as at:
             own, states = self._known(at), chain.ahead.states
@@ -211,14 +208,7 @@ class _Window:
             if len(states) < chain.ahead.size:
                 moments, certain = _with_controls(states, own, moments)
                 sure = sure & certain
-            inflation = step.inflation(after[1])
-            rounding.set(rounding.get() + inflation * inflation)
-            fallen: Any = 1.0
-            for was, left in zip(own[1].diagonal, moments[1].diagonal, strict=True):
-                fallen = most(where(left > 0.0, was / left, 1.0), w.code.constant(0.0) + fallen)
-            if chain.ahead.size > 1:
-                sure = sure & (_EPS * rounding.get() * fallen <= _TOLD)
-            self._doubt(sure & _hold(own[1], moments[1]))
+            self._doubt(sure & rounding.counts_not(own[1], after[1], moments[1]))
             last.set(*moments)
             self._leave(at, last)
 
@@ -268,20 +258,4 @@ def _with_controls(
     picks = Matrix([[1.0 if j == k else 0.0 for j in size] for k in states])
     nothing = Matrix([[0.0] * len(states)] * len(states))
     own_cov = step.squares(cov, matrix, picks, nothing)
-    return step.push(*after, matrix, offset, own_cov), root.share > _MODERATE
-
-
-def _hold(before: Matrix, after: Matrix) -> Any:
-    """Whether no variance falls to rounding."""
-    found: Any = True
-    for was, left in zip(before.diagonal, after.diagonal, strict=True):
-        found = ((left >= _MODERATE * was) | (left == 0.0)) & found
-    return found
-
-
-def _is_far(mean: Matrix, cov: Matrix) -> Any:
-    """Whether the last digit of a mean might count."""
-    found: Any = False
-    for (x,), left in zip(mean.rows, cov.diagonal, strict=True):
-        found = ((x * x > _FAR * left) & (left > 0.0)) | found
-    return found
+    return step.push(*after, matrix, offset, own_cov), root.share > MODERATE
