@@ -5,6 +5,7 @@ from importlib.util import find_spec
 import mpmath
 import numpy as np
 import pytest
+from crossed import crossed
 from drawn_chains import draw
 
 import pgm
@@ -297,11 +298,12 @@ def robot(sharp):
     return x, model, {u: np.tile([1.0, 0.2], (60, 1)), z: pgm.sightings(step=steps, given=given)}
 
 
-@pytest.mark.parametrize("runs", [(), 9])
-@pytest.mark.parametrize(
-    "schedule", [pgm.Filtering(), pgm.Smoothing(), pgm.Smoothing(iterations=3), pgm.FixedLag(4)]
+@crossed(
+    ("sharp", "schedule", "runs"),
+    [1.0, 1e-7],
+    [pgm.Filtering(), pgm.Smoothing(), pgm.Smoothing(iterations=3), pgm.FixedLag(4)],
+    [(), 9],
 )
-@pytest.mark.parametrize("sharp", [1.0, 1e-7])
 def test_functions_are_linearised_as_by_numpy(passes, monkeypatch, schedule, sharp, runs):
     """Angles that turn, and bearings on their branch; alike but for what a function rounds."""
     monkeypatch.setattr(run, "_suffices", lambda _: False)
