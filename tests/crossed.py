@@ -6,15 +6,20 @@ import pytest
 
 
 def crossed(names, *axes):
-    """Run a test with all combinations of these values; quick are few that have each value.
+    """Run a test with all combinations of these values; quick are few that have each value."""
+    return pytest.mark.parametrize(names, combinations(*axes))
 
-    The k-th of them has the k-th value of each axis, which begins again at its end. The others are
-    slow. An axis is values, or a dictionary of their names to them.
+
+def combinations(*axes):
+    """Cases of all combinations; the k-th quick one has the k-th value of each axis.
+
+    An axis that is shorter begins again; the other cases are slow. An axis is values, or a
+    dictionary of names to them.
     """
     known = [axis if isinstance(axis, dict) else named(axis) for axis in axes]
     turns = zip(*map(itertools.cycle, known), strict=True)
     quick = set(itertools.islice(turns, max(map(len, known))))
-    cases = [
+    return [
         pytest.param(
             *(axis[name] for axis, name in zip(known, case, strict=True)),
             marks=() if case in quick else pytest.mark.slow,
@@ -22,7 +27,15 @@ def crossed(names, *axes):
         )
         for case in itertools.product(*known)
     ]
-    return pytest.mark.parametrize(names, cases)
+
+
+def slow_after(count, cases):
+    """Cases of which all but the first so many are slow."""
+    found = [case if isinstance(case, tuple) else (case,) for case in cases]
+    return [
+        *(pytest.param(*case) for case in found[:count]),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in found[count:]),
+    ]
 
 
 def named(values):

@@ -5,6 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
+from crossed import crossed
 
 import pgm
 from pgm.linearisers import Points
@@ -241,8 +242,7 @@ def scales(seed, size=1.0, alpha=1e-4):
 
 
 @pytest.mark.filterwarnings("ignore::pgm.PrecisionWarning")
-@pytest.mark.parametrize("compiled", [False, True])
-@pytest.mark.parametrize("size", [1.0, 1e5])
+@crossed(("size", "compiled"), [1.0, 1e5], [False, True])
 @pytest.mark.parametrize(("alpha", "least"), [(1e-4, 0), (1e-3, 6), (1.0, 8)])
 def test_consistent_readings_are_no_contradiction(alpha, least, size, compiled):
     """What is left of them is the rounding of a regression, which other rules do not have."""
