@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from crossed import crossed
 from dense import linear_joint
 from gaussian.loops import bent, draw_evidence, random_network, steepest
 from scipy.optimize import least_squares
@@ -306,9 +307,12 @@ def test_random_points_are_shared_by_runs():
 # ---- iterating
 
 
-@graphs
-@rules
-def test_runs_stop_when_they_have_converged(graph, rule, twin):
+@crossed(
+    ("rule", "graph"),
+    {name: rule for name, (rule, _) in RULES.items()},
+    {"junction tree": pgm.compile, "hand": hand_made},
+)
+def test_runs_stop_when_they_have_converged(rule, graph):
     """And are left alone then: a batch is its single runs."""
     rng = np.random.default_rng(1)
     sample = NET.sample((2, 3), rng=rng)
