@@ -11,14 +11,12 @@ def crossed(names, *axes):
 
 
 def combinations(*axes):
-    """Cases of all combinations; the k-th quick one has the k-th value of each axis.
+    """Cases of all combinations, of which as many are quick as the longest axis has values.
 
-    An axis that is shorter begins again; the other cases are slow. An axis is values, or a
-    dictionary of names to them.
+    The others are slow. An axis is values, or a dictionary of names to them.
     """
     known = [axis if isinstance(axis, dict) else named(axis) for axis in axes]
-    turns = zip(*map(itertools.cycle, known), strict=True)
-    quick = set(itertools.islice(turns, max(map(len, known))))
+    quick = covering(known)
     return [
         pytest.param(
             *(axis[name] for axis, name in zip(known, case, strict=True)),
@@ -27,6 +25,21 @@ def combinations(*axes):
         )
         for case in itertools.product(*known)
     ]
+
+
+def covering(axes):
+    """As few combinations as have each value, and of shorter axes many pairs.
+
+    They are counted: from one combination to the next the longest axes change, and the others as
+    digits do, where there is room for all of them.
+    """
+    longest, stride, columns = max(map(len, axes)), 1, []
+    for axis in axes:
+        values, each = list(axis), 1
+        if len(values) < longest and stride * len(values) <= longest:
+            each, stride = stride, stride * len(values)
+        columns.append([values[k // each % len(values)] for k in range(longest)])
+    return set(zip(*columns, strict=True))
 
 
 def slow_after(count, cases):

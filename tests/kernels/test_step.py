@@ -12,6 +12,7 @@ from pathlib import Path
 import mpmath
 import numpy as np
 import pytest
+from crossed import slow_after
 from mpmath import mp
 
 import pgm
@@ -212,7 +213,7 @@ ARRAYS = [OneDense(), DenseRuns(), Stacks()]
 KINDS = pytest.mark.parametrize("kind", [*SINGLE, *ARRAYS], ids=lambda kind: type(kind).__name__)
 ONE_BY_ONE = pytest.mark.parametrize("kind", SINGLE, ids=lambda kind: type(kind).__name__)
 SIZES = pytest.mark.parametrize(("size", "height"), [(1, 1), (2, 1), (3, 2), (2, 4), (6, 3)])
-SEEDS = pytest.mark.parametrize("seed", range(3))
+SEEDS = pytest.mark.parametrize("seed", slow_after(1, range(3)))
 
 
 def drawn(seed, size, height):

@@ -1,6 +1,7 @@
 """Runs of a chain of tables whose measurements have probability zero: refused, or allowed."""
 
 import itertools
+from functools import cache
 
 import numpy as np
 import pytest
@@ -91,6 +92,7 @@ class Due:
     def evidence(self):
         return self.known(T).sum()
 
+    @cache  # noqa: B019  # worlds are few
     def joint(self, last, *variables):
         p = self.known(min(last, T))
         table = np.zeros([each.size for each in variables])

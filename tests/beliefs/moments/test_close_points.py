@@ -132,8 +132,11 @@ def test_digits_that_a_motion_lost_a_linear_sensor_does_not_forget(compiled):
         assert found.status.digits < 5.0
 
 
-@pytest.mark.parametrize("way", ["filter", "compiled", "online"])
-@pytest.mark.parametrize("rule", [pgm.Unscented(), pgm.Cubature(), pgm.Taylor()], ids=repr)
+@crossed(
+    ("rule", "way"),
+    [pgm.Unscented(), pgm.Cubature(), pgm.Taylor()],
+    ["filter", "compiled", "online"],
+)
 def test_rules_of_wide_points_are_right(seen, way, rule):
     due, _ = asked(way, 0.0 * FAR, seen, rule)
     found, said = asked(way, FAR, seen, rule)

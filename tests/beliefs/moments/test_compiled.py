@@ -5,7 +5,7 @@ import pickle
 import numpy as np
 import pytest
 from carts import drawn
-from crossed import combinations, crossed
+from crossed import combinations, crossed, slow_after
 from numpy.testing import assert_allclose, assert_array_equal
 from plain import evidence_of, linear_network
 from robots import SENSORS, drive_cpd, network, sighted, u, x
@@ -19,7 +19,9 @@ pytest.importorskip("llvmlite", reason="sweeps are compiled by llvmlite")
 
 COMPILED = ["taylor", "unscented", "negative weights", "cubature", "hermite"]
 CHECKED = combinations(list(MODELS), ["taylor", "unscented"])
-CHECKED += [("everything", rule) for rule in RULES if rule not in ("taylor", "unscented")]
+CHECKED += slow_after(
+    3, [("everything", rule) for rule in RULES if rule not in ("taylor", "unscented")]
+)
 
 
 def assert_log(found, due, tolerance):

@@ -153,9 +153,8 @@ def drawn(seed, steps, height, runs=(), missing=0.0):
 SCHEDULES = [pgm.Filtering(), pgm.Smoothing(), pgm.FixedLag(3)]
 
 
-@pytest.mark.parametrize("schedule", SCHEDULES)
-@pytest.mark.parametrize(
-    ("n", "height", "units", "flat_", "runs", "missing"),
+@crossed(
+    ("case", "schedule"),
     [
         (1, 1, 1.0, False, (), 0.0),
         (3, 1, 1.0, False, (), 0.0),
@@ -164,10 +163,11 @@ SCHEDULES = [pgm.Filtering(), pgm.Smoothing(), pgm.FixedLag(3)]
         (2, 2, 1e3, True, (11,), 0.2),
         (4, 2, 1e3, False, (9,), 0.1),
     ],
+    SCHEDULES,
 )
-def test_machine_code_is_numpys_pass(passes, schedule, n, height, units, flat_, runs, missing):
+def test_machine_code_is_numpys_pass(passes, case, schedule):
     """Flat priors, missing components, packs of runs; to the last bit of each pair."""
-    steps = 12
+    steps, (n, height, units, flat_, runs, missing) = 12, case
     _, z, model = network(matrices(n, n, units=units, height=height), flat_=flat_)
     graph = pgm.compile(model, steps=steps, compiled=True)
     found = pgm.infer(graph, {z: drawn(1, steps, height, runs, missing)}, schedule=schedule)

@@ -11,7 +11,7 @@ from multiprocessing import get_context, parent_process
 
 import numpy as np
 import pytest
-from crossed import crossed
+from crossed import crossed, slow_after
 from numpy.testing import assert_allclose, assert_array_equal
 from robots import LANDMARKS, P0, SENSORS, controls, drive_along, drive_cpd, m, network, u, x
 
@@ -381,7 +381,8 @@ def dying(x, m):
 
 
 @pytest.mark.parametrize(
-    ("start", "asked"), [("fork", {}), ("fork", {"keep": [x]}), ("spawn", {"keep": [x]})]
+    ("start", "asked"),
+    slow_after(2, [("fork", {}), ("fork", {"keep": [x]}), ("spawn", {"keep": [x]})]),
 )
 def test_a_worker_that_dies(start, asked):
     model = network(SIGHT.cpd(function=dying), prior=starting({12: 900.0}))

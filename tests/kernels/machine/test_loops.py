@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from crossed import slow_after
 from numpy.testing import assert_allclose
 
 import pgm
@@ -20,7 +21,10 @@ from pgm.kernels.machine.loops.transfers import read, write
 from pgm.kernels.machine.sweeps import chain as sweeps
 from pgm.kernels.numbers import Matrix
 
-SIZES = [(1, 1), (2, 1), (3, 2), (4, 4), (5, 3), (7, 9), (8, 8), (13, 5), (24, 12), (60, 33)]
+SIZES = slow_after(
+    6,
+    [(1, 1), (3, 2), (5, 3), (7, 9), (13, 5), (60, 33), (2, 1), (4, 4), (8, 8), (24, 12)],
+)
 LANES = (1, 8)
 
 
