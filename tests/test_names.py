@@ -166,7 +166,7 @@ def loaded(program: str) -> set[str]:
 
 
 def test_importing_pgm_loads_nothing_that_is_slow_to_import():
-    slow = {"matplotlib", "networkx", "scipy", "pandas", "xarray", "tqdm", "IPython"}
+    slow = {"llvmlite", "matplotlib", "networkx", "scipy", "pandas", "xarray", "tqdm", "IPython"}
     slow |= {"typer", "rich", "yaml", "PIL", "defusedxml", "pgmpy", "gtsam", "concurrent.futures"}
     slow |= {"multiprocessing", "experiments", "models", "pgm.plot", "pgm.maps", "pgm.comparison"}
     slow |= {"pgm.results"}
