@@ -16,6 +16,7 @@ from benchmarks.work import (
     targets,
 )
 
+COMPONENTS = 12, 24, 50
 SHORT = {"taylor": "ekf", "unscented": "ukf"}
 QUICK = ("asia", "alarm")  # networks of the quick run
 
@@ -176,6 +177,23 @@ def linear() -> Row:
         check=agreement.beliefs,
         size=10_000,
         quick=16,  # XLA compiles parallel scans for half a minute, by length
+    )
+
+
+def components(count: int) -> Row:
+    """Smoothing a linear system of so many components."""
+    return Row(
+        name=f"components_{count}",
+        unit="step",
+        work=lambda size: targets.system(count, size),
+        contenders={
+            "pgm": part("pgm_targets", "smoothing", "sequential"),
+            "pgm_compiled": part("pgm_targets", "smoothing", "sequential", compiled=True),
+            "dynamax": part("dynamax_targets", "smoothing", "sequential"),
+        },
+        check=agreement.beliefs,
+        size=2_000,
+        quick=500,
     )
 
 
@@ -404,6 +422,7 @@ ROWS = [
     *(no_jacobian(runs) for runs in ("one", "many")),
     most_probable(),
     linear(),
+    *map(components, COMPONENTS),
     hidden_markov(1_000, steps=300, quick=100),
     hidden_markov(100, steps=2_000, quick=500),
     hidden_markov(10, steps=10_000, quick=10_000),

@@ -47,15 +47,18 @@ NEAR = (  # row, peer, how many times the cost of its fastest way ours may be
     ("markov_runs", "pgm_alone", 0.4),
 )
 COMPILED = (  # row, peer, how many times the cost of its fastest way ours in machine code may be
-    ("rts_taylor", "dynamax", 0.4),
-    ("rts_unscented", "dynamax", 0.5),
+    ("rts_taylor", "dynamax", 0.12),
+    ("rts_unscented", "dynamax", 0.2),
     *((f"online_{rule}", "dynamax", 0.4) for rule in ("taylor", "unscented")),
-    ("online_taylor", "gtsam", 0.5),
-    *((name, "dynamax", 0.5) for name in ("ekf_robots", "ukf_robots")),
+    ("online_taylor", "gtsam", 0.15),
+    ("ekf_robots", "dynamax", 0.15),
+    ("ukf_robots", "dynamax", 0.5),
     *((name, "dynamax", 0.5) for name in ("ekf_one_step", "ukf_one_step")),
-    ("linear", "dynamax", 0.5),
+    ("short", "dynamax", 0.8),
+    ("linear", "dynamax", 0.3),
     ("linear", "cuthbert", 0.5),
-    ("map", "gtsam", 0.05),
+    *((f"components_{n}", "dynamax", most) for n, most in ((12, 0.8), (24, 1.1), (50, 1.35))),
+    ("map", "gtsam", 1 / 30),
 )
 COLD = [
     f"cold_{name}" for name in repository.NAMES

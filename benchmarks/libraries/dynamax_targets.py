@@ -19,7 +19,7 @@ SMOOTHERS = {
 
 
 def smoothing(kind: str, work: Tracking) -> Contender:
-    """Means (T, 4) and covariances."""
+    """Means (T, n) and covariances."""
     p = work.parameters
     # It begins with an update: the first prediction is ours.
     params = inference.make_lgssm_params(

@@ -1,4 +1,4 @@
-"""Targets of nearly constant velocity whose position is read: every CPD is linear."""
+"""Linear networks: targets of nearly constant velocity whose position is read, and systems."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 import pgm
 from models import networks
-from models.networks import fix, target
 
 Array = npt.NDArray[np.float64]
 
@@ -19,13 +18,13 @@ DT = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Tracking:
-    """One target.
+    """One target, or system.
 
     Attributes
     ----------
     network : DynamicBayesianNetwork
     readings : ndarray
-        (T, 2) [m].
+        (T, d), of a target [m].
     """
 
     network: pgm.DynamicBayesianNetwork
@@ -39,7 +38,12 @@ class Tracking:
     @property
     def evidence(self) -> dict[pgm.Variable, Array]:
         """For pgm."""
-        return {fix: self.readings}
+        return {self.network.sensors[0]: self.readings}
+
+    @property
+    def state(self) -> pgm.Variable:
+        """The one hidden variable."""
+        return self.network.states[0]
 
     @cached_property
     def parameters(self) -> Parameters:
@@ -51,9 +55,9 @@ class Tracking:
         return Parameters(
             np.array(prior.mean),
             np.array(prior.cov),
-            np.array(motion.matrices[target.previous]),
+            np.array(motion.matrices[self.state.previous]),
             np.array(motion.cov),
-            np.array(sensor.matrices[target]),
+            np.array(sensor.matrices[self.state]),
             np.array(sensor.cov),
         )
 
@@ -82,3 +86,23 @@ def draw(steps: int, seed: int = 0) -> Tracking:
     position = first[:2] + np.cumsum(DT * velocity[:-1] + noise[:, :2], axis=0)
     readings = position + rng.multivariate_normal(np.zeros(2), p.sensor_cov, steps)
     return Tracking(network, readings)
+
+
+def system(size: int, steps: int, seed: int = 0) -> Tracking:
+    """A stable linear system of so many components, of which half as many combinations are read."""
+    rng, half = np.random.default_rng(seed), size // 2
+    state, reading = (
+        pgm.Variable(name, [f"{name[0]}{k}" for k in range(count)])
+        for name, count in (("state", size), ("reading", half))
+    )
+    turn, _ = np.linalg.qr(rng.standard_normal((size, size)))
+    rows = rng.standard_normal((half, size)) / np.sqrt(size)
+    network = pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(state, np.zeros(size), np.eye(size))],
+        transition=[
+            pgm.LinearGaussianCPD(state, {state.previous: 0.95 * turn}, cov=0.1 * np.eye(size))
+        ],
+        observation=[pgm.LinearGaussianCPD(reading, {state: rows}, cov=0.5 * np.eye(half))],
+    )
+    drawn = network.sample(steps=steps, rng=rng)
+    return Tracking(network, np.asarray(drawn[reading])[-steps:])

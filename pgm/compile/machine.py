@@ -24,7 +24,6 @@ from pgm.linearisers import (
     Taylor,
     Unscented,
 )
-from pgm.linearisers.regression import FEW
 from pgm.resources import optional
 
 
@@ -60,10 +59,11 @@ class Compiled(InCode):
 
 # Points of these rules are the same at all steps.
 RULES = Unscented, Cubature, GaussHermite
+# The most points of a rule: NumPy takes no longer where there are more.
+POINTS = 128
 # Angles and components without noise are told to kernels by the bits of a number.
 MOST = 60
-# Why a schedule, or a filter's settings online, leave machine code.
-GATE = "a gate (gate=) decides at one predicted belief after another"
+# Why a schedule leaves machine code.
 CONTROL = "Levenberg–Marquardt (damping=) judges the windows of a lag"
 COMPILED = "compiled"
 # Before the reason why machine code calls a function rather than having it itself.
@@ -190,11 +190,11 @@ def _told(cpd: CPD, template: FunctionTemplate | None, sensor: bool) -> str:
         return f"it has more than {MOST} components"
     if isinstance(cpd, AffineCPD):
         return COMPILED
-    if isinstance(cpd, NonlinearGaussianCPD) and cpd.grouped:
-        return "its sightings are grouped, where a step has several"
     assert template is not None
     whole = template.whole.traced()
     rule = cpd.lineariser if isinstance(cpd, NonlinearGaussianCPD) else None
+    if isinstance(cpd, NonlinearGaussianCPD) and cpd.grouped and rule and type(rule) is not Taylor:
+        return f"its sightings are grouped, where a step has several, and linearised by {rule!r}"
     why = None if rule is None else rule_told(rule, template)
     why = why or (whole if isinstance(whole, str) else None)
     return f"{CALLED}{why}" if why else COMPILED
@@ -207,4 +207,4 @@ def rule_told(rule: Lineariser, template: FunctionTemplate) -> str | None:
     if type(rule) not in RULES or not isinstance(rule, StatisticalRegression):
         return f"it is linearised by {rule!r}"
     count = len(rule.points(template.size, template.child.name, 0).points)
-    return f"{rule!r} has {count} points; up to {FEW} are compiled" if count > FEW else None
+    return f"{rule!r} has {count} points; up to {POINTS} are compiled" if count > POINTS else None

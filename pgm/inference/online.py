@@ -52,11 +52,12 @@ class OnlineFilter(InCode, Immutable):
     compiled : bool or Compiled
         Whether steps are made in machine code, by LLVM. The model's functions are then recorded
         as they are when the filter is made; see `renewed` for later changes. Some steps are made
-        without machine code, with equal results: those of many runs, with a lag, a gate, a watch or
-        iterations, in twice the digits, with noise that depends on inputs, or with functions that
-        make floats of their input. Machine code runs in one thread. If not given, steps of linear
-        models are made in it after some thousands of a kind, which take as long as its making;
-        those of others are not, since a function that is recorded may change unseen.
+        without machine code, with equal results: those of many runs, of a lag with iterations, of
+        Levenberg–Marquardt, in twice the digits, with noise that depends on inputs or is graduated,
+        or with functions that make floats of their input. Machine code runs in one thread. If not
+        given, steps of linear models are made in it after the first 1,000 of a kind for each four
+        components of a slice, which take as long as its making; those of others are not, since a
+        function that is recorded may change unseen.
 
     Raises
     ------
@@ -73,8 +74,8 @@ class OnlineFilter(InCode, Immutable):
     >>> belief = robot.update(belief, {z: [4.0]})
     >>> belief[x].mean, belief[x].cov
     (array([2.]), array([[1.]]))
-    >>> pgm.OnlineFilter(walk, gate=0.99, compiled=True).compilation
-    'not compiled: a gate (gate=) decides at one predicted belief after another'
+    >>> pgm.OnlineFilter(walk, schedule=pgm.FixedLag(5, 3), compiled=True).compilation
+    'not compiled: the last steps are linearised again at each update'
     """
 
     model: DynamicBayesianNetwork

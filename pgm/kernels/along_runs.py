@@ -1,8 +1,9 @@
 """How much of the variances of many runs is left open; the last axis of all arrays is the runs.
 
-Each operation on a component goes along a contiguous row of runs. Symmetric matrices are factorised
-as U D Uᵀ, with U unit lower triangular and D the diagonal of pivots: a pivot is the variance of a
-component given those before it.
+Each operation on a component goes along a contiguous row of runs; of more than a few components
+LAPACK is faster, matrix by matrix. Symmetric matrices are factorised as U D Uᵀ, with U unit lower
+triangular and D the diagonal of pivots: a pivot is the variance of a component given those before
+it.
 """
 
 from __future__ import annotations
@@ -10,6 +11,9 @@ from __future__ import annotations
 import numpy as np
 
 from pgm.kernels.arrays import Array
+
+# Components from which on matrices that are all positive definite are LAPACK's.
+_MANY = 16
 
 
 def open_share(cov: Array) -> float:
@@ -22,6 +26,9 @@ def open_share(cov: Array) -> float:
     variances = np.einsum("iir->ir", cov)
     variances[variances == 0.0] = 1.0
     whole = np.abs(variances)
+    lower = _roots(cov)
+    if lower is not None:
+        return float((np.einsum("rii->ir", lower) ** 2 / whole).min(initial=1.0))
     return float((_eliminate(cov) / whole).min(initial=1.0))
 
 
@@ -40,6 +47,11 @@ def inflation(cov: Array) -> Array:
     cov /= unit
     cov /= unit[:, None]
     np.einsum("iir->ir", cov)[...] = 1.0
+    lower = _roots(cov)
+    if lower is not None:
+        inverse = np.linalg.inv(lower)
+        found: Array = np.einsum("rij,rij->r", inverse, inverse)
+        return found
     total = np.zeros(cov.shape[-1])
     rows: list[list[Array]] = []  # of U⁻¹, up to the one on its diagonal
     with np.errstate(all="ignore"):  # of what is singular; see below
@@ -64,6 +76,19 @@ def least_left(before: Array, after: Array) -> float:
     was, left = (np.einsum("iir->ir", cov) for cov in (before, after))
     counts = (left != 0.0) & (was > 0.0)
     return float((left[counts] / was[counts]).min(initial=1.0))
+
+
+def _roots(cov: Array) -> Array | None:
+    """The lower triangular roots of many components' matrices, (runs, n, n), of `cov` (n, n, runs).
+
+    None of few components, and where a matrix is not positive definite.
+    """
+    if len(cov) < _MANY:
+        return None
+    try:
+        return np.asarray(np.linalg.cholesky(np.moveaxis(cov, -1, 0)), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return None
 
 
 def _eliminate(matrix: Array) -> Array:

@@ -252,16 +252,6 @@ def sandwich(factor: Array, matrix: Array) -> Array:
     return times_transposed(times_symmetric(factor, matrix), factor)
 
 
-def one_minus(matrix: Array) -> Array:
-    """The matrices I − A, (..., n, n); where A lies by runs it is overwritten with the result."""
-    if not by_runs(matrix):
-        return np.eye(matrix.shape[-1]) - matrix
-    np.negative(matrix, out=matrix)
-    diagonal = np.einsum("...ii->...i", matrix)
-    diagonal += 1.0
-    return matrix
-
-
 def as_index(positions: npt.ArrayLike) -> Index:
     """Positions as a slice where they are consecutive, else as an array."""
     array = np.asarray(positions, dtype=np.intp)

@@ -220,12 +220,13 @@ class Runs(_ArrayMatrix):
     def __matmul__(self, other: Runs) -> Runs:
         a, b = self.array, other.array
         if a.shape[2:] == (1,):  # one for all, of which BLAS makes products
-            out = _scratch.empty(len(a), *b.shape[1:])
-            np.matmul(a[..., 0], b.reshape(len(b), -1), out=out.reshape(len(a), -1))
+            out, wide = _scratch.empty(len(a), *b.shape[1:]), prod(b.shape[1:])
+            np.matmul(a[..., 0], b.reshape(len(b), wide), out=out.reshape(len(a), wide))
             return Runs(out)
         out = _scratch.empty(len(a), b.shape[1], *_batch(a, b))
         if b.shape[2:] == (1,):
-            return Runs(np.matmul(b[..., 0].T, a, out=out))
+            _flat_product(b[..., 0].T, a, out)
+            return Runs(out)
         # Of a symmetric matrix rows are read in place of columns, which is faster.
         return Runs(np.einsum(_TIMES if other.symmetric else _PRODUCT, a, b, out=out))
 
@@ -235,7 +236,7 @@ class Runs(_ArrayMatrix):
         size = len(a)
         out = _scratch.empty(size, size, *_batch(a, b))
         if b.shape[2:] == (1,) != a.shape[2:]:
-            np.matmul(b[..., 0], a, out=out)
+            _flat_product(b[..., 0], a, out)
         elif size < _LARGE:
             np.einsum(_TIMES, a, b, out=out)
         else:
@@ -320,6 +321,13 @@ def _batch(a: Array, b: Array) -> tuple[int, ...]:
     """The batch of two arrays (m, n, *batch), of which one may be of length one."""
     one, other = a.shape[2:], b.shape[2:]
     return one if other == (1,) or one == other else np.broadcast_shapes(one, other)
+
+
+def _flat_product(one: Array, many: Array, out: Array) -> None:
+    """The products B A_i of B (k, n) and rows A_i (n, *batch) of A (m, n, *batch), for all i."""
+    runs = prod(many.shape[2:])
+    a, found = (each.reshape(*each.shape[:2], runs) for each in (many, out))
+    np.matmul(one, a, out=found)
 
 
 def _rows(right: Runs) -> Matrix:
@@ -439,8 +447,10 @@ class StackRoot:
     @cached_property
     def _lost(self) -> Mask | None:
         """Which matrices have lost their roots, (...); None if none has, or they are not given."""
+        if self._matrix is None:
+            return None
         lost: Mask = np.asarray(np.isnan(self.lower).any(axis=(-2, -1)))
-        return lost if self._matrix is not None and lost.any() else None
+        return lost if lost.any() else None
 
     @property
     def share(self) -> Array:

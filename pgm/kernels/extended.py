@@ -6,11 +6,12 @@ forty of NumPy's (Dekker, 1971; Joldes, Muller & Popescu, 2017).
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from pgm.kernels.arrays import Array, Mask
+from pgm.kernels.arrays import Array, Integers, Mask
 
 # 2²⁷ + 1 cuts a number into two halves of 26 bits.
 _CUT = 134217729.0
@@ -21,8 +22,9 @@ _LAST_TERM = 22
 class Twofold:
     """An array of numbers hi + lo, with |lo| at most half a unit in the last place of hi.
 
-    `hi` and `lo` are of one shape; `lo` is zero if None. `@` is the product of stacked matrices;
-    operands may be float64.
+    `hi` and `lo` are of one shape; `lo` is zero if None. Operands may be float64. In its last two
+    axes the array is a stack of matrices, with the operations of `numbers.Matrix` that sums and
+    products of covariances need.
     """
 
     __array_ufunc__ = None  # so that an array leaves the operation to this class
@@ -43,7 +45,7 @@ class Twofold:
         return self.hi.shape
 
     @property
-    def mT(self) -> Twofold:
+    def T(self) -> Twofold:
         """The transposed matrices."""
         return Twofold(self.hi.swapaxes(-1, -2), self.lo.swapaxes(-1, -2))
 
@@ -95,6 +97,17 @@ class Twofold:
         a, b = self[..., :, :, None], other[..., None, :, :]
         return Twofold(*_sum(*_product(a.hi, a.lo, b.hi, b.lo)))
 
+    def times(self, other: Twofold) -> Twofold:
+        """The products A Bᵀ, of which it is known that they are symmetric: half is computed."""
+        i, j, places = _half(self.shape[-2])
+        a, b = self[..., i, :, None], other[..., j, :, None]
+        half = Twofold(*_sum(*_product(a.hi, a.lo, b.hi, b.lo)))
+        return half[..., places, 0]
+
+    def one_minus(self) -> Twofold:
+        """The matrices I − A."""
+        return np.eye(self.shape[-1]) - self
+
     def __lt__(self, other: Twofold | Array | float) -> Mask:
         return (self - other).hi < 0.0
 
@@ -128,6 +141,15 @@ class Twofold:
         """The inner products (...) of two stacks of vectors (..., n)."""
         product = self * other
         return Twofold(*_sum(product.hi[..., None], product.lo[..., None]))[..., 0]
+
+
+@lru_cache(maxsize=64)
+def _half(size: int) -> tuple[Integers, Integers, Integers]:
+    """Rows and columns of the entries below a diagonal and on it, and the places (n, n) of all."""
+    i, j = np.tril_indices(size)
+    places = np.empty((size, size), dtype=np.int64)
+    places[i, j] = places[j, i] = np.arange(len(i))
+    return i, j, places
 
 
 def where(mask: Mask, a: Twofold | float, b: Twofold | float) -> Twofold:
@@ -247,7 +269,7 @@ def solve(unit: Twofold, pivots: Twofold, right: Twofold) -> Twofold:
     keeps the digits that a product with the inverse, whose entries are larger, would lose.
     """
     solution = _divided(solve_unit(unit, right), pivots)
-    upper = unit.mT
+    upper = unit.T
     for j in range(unit.shape[-1] - 2, -1, -1):
         known = upper[..., j : j + 1, j + 1 :] @ solution[..., j + 1 :, :]
         solution[..., j, :] = solution[..., j, :] - known[..., 0, :]
@@ -266,7 +288,7 @@ def inverse(unit: Twofold, pivots: Twofold) -> Twofold:
     has the reciprocals of D, and zero where D is zero.
     """
     back = inverse_unit(unit)
-    return back.mT @ _divided(back, pivots)
+    return back.T @ _divided(back, pivots)
 
 
 def _divided(rows: Twofold, pivots: Twofold) -> Twofold:

@@ -11,12 +11,10 @@ See `numbers` for what a matrix is here.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from pgm.kernels.numbers import Number
-
-# A matrix of numbers of any kind; the kinds have their operations in common, and no class.
-AnyMatrix = Any
+from pgm.kernels.step import AnyMatrix, predict
 
 
 class Eliminated(NamedTuple):
@@ -47,4 +45,4 @@ def substitute(
     gain: AnyMatrix, offset: AnyMatrix, cov: AnyMatrix, later: AnyMatrix, later_cov: AnyMatrix
 ) -> tuple[AnyMatrix, AnyMatrix]:
     """The solution for x, and its block of the inverse, from those of y."""
-    return offset - gain @ later, (gain @ later_cov).times(gain) + cov
+    return offset - gain @ later, predict(later_cov, gain, cov)

@@ -1,4 +1,4 @@
-"""Linear models of functions by regression on sigma points.
+"""The lines that sigma points give the regression of `step`, by weighted least squares.
 
 The N points s are sigma points of a standard normal vector of n components, mapped to x = m + L s
 by a root L of the covariance of x; the values Y of the function at them are regressed on s by
@@ -12,78 +12,75 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.kernels import roots
-from pgm.kernels.arrays import Array, apply, transpose
+from pgm.kernels import step
+from pgm.kernels.arrays import Array, Mask, apply, transpose
+from pgm.kernels.dense import Dense, Runs, Stack, StackRoot
 
 
 def regress(
+    root: StackRoot,
     s: Array,
     values: Array,
     mean_weights: Array,
     cov_weights: Array,
-    lower: Array,
     *,
     known: bool = False,
-) -> tuple[Array, Array, Array]:
-    """The regression line through values (..., N, d) at points s (..., N, n) of N(0, I).
+) -> step.Regressed:
+    """The regression of values (..., N, d) on points s (..., N, n) of N(0, I), in stacks.
 
-    Returns the slope J (..., d, n), the line's value at s = 0, (..., d), and the covariance of the
-    residuals, (..., d, d). A column of J is zero where that of L = `lower`, (..., n, n), is zero.
-    The mean and covariance of s are those of the sample, or, if `known`, 0 and I; then the
-    residual covariance may be indefinite.
+    Components of s have no part where the column of the root L (..., n, n) is zero. The mean and
+    covariance of s are those of the sample, or, if `known`, 0 and I; then the error may be
+    indefinite.
     """
-    value_mean, s_mean = mean_weights @ values, mean_weights @ s
-    deviation, ds = values - value_mean[..., None, :], s - s_mean[..., None, :]
-    unused = roots.determined(lower)
-    if unused.any():
-        ds = np.where(unused[..., None, :], 0.0, ds)
-    weighted = transpose(cov_weights[:, None] * ds)
-    moment = weighted @ deviation
-    if known:
-        spread = transpose(cov_weights[:, None] * deviation) @ deviation
-        return transpose(moment), value_mean, spread - transpose(moment) @ moment
-    normal = weighted @ ds
-    if unused.any():
-        normal = normal + unused[..., None] * np.eye(unused.shape[-1])
-    slope = transpose(np.asarray(np.linalg.solve(normal, moment), dtype=np.float64))
-    left = deviation - ds @ transpose(slope)
-    noise = transpose(cov_weights[:, None] * left) @ left
-    return slope, value_mean - apply(slope, s_mean), noise
+    line = _line(s, values, mean_weights, cov_weights, root.fixed, known=known)
+    left, weights = line.left, cov_weights
+    if known:  # of the values' covariance the line's own is taken off
+        left = np.concatenate([left, line.slope], axis=-2)
+        weights = np.concatenate([weights, np.full(s.shape[-1], -1.0)])
+    rest = Stack(transpose(left)), Stack(transpose(weights[:, None] * left))
+    return step.regressed(root, Stack.column(line.value), Stack(line.slope), *rest)
 
 
-class Fit(NamedTuple):
-    """The regression on fixed points, as one matrix to multiply values Y (N, d) with.
+def fit(s: Array, mean_weights: Array, cov_weights: Array) -> step.Rule:
+    """The regression on fixed points s (N, n), for roots L without a zero column, as `Dense`.
 
-    For N points of n components, the product of `rows` (N, N) and Y has, row by row: the line's
-    value at s = 0; the transposed slope Jᵀ, n rows; and N − n − 1 rows R, by which the covariance
-    of the residuals is Rᵀ diag(signs) R. `signs` (N − n − 1,) are ±1; None stands for all +1.
-    """
-
-    rows: Array
-    signs: Array | None
-
-
-def fit(s: Array, mean_weights: Array, cov_weights: Array) -> Fit:
-    """The weighted regression on points s (N, n), as one matrix to multiply values Y (N, d) with.
-
-    The product has the regression line's value at s = 0, its slope, and a root of the covariance of
-    the residuals. The matrix holds for a root L without a zero column. The mean and covariance of s
-    are those of the sample.
+    The mean and covariance of s are those of the sample.
     """
     count, size = s.shape
-    s_mean = mean_weights @ s
-    ds = s - s_mean
-    weighted = transpose(cov_weights[:, None] * ds)
-    deviation = np.eye(count) - mean_weights
-    slope = np.asarray(np.linalg.solve(weighted @ ds, weighted @ deviation), dtype=np.float64)
-    left = deviation - ds @ slope
+    line = _line(s, np.eye(count), mean_weights, cov_weights, np.zeros(size, dtype=bool))
     # As many squares as there are points more than a line passes through.
-    values, vectors = np.linalg.eigh(transpose(left) @ (cov_weights[:, None] * left))
+    values, vectors = np.linalg.eigh(transpose(line.left) @ (cov_weights[:, None] * line.left))
     largest = np.argsort(np.abs(values))[size + 1 :]
-    root = (np.sqrt(np.abs(values)) * vectors)[:, largest].T
-    moments = np.vstack([mean_weights - s_mean @ slope, slope])
+    rest = (np.sqrt(np.abs(values)) * vectors)[:, largest].T
     signs = np.sign(values[largest])
-    return Fit(np.vstack([moments, root]), None if (signs > 0.0).all() else signs)
+    return step.Rule(
+        Dense(line.value[None]),
+        Dense(line.slope),
+        Dense(rest),
+        None if (signs > 0.0).all() else Dense(np.diag(signs)),
+    )
+
+
+def of_runs(rule: step.Rule) -> step.Rule:
+    """The rule of a `fit` for the values of many runs, as `Runs`."""
+    return step.Rule(*(None if each is None else Runs(each.array[..., None]) for each in rule))
+
+
+class RangeRoot(StackRoot):
+    """The roots L of singular covariances (..., n, n), some components of which are determined.
+
+    `std` (..., n) are the components' deviations, which tell their units, and `null` is I − L L⁻;
+    see `range_inverse`.
+    """
+
+    def __init__(self, lower: Array, std: Array) -> None:
+        super().__init__(lower)
+        self.std = std
+        self._inverse, self.null = range_inverse(lower, std)
+
+    def solve_transposed(self, right: Stack) -> Stack:
+        """The X with Lᵀ X = B that has no part in directions without variance: L⁻ᵀ B."""
+        return Stack(transpose(self._inverse) @ right.array)
 
 
 def range_inverse(lower: Array, std: Array) -> tuple[Array, Array]:
@@ -96,3 +93,43 @@ def range_inverse(lower: Array, std: Array) -> tuple[Array, Array]:
     unit = np.where(std > 0.0, std, 1.0)
     inverse = np.linalg.pinv(lower / unit[..., None], rcond=1e-10) / unit[..., None, :]
     return inverse, np.eye(lower.shape[-1]) - lower @ inverse
+
+
+class _Line(NamedTuple):
+    """A line through values: at s = 0 `value` (..., d), along s `slope` (..., n, d).
+
+    `left` (..., N, d) is what it leaves of the values.
+    """
+
+    value: Array
+    slope: Array
+    left: Array
+
+
+def _line(
+    s: Array,
+    values: Array,
+    mean_weights: Array,
+    cov_weights: Array,
+    unused: Mask,
+    *,
+    known: bool = False,
+) -> _Line:
+    """The line through values (..., N, d) at points s (..., N, n), but for `unused` components.
+
+    If the moments of s are `known`, 0 and I, what is left is so of a level line.
+    """
+    value, middle = mean_weights @ values, mean_weights @ s
+    off, ds = values - value[..., None, :], s - middle[..., None, :]
+    some = unused.any()
+    if some:
+        ds = np.where(unused[..., None, :], 0.0, ds)
+    weighted = transpose(cov_weights[:, None] * ds)
+    moment = weighted @ off
+    if known:
+        return _Line(value, moment, off)
+    normal = weighted @ ds
+    if some:
+        normal = normal + unused[..., None] * np.eye(unused.shape[-1])
+    slope = np.asarray(np.linalg.solve(normal, moment), dtype=np.float64)
+    return _Line(value - apply(transpose(slope), middle), slope, off - ds @ slope)

@@ -50,7 +50,11 @@ def squares(cov: AnyMatrix, gain: AnyMatrix, matrix: AnyMatrix, noise: AnyMatrix
 
     It is a sum of squares, which loses no digits (Bucy and Joseph, 1968).
     """
-    keep = (gain @ matrix).one_minus()
+    return squares_by((gain @ matrix).one_minus(), cov, gain, noise)
+
+
+def squares_by(keep: AnyMatrix, cov: AnyMatrix, gain: AnyMatrix, noise: AnyMatrix) -> AnyMatrix:
+    """The `squares`, K P Kᵀ + G R Gᵀ, by the matrix K = I − G H."""
     return (keep @ cov).times(keep) + (gain @ noise).times(gain)
 
 
@@ -75,6 +79,21 @@ def update(
     cross = matrix @ cov
     root = (cross.times(matrix) + noise).root()
     return given(mean, cov, matrix, residual, noise, root, gain(root, cross))
+
+
+class Innovation(NamedTuple):
+    """How likely a measurement is: `square`, `volume` and `share` as of `Updated`."""
+
+    square: Number
+    volume: Number
+    share: Number
+
+
+def innovation(residual: AnyMatrix, spread: AnyMatrix) -> Innovation:
+    """How likely a measurement of this residual is, S being `spread`; no belief takes it in."""
+    root = spread.root()
+    white = root.solve(residual)
+    return Innovation((white.T @ white)[0, 0], root.volume, root.share)
 
 
 def gain(root: Any, cross: AnyMatrix) -> AnyMatrix:
@@ -209,15 +228,21 @@ class Regressed(NamedTuple):
 
 
 def regress(root: Any, rule: Rule, values: AnyMatrix) -> Regressed:
-    """The regression of a function's values Y (N × d) at the points m + L s, for the root L of P.
-
-    The slope F solves F L = Jᵀ, J being the slope along the points s.
-    """
-    moment = rule.slope @ values
+    """The regression of a function's values Y (N × d) at the points m + L s, L the root of P."""
     left = (rule.rest @ values).T
-    error = left.times(left) if rule.signs is None else (left @ rule.signs).times(left)
-    mean = (rule.mean @ values).T
-    return Regressed(root.solve_transposed(moment).T, mean, error, moment)
+    weighed = left if rule.signs is None else left @ rule.signs
+    return regressed(root, (rule.mean @ values).T, rule.slope @ values, left, weighed)
+
+
+def regressed(
+    root: Any, value: AnyMatrix, moment: AnyMatrix, left: AnyMatrix, weighed: AnyMatrix
+) -> Regressed:
+    """The regression whose line over the points s is known, with what it leaves of the values.
+
+    The slope F solves F L = Jᵀ, J = `moment` (n × d) being that along s. What is left is X = `left`
+    (d × K), and `weighed` is X W, so that the error's covariance is X W Xᵀ.
+    """
+    return Regressed(root.solve_transposed(moment).T, value, weighed.times(left), moment)
 
 
 def open_share(cov: Matrix) -> Number:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.errors import ModelError
-from pgm.kernels import regression
+from pgm.kernels import regression, step
 from pgm.kernels.arrays import Array
 
 # Four units in the last place.
@@ -91,9 +91,14 @@ class Points(_Points):
         return None
 
     @cached_property
-    def fit(self) -> regression.Fit:
+    def fit(self) -> step.Rule:
         """The regression on the points, where all beliefs share them."""
         return regression.fit(self.points, self.mean_weights, self.cov_weights)
+
+    @cached_property
+    def fit_of_runs(self) -> step.Rule:
+        """The `fit` for the values of many runs."""
+        return regression.of_runs(self.fit)
 
     @cached_property
     def with_centre(self) -> Array:
@@ -128,11 +133,11 @@ class Points(_Points):
 
     @cached_property
     def fitted_rounding(self) -> float:
-        """The same of the `fit`, whose rows R have less to cancel than weights of both signs.
+        """The same of the `fit`, whose rest R has less to cancel than weights of both signs.
 
         Eightfold, since a function has summands of its own.
         """
-        left = np.abs(self.fit.rows[1 + self.points.shape[1] :]).sum(axis=-1)
+        left = np.abs(self.fit.rest.array).sum(axis=-1)
         moved = 1.0 + 2.0 * np.sqrt((left**2).sum())
         return min(self.rounding, float(8.0 * _LAST_PLACES * moved))
 

@@ -11,7 +11,7 @@ from typing import NoReturn
 import numpy as np
 
 from pgm.errors import LinearisationError, NumericalError
-from pgm.kernels import gaussian, roots, solving
+from pgm.kernels import gaussian, regression, roots, step
 from pgm.kernels.angles import wrap
 from pgm.kernels.arrays import (
     Array,
@@ -20,10 +20,8 @@ from pgm.kernels.arrays import (
     components_last,
     deviation,
     times_transposed,
-    transpose,
 )
-from pgm.kernels.dense import Dense, DenseRoot, Runs, RunsRoot
-from pgm.kernels.regression import range_inverse, regress
+from pgm.kernels.dense import Dense, DenseRoot, Runs, RunsRoot, StackRoot
 from pgm.linearisers.function import BoundFunction
 from pgm.linearisers.lineariser import ArrayLineariser, Line, Prepared, apart
 from pgm.linearisers.points import Points
@@ -169,12 +167,12 @@ class _Regression:
 
     def __call__(self, function: BoundFunction, mean: Array, cov: Array) -> Line:
         """Linearise at beliefs (n, *batch) and (n, n, *batch)."""
-        rule, step = self.rule, function.step
+        rule, steps = self.rule, function.step
         if self.fresh:
             if function.group is not None and not function.joint:
                 return apart(self, function, mean, cov)
-            step = np.broadcast_to(0 if step is None else step, mean.shape[1:])
-        points = rule.points(self.size, self.name, step)
+            steps = np.broadcast_to(0 if steps is None else steps, mean.shape[1:])
+        points = rule.points(self.size, self.name, steps)
         s = points.points
         shared = s.ndim == 2 and len(s) <= FEW and not self.prior_moments
         root = gaussian.root(cov) if shared else None
@@ -220,17 +218,26 @@ class _Regression:
             for k in function.turning:
                 line = (offsets @ slopes[..., k, :, None])[..., 0]
                 raw[..., k] = _about(raw[..., k], line, axis=-1)
-        slope, centre, noise = regress(
-            s, raw, points.mean_weights, points.cov_weights, lower, known=rule.prior_moments
+        root = StackRoot(lower)
+        if root.fixed.any():
+            root = regression.RangeRoot(lower, deviation(spread))
+        weights = points.mean_weights, points.cov_weights
+        found = regression.regress(root, s, raw, *weights, known=rule.prior_moments)
+        matrix = found.matrix.array
+        if isinstance(root, regression.RangeRoot):  # there is more in directions without variance
+            matrix = matrix + function.jacobian(at, root.std) @ root.null
+        whole = Line(
+            components_first(matrix, 2),
+            components_first(reference + found.value.vector, 1),
+            components_first(found.error.array, 2),
         )
-        matrix = components_first(_divide(slope, lower, function, at, spread), 2)
-        value, noise = components_first(reference + centre, 1), components_first(noise, 2)
-        if not rule.prior_moments:
-            noise = np.array(noise)
-            known = components_first(slope, 2), components_first(reference, 1)
-            values = components_first(raw, 2).swapaxes(0, 1)
-            _clear_rounding(function, noise, *known, values, matrix, mean, points.rounding)
-        return Line(matrix, value, noise)
+        if rule.prior_moments:
+            return whole
+        noise = np.array(whole.error)
+        known = components_first(found.moment.T.array, 2), components_first(reference, 1)
+        values = components_first(raw, 2).swapaxes(0, 1)
+        _clear_rounding(function, noise, *known, values, whole.matrix, mean, points.rounding)
+        return whole._replace(error=noise)
 
 
 def _spread_one(s: Array, mean: Array, lower: Array) -> Array:
@@ -259,14 +266,10 @@ def _fitted_one(
         slopes, offsets = function.jacobian(mean, gaussian.deviations(cov)), x[extra:] - mean
         for k in turning:
             raw[:, k] = _about(raw[:, k], offsets.dot(slopes[k]), axis=0)
-    rows, signs = points.fit
-    found, first = rows.dot(raw), 1 + len(mean)
-    left = found[first:]
-    noise = (left if signs is None else signs[:, None] * left).T.dot(left)
-    slope, value = found[1:first].T, reference + found[0]
-    matrix = root.solve_transposed(Dense(slope).T).T.array
+    found = step.regress(root, points.fit, Dense(raw))
+    matrix, noise, slope = found.matrix.array, found.error.array, found.moment.T.array
     _clear_rounding(function, noise, slope, reference, raw.T, matrix, mean, points.fitted_rounding)
-    return Line(matrix, value, noise)
+    return Line(matrix, reference + found.value.array[:, 0], noise)
 
 
 def _spread(s: Array, mean: Array, lower: Array) -> Array:
@@ -297,11 +300,10 @@ def _fitted(
     """The regression line of a function at beliefs N(μ, P) by a rule whose points all share.
 
     With P = L Lᵀ and the rule's points s_i (n,) the function is called at x_i = μ + L s_i; x_0 is
-    the first of these, or μ where components of f are angles. The rows of ``points.fit``, applied
-    to the values f(x_i) − f(x_0), give the intercept a, the slope G (d, n) over s, and the weighted
-    residuals, whose products are the covariance of the error. The line is
+    the first of these, or μ where components of f are angles. `step.regress` gives, of the values
+    f(x_i) − f(x_0), the slope F, the intercept a and the covariance of the error n. The line is
 
-        y = f(x_0) + a + F (x − μ) + n,    F = G L⁻¹.
+        y = f(x_0) + a + F (x − μ) + n.
 
     Components of f that are angles are first moved by whole turns to within π of the function's
     tangent at μ, where values differ by more than π.
@@ -311,33 +313,24 @@ def _fitted(
     and the line's parts are likewise.
     """
     batch = mean.shape[1:]
-    values = values.transpose(-1, -2, *range(len(batch)))
-    if len(batch) > 1:
-        mean = mean.reshape(len(mean), -1)
-        x, values = (part.reshape(*part.shape[:2], -1) for part in (x, values))
+    values = values.transpose(-2, -1, *range(len(batch)))
     extra = x.shape[1] - len(points.points)
-    reference = values[:, 0]
+    reference = values[0]
     # Functions interleave components: along rows of runs all that follows goes faster.
-    raw = np.subtract(values[:, extra:], reference[:, None], order="C")
-    if any(np.abs(raw[k]).max(initial=0.0) > np.pi for k in turning):
-        at = components_last(mean.reshape(-1, *batch), 1)
+    raw = np.subtract(values[extra:], reference, order="C")
+    if any(np.abs(raw[:, k]).max(initial=0.0) > np.pi for k in turning):
+        at = components_last(mean, 1)
         slopes = function.jacobian(at, components_last(gaussian.deviations(cov), 1))
-        slopes = components_first(slopes, 2).reshape(-1, *mean.shape)
+        slopes = components_first(slopes, 2)
         offsets = x[:, extra:] - mean[:, None]
         for k in turning:
-            line = np.einsum("ir,iNr->Nr", slopes[k], offsets)
-            raw[k] = _about(raw[k], line, axis=0)
-    rows, signs = points.fit
-    found, first = rows @ raw, 1 + len(mean)
-    left = found[:, first:]
-    noise = np.einsum("ikr,jkr->ijr", left if signs is None else signs[:, None] * left, left)
-    slope, value = found[:, 1:first], reference + found[:, 0]
-    along = Runs(slope.reshape(*slope.shape[:2], *batch))
-    matrix = root.solve_transposed(along.T).T.array.reshape(slope.shape)
-    _clear_rounding(function, noise, slope, reference, raw, matrix, mean, points.fitted_rounding)
-    if len(batch) < 2:
-        return Line(matrix, value, noise)
-    return Line(*(part.reshape(*part.shape[:-1], *batch) for part in (matrix, value, noise)))
+            line = np.einsum("i...,iN...->N...", slopes[k], offsets)
+            raw[:, k] = _about(raw[:, k], line, axis=0)
+    found = step.regress(root, points.fit_of_runs, Runs(raw))
+    matrix, noise, slope = found.matrix.array, found.error.array, found.moment.T.array
+    off, rounding = raw.swapaxes(0, 1), points.fitted_rounding
+    _clear_rounding(function, noise, slope, reference, off, matrix, mean, rounding)
+    return Line(matrix, reference + found.value.array[:, 0], noise)
 
 
 def _about(raw: Array, line: Array, axis: int) -> Array:
@@ -415,13 +408,3 @@ def _clear_rounding(
             noise[k], noise[:, k] = 0.0, 0.0
         elif not real.all():
             noise[k], noise[:, k] = np.where(real, noise[k], 0.0), np.where(real, noise[:, k], 0.0)
-
-
-def _divide(slope: Array, lower: Array, function: BoundFunction, mean: Array, cov: Array) -> Array:
-    """F with F L = J; in the null directions of L, measured in its own units, the Jacobian."""
-    fixed = roots.determined(lower)
-    if not fixed.any():
-        return transpose(solving.solve_upper(lower, transpose(slope)))
-    std = deviation(cov)
-    inverse, null = range_inverse(lower, std)
-    return slope @ inverse + function.jacobian(mean, std) @ null

@@ -29,36 +29,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import log
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from pgm.display import Listing, Shown, Summary, number, places
 from pgm.immutable import Immutable
+from pgm.kernels import cusum
 from pgm.kernels.arrays import Array, Integers, Mask
 
-# κ; the shares q₀ and q₁ of rejections of a consistent belief, by outliers, and of a lost one.
-INFLATION, OUTLIERS, LOST_SHARE = 2.0, 0.1, 0.5
-# On average a test is wrong at most once in so many steps; the odds that a stretch is over.
-STEPS, ODDS = 1e6, 100.0
-_HIGH, _BACK = log(STEPS), log(ODDS)
-_MOST = _HIGH / 3.0
 _WHY = ("innovations", "rejections")
-
-
-def weighed(rejected: Integers, judged: Integers, outliers: float) -> Array:
-    """The log-likelihood ratio b of r = `rejected` sightings out of n = `judged`.
-
-    It has the shape of these two arrays. q₀ is a tenth or, if larger, `outliers`, the prior share
-    of sightings that was declared spurious or new; q₁ follows from q₀.
-    """
-    own = min(max(outliers, OUTLIERS), 1.0 - 1e-6)
-    share = LOST_SHARE + (1.0 - LOST_SHARE) * (own - OUTLIERS) / (1.0 - OUTLIERS)
-    found: Array = rejected * log(share / own) + (judged - rejected) * log(
-        (1.0 - share) / (1.0 - own)
-    )
-    return found
 
 
 class Read(NamedTuple):
@@ -87,7 +67,7 @@ class Read(NamedTuple):
         sighting is of no candidate. The numbers of innovations and gates are zero.
         """
         nothing = np.zeros_like(open_)
-        odds = weighed(strange, open_, outliers)
+        odds = cusum.weighed(strange, open_, outliers)
         return cls(np.zeros(open_.shape), nothing, nothing, nothing, strange, open_, odds)
 
     def and_(self, other: Read) -> Read:
@@ -100,10 +80,8 @@ class Read(NamedTuple):
 
         Each is cut to h/3 at the most, so that no single step makes a belief lost.
         """
-        a = 0.5 * ((1.0 - 1.0 / INFLATION) * self.nis - log(INFLATION) * self.dof)
-        b = weighed(self.rejected, self.judged, OUTLIERS) + self.odds
-        found: Array = np.minimum(np.stack([a, b]), _MOST)
-        return found
+        a = cusum.expected(self.nis, self.dof)
+        return np.stack([a, cusum.rejections(self.rejected, self.judged, self.odds)])
 
 
 class PageTest(NamedTuple):
@@ -137,18 +115,12 @@ class PageTest(NamedTuple):
 
     def on(self, step: int, weights: Array) -> PageTest:
         """The state after a step that adds the log-likelihood ratios `weights`, (2, runs)."""
-        onset = np.where(self.level == 0.0, step, self.onset)
-        level = np.clip(self.level + weights, 0.0, _HIGH)
-        high = level >= _HIGH
-        if not (high.any() or self.lost.any()):
-            return self._replace(level=level, onset=onset)
-        cries = ~self.lost & high.any(axis=0)
-        why = np.where(cries, np.argmax(high, axis=0), self.why)
-        first = np.where(cries, np.take_along_axis(onset, why[None], axis=0)[0], self.first)
-        over = self.lost & (level <= _HIGH - _BACK).all(axis=0)
-        level = np.where(over, 0.0, level)
-        declared = np.where(cries, step, self.declared)
-        return PageTest(level, onset, (self.lost | cries) & ~over, first, declared, why)
+        level, onset = cusum.raised(self.level, self.onset, step, weights)
+        raised = self._replace(level=level, onset=onset)
+        if not ((level >= cusum.HIGH).any() or self.lost.any()):
+            return raised
+        level, *rest = cusum.ruled(cusum.Sums._make(raised), step)
+        return PageTest(np.stack(level), onset, *rest[1:])
 
 
 @dataclass(frozen=True)

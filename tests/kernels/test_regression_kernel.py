@@ -4,7 +4,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from pgm.kernels.regression import range_inverse, regress
+from pgm.kernels import regression
+from pgm.kernels.dense import StackRoot
+from pgm.kernels.regression import RangeRoot, range_inverse
+
+
+def regress(s, values, mean_weights, cov_weights, root, **more):
+    """The slope along the points, the value at the mean and the error's covariance."""
+    root = root if isinstance(root, StackRoot) else StackRoot(root)
+    found = regression.regress(root, s, values, mean_weights, cov_weights, **more)
+    return found.moment.T.array, found.value.vector, found.error.array
 
 
 def data(rng, lead=(), count=12):
@@ -63,7 +72,8 @@ def test_components_that_the_root_does_not_use_have_no_part(known):
     s, values = data(rng)
     lower = np.array([[1.0, 0.0, 0.0], [0.5, 0.0, 0.0], [0.2, 0.0, 0.7]])
     weights = np.full(12, 1 / 12)
-    slope, centre, left = regress(s, values, weights, weights, lower, known=known)
+    root = RangeRoot(lower, np.linalg.norm(lower, axis=1))
+    slope, centre, left = regress(s, values, weights, weights, root, known=known)
     used = [0, 2]
     small = regress(s[:, used], values, weights, weights, np.eye(2), known=known)
     assert_allclose(slope[:, 1], 0.0)
@@ -71,6 +81,8 @@ def test_components_that_the_root_does_not_use_have_no_part(known):
     assert_allclose(left, small[2], atol=1e-12)
     if known:
         assert_allclose(centre, small[1], atol=1e-12)
+    found = regression.regress(root, s, values, weights, weights, known=known)
+    assert_allclose(found.matrix.array @ lower, slope, atol=1e-12)
 
 
 def test_range_and_null_space_do_not_depend_on_units():

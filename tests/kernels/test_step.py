@@ -5,9 +5,7 @@ error is divided by the largest entry of the result that is due, and by the cond
 a root is taken of.
 """
 
-import ast
 from functools import cache
-from pathlib import Path
 
 import mpmath
 import numpy as np
@@ -15,7 +13,6 @@ import pytest
 from crossed import slow_after
 from mpmath import mp
 
-import pgm
 from pgm.kernels import step, written
 from pgm.kernels.dense import Dense, Runs, Stack
 from pgm.kernels.extended import Twofold
@@ -480,9 +477,8 @@ def test_regress(kind, rule, size):
     _, cov, _, _, _ = drawn(1, size, 1)
     count = len(points.points)
     values = np.random.default_rng(size).normal(size=(RUNS, count, 2))
-    fit = points.fit
-    signs = np.diag(np.ones(count - 1 - size) if fit.signs is None else fit.signs)
-    known = [*np.split(fit.rows, [1, 1 + size]), signs]
+    *known, signs = (None if each is None else each.array for each in points.fit)
+    known.append(np.eye(count - 1 - size) if signs is None else signs)
     if not len(known[2]):  # a line passes through all points
         known[2:] = np.zeros((1, count)), np.eye(1)
     fixed = [kind.matrix(np.broadcast_to(each, (RUNS, *each.shape)).copy()) for each in known]
@@ -543,79 +539,12 @@ def test_lines_of_what_is_not_definite_return_nothing():
     assert read(np.zeros((2, 2))) is None
 
 
-# ---- once
-
-PACKAGE = Path(pgm.__file__).parent
-# In twice the digits one scalar is taken in after another, with the rounding of each.
-APART = {"beliefs/moments/digits"}
-# Distances with their mean taken off, and a projection: neither has a gain.
-OTHERS = {("viewer/placing.py", "_stressed"), ("kernels/rows.py", "_eliminate_exact")}
-
-
-def sandwiches(source):
-    """The names of functions that write (I − A) P (I − A)ᵀ: one minus A, used on both sides."""
-    tree = ast.parse(source)
-    for function in ast.walk(tree):
-        if isinstance(function, ast.FunctionDef):
-            kept = {
-                target.id
-                for line in ast.walk(function)
-                if isinstance(line, ast.Assign) and is_one_minus(line.value)
-                for target in line.targets
-                if isinstance(target, ast.Name)
-            }
-            for each in ast.walk(function):
-                if isinstance(each, ast.Call | ast.BinOp) and is_sandwich(each, kept):
-                    yield function.name
-                    break
-
-
-def is_one_minus(node):
-    """Whether an expression is `….one_minus()`, `one_minus(…)` or `….eye(…) - …`."""
-    if isinstance(node, ast.Call):
-        return getattr(node.func, "attr", getattr(node.func, "id", "")) == "one_minus"
-    return (
-        isinstance(node, ast.BinOp)
-        and isinstance(node.op, ast.Sub)
-        and isinstance(node.left, ast.Call)
-        and getattr(node.left.func, "attr", getattr(node.left.func, "id", "")) == "eye"
-    )
-
-
-def is_sandwich(node, kept):
-    """Whether a product has a name of `kept` on both sides, or is a call `sandwich(kept, …)`."""
-    if isinstance(node, ast.Call):
-        name = getattr(node.func, "attr", getattr(node.func, "id", ""))
-        first = node.args and isinstance(node.args[0], ast.Name) and node.args[0].id in kept
-        inside = isinstance(node.func, ast.Attribute) and names(node.func.value) & kept
-        return bool(first and (name == "sandwich" or inside))
-    if not isinstance(node.op, ast.MatMult):
-        return False
-    return bool(names(node.left) & names(node.right) & kept)
-
-
-def names(node):
-    return {each.id for each in ast.walk(node) if isinstance(each, ast.Name)}
-
-
-def test_a_sum_of_squares_is_written_once():
-    found = set()
-    for path in PACKAGE.rglob("*.py"):
-        place = path.relative_to(PACKAGE).as_posix()
-        source = path.read_text(encoding="utf-8")
-        one_minus = "one_minus" in source or "eye(" in source
-        if one_minus and not any(place.startswith(apart) for apart in APART):
-            found |= {(place, name) for name in sandwiches(source)}
-    assert found - OTHERS == {("kernels/step.py", "squares")}
-
-
-@pytest.mark.parametrize(
-    "lines",
-    [
-        "keep = np.eye(3) - gain @ matrix\n    return keep @ cov @ keep.T",
-        "keep = one_minus(multiply(gain, matrix))\n    return sandwich(keep, cov)",
-        "k = (g @ h).one_minus()\n    return (k @ p).times(k)",
-    ],
-)
-def test_another_is_found(lines):
-    assert list(sandwiches(f"def twice(gain, matrix, cov):\n    {lines}\n")) == ["twice"]
+def test_one_matrix_for_runs_along_two_axes():
+    rng = np.random.default_rng(0)
+    many, one = rng.normal(size=(3, 2, 4, 5)), rng.normal(size=(3, 2))
+    for_all = Runs(one[..., None])
+    product, times = Runs(many) @ for_all.T, Runs(many).times(for_all)
+    for place in np.ndindex(4, 5):
+        due = many[(..., *place)] @ one.T
+        np.testing.assert_allclose(product.array[(..., *place)], due, atol=1e-14)
+        np.testing.assert_allclose(np.tril(times.array[(..., *place)]), np.tril(due), atol=1e-14)

@@ -87,8 +87,19 @@ def test_products(a, b):
     assert_close(one @ other, a @ b, size)
     assert_close(one @ other.hi, a @ exact(other.hi), size)
     assert_close(one[..., 0] * one[..., 0], a[..., 0] ** 2, a[..., 0] ** 2)
-    assert_close(one.dot(other.mT), (a * b.swapaxes(-1, -2)).sum(-1), 4 * (abs(a) @ abs(b)).sum(-1))
-    assert_close(one.mT, a.swapaxes(-1, -2), 0 * abs(a.swapaxes(-1, -2)))
+    assert_close(one.dot(other.T), (a * b.swapaxes(-1, -2)).sum(-1), 4 * (abs(a) @ abs(b)).sum(-1))
+    assert_close(one.T, a.swapaxes(-1, -2), 0 * abs(a.swapaxes(-1, -2)))
+
+
+@few
+@given(stacks(2, 3, 3))
+def test_matrices_of_covariances(a):
+    """Products that are symmetric are so to the last digit, of which half is computed."""
+    cov = held(a) + held(a).T
+    found, due = cov.times(cov), exact(cov) @ exact(cov).swapaxes(-1, -2)
+    assert_close(found, due, 4 * (abs(exact(cov)) @ abs(exact(cov))))
+    assert (found == found.T).all()
+    assert_close(cov.one_minus(), np.eye(3, dtype=int) - exact(cov), 1 + abs(exact(cov)))
 
 
 @pytest.mark.parametrize("count", range(6))

@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
 import pgm
-from pgm.kernels.regression import fit, regress
+from pgm.kernels import step
+from pgm.kernels.dense import Dense, Runs, StackRoot
+from pgm.kernels.regression import fit, of_runs, regress
 from pgm.linearisers.lineariser import prepare
 from tests.dense import bound_function, random_covariance
 
@@ -74,27 +76,41 @@ def test_steps_and_runs_are_each_run_alone(rule, beliefs):
     line = prepare(rule, function.template)(function, *first)
     for k in range(40):
         alone = rule(bound_function(cpd), pgm.Gaussian(X, mean[k], cov[k]))
-        step, run = divmod(k, 8)
-        assert_allclose(line.matrix[..., step, run], alone.F, atol=1e-9)
-        assert_allclose(line.value[..., step, run], alone.F @ mean[k] + alone.b, atol=1e-9)
+        at, run = divmod(k, 8)
+        assert_allclose(line.matrix[..., at, run], alone.F, atol=1e-9)
+        assert_allclose(line.value[..., at, run], alone.F @ mean[k] + alone.b, atol=1e-9)
         if line.error is not None:
-            assert_allclose(line.error[..., step, run], alone.cov, atol=1e-9)
+            assert_allclose(line.error[..., at, run], alone.cov, atol=1e-9)
 
 
-def fitted(prepared, values, size):
+def fitted(rule, values, size):
     """Slope, value at the centre and what is left, of values (N, d) by the prepared regression."""
-    found = prepared.rows @ values
-    slope, left = found[1 : 1 + size], found[1 + size :]
-    signs = 1.0 if prepared.signs is None else prepared.signs[:, None]
-    return slope.T, found[0], (signs * left).T @ left
+    found = step.regress(Dense(np.eye(size)).root(), rule, Dense(values))
+    many = np.stack([values, 2.0 * values], axis=-1)
+    root = Runs(np.stack([np.eye(size)] * 2, axis=-1)).root()
+    runs = step.regress(root, of_runs(rule), Runs(many))
+    for k, factor in enumerate((1.0, 2.0)):
+        assert_allclose(runs.matrix.array[..., k], factor * found.matrix.array, atol=1e-12)
+        assert_allclose(runs.value.array[..., k], factor * found.value.array, atol=1e-12)
+        assert_allclose(runs.error.array[..., k], factor**2 * found.error.array, atol=1e-11)
+    return found.matrix.array, found.value.array[:, 0], found.error.array
 
 
+def directly(s, values, mean_weights, cov_weights):
+    """The same by the regression that is not prepared."""
+    root = StackRoot(np.eye(s.shape[-1]))
+    found = regress(root, s, values, mean_weights, cov_weights)
+    return found.matrix.array, found.value.vector, found.error.array
+
+
+@pytest.mark.parametrize("size", [1, 3])
 @pytest.mark.parametrize("name", ["unscented", "unscented alpha", "cubature", "gauss hermite"])
-def test_a_prepared_fit_is_the_regression(name):
-    points = RULES[name].points(3, "y", 0)
+def test_a_prepared_fit_is_the_regression(name, size):
+    """Through the points of a cubature of one component goes a line, which leaves nothing."""
+    points = RULES[name].points(size, "y", 0)
     values = np.random.default_rng(4).normal(size=(len(points.points), 2))
-    found = fitted(points.fit, values, 3)
-    due = regress(*points[:1], values, *points[1:3], np.eye(3))
+    found = fitted(points.fit, values, size)
+    due = directly(*points[:1], values, *points[1:3])
     for one, other in zip(found, due, strict=True):
         assert_allclose(one, other, atol=1e-12)
 
@@ -106,7 +122,7 @@ def test_negative_weights_subtract():
     weights = np.array([-0.1, 0.1, 0.2, 0.3, 0.2, 0.3])
     values = rng.normal(size=(6, 2)) * np.array([9.0, 1, 1, 1, 1, 1])[:, None]
     found = fitted(fit(s, mean_weights, weights), values, 2)
-    due = regress(s, values, mean_weights, weights, np.eye(2))
+    due = directly(s, values, mean_weights, weights)
     for one, other in zip(found, due, strict=True):
         assert_allclose(one, other, atol=1e-10)
     assert (np.linalg.eigvalsh(found[2]) < 0.0).any()
@@ -131,4 +147,4 @@ def test_only_sums_of_squares_are_never_indefinite(rule, due):
 def test_a_prepared_fit_is_made_once():
     one, other = (pgm.Unscented().points(3, "y", k).fit for k in (0, 1))
     assert one is other
-    assert_array_equal(one.rows.shape, (7, 7))
+    assert (one.slope.shape, one.rest.shape) == ((3, 7), (3, 7))

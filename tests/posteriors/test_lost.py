@@ -8,7 +8,8 @@ from crossed import crossed
 from numpy.testing import assert_array_equal
 
 import pgm
-from pgm.posteriors.lost import STEPS, Lost, Read
+from pgm.kernels.cusum import STEPS
+from pgm.posteriors.lost import Lost, Read
 
 x, z, w = pgm.variables("x z w")
 MODEL = pgm.DynamicBayesianNetwork(

@@ -338,7 +338,9 @@ def test_what_is_called_is_told(name):
 
 def test_several_sightings_that_are_left_to_numpy():
     model = MODELS["grouped"]
-    status = pgm.filter(model, recording("grouped"), compiled=True).status
+    status = pgm.filter(
+        model, recording("grouped"), lineariser=pgm.Unscented(), compiled=True
+    ).status
     assert "several sightings in a group" in status.compilation
     fresh = plain(sensor=SIGHT.cpd(lineariser=pgm.MonteCarlo(40, fresh_per_run=True)))
     found = both(pgm.smooth, fresh, evidence(11))

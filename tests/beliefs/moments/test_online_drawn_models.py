@@ -40,13 +40,21 @@ def steps(model, robot, count=None):
             return
 
 
+SETTINGS = (
+    {"gate": 0.9, "watch": True},
+    {"lag": 3},
+    {"schedule": pgm.Filtering(iterations=3, tolerance=0.0)},
+    {},
+)
+
+
 def check(seed):
     model = of_one_run(1000 * seed)
-    rule = RULES[seed % len(RULES)]
+    rule, settings = RULES[seed % len(RULES)], SETTINGS[seed % len(SETTINGS)]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         plain, quick = (
-            list(steps(model, pgm.OnlineFilter(model.network, rule, compiled=each)))
+            list(steps(model, pgm.OnlineFilter(model.network, rule, compiled=each, **settings)))
             for each in (False, True)
         )
     assert len(plain) == len(quick)
@@ -56,12 +64,36 @@ def check(seed):
             return
         if due.status.digits is not None:
             return  # from here on there are few digits, and both say so
-        for variable in due.layout.slice:
-            one, other = due[variable], found[variable]
-            unit = np.maximum(one.std, 1e-5 * np.abs(one.mean) * (one.std == 0.0) + 1e-300)
-            assert (np.abs(one.mean - other.mean) / unit).max() < 1e-7
-            assert (np.abs(one.cov - other.cov) / np.outer(unit, unit)).max() < 1e-7
-        assert found.log_evidence == pytest.approx(due.log_evidence, rel=1e-7, abs=1e-7)
+        assert_alike(found, due)
+        if "lag" in settings:
+            one, other = map(lagged, (due, found))
+            if isinstance(one, str):
+                assert one == other
+            else:
+                assert_alike(other, one)
+        if "watch" in settings:
+            assert found.lost == due.lost
+            for variable, its in due.rejected.items():
+                own = found.rejected[variable]
+                assert own.rejected.tolist() == its.rejected.tolist()
+                assert own.square == pytest.approx(its.square, rel=1e-6, abs=1e-9, nan_ok=True)
+
+
+def lagged(belief):
+    """The belief a lag before, or the words of its refusal."""
+    try:
+        return belief.lagged
+    except pgm.PgmError as error:
+        return str(error)
+
+
+def assert_alike(found, due):
+    for variable in due.layout.slice if due.step else due.layout.states:
+        one, other = due[variable], found[variable]
+        unit = np.maximum(one.std, 1e-5 * np.abs(one.mean) * (one.std == 0.0) + 1e-300)
+        assert (np.abs(one.mean - other.mean) / unit).max() < 1e-7
+        assert (np.abs(one.cov - other.cov) / np.outer(unit, unit)).max() < 1e-7
+    assert found.log_evidence == pytest.approx(due.log_evidence, rel=1e-7, abs=1e-7)
 
 
 @pytest.mark.parametrize("seed", range(3))

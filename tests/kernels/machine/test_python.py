@@ -113,9 +113,9 @@ def test_what_is_no_bytes_is_an_error(machine, start, error):
         function(machine)(start, {KEY: np.ones(2)})
 
 
-@pytest.mark.parametrize("size", [0, 7, 16])
-def test_bytes_of_another_size_are_an_error(machine, size):
-    with pytest.raises(ValueError, match="bytes of another size"):
+@pytest.mark.parametrize("size", [0, 7])
+def test_bytes_of_a_smaller_size_are_an_error(machine, size):
+    with pytest.raises(ValueError, match="more bytes"):
         function(machine)(bytes(size), {KEY: np.ones(2)})
 
 

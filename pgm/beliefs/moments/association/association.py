@@ -27,31 +27,42 @@ this is the ν of the candidate chosen.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
+from math import nan
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from pgm.beliefs.moments.association import joint_compatibility
+from pgm.beliefs.moments.compiled import sweep
+from pgm.beliefs.moments.compiled.sweep import Swept, is_used
 from pgm.beliefs.moments.digits import certificate
+from pgm.beliefs.moments.steps.account import Account
 from pgm.beliefs.moments.steps.chain import MomentChain
-from pgm.beliefs.moments.steps.gate import Asked
+from pgm.beliefs.moments.steps.gate import Asked, prepare
+from pgm.beliefs.moments.steps.open_sensor import OpenSensor
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.readings import Moments
+from pgm.beliefs.moments.steps.some_runs import evidence_of, graph_of
 from pgm.beliefs.moments.steps.vector import vector
 from pgm.compile import DynamicGraph
-from pgm.errors import EvidenceError, NumericalError
+from pgm.errors import EvidenceError, NumericalError, PgmError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.evidence.values import JOINT, SUM
-from pgm.kernels import mahalanobis, roots, solving
-from pgm.kernels.arrays import LOG_2PI, Array, Integers, quiet
+from pgm.kernels import mahalanobis, moments, roots, solving
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, quiet, vacant
 from pgm.kernels.semirings import log_sum
 from pgm.linearisers import Lineariser
 from pgm.posteriors.associations import Associations, collected
 from pgm.progress import counted
 from pgm.schedules.schedule import ONCE, Filtering
+from pgm.tracing import judged
 from pgm.variables import Variable
+
+# How much longer a step takes, with several candidates, than that of a filter.
+_TIMES = 8
 
 
 class Associated(NamedTuple):
@@ -69,22 +80,94 @@ class Associated(NamedTuple):
 @quiet()
 def associated(
     graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, gate: Asked | None = None
-) -> Associated:
+) -> tuple[Associated, str]:
     """Associate the open sightings of all steps by a filter that linearises each CPD once.
 
     `bound` is the evidence, open sightings included. `gate` is the filter's gate, for open and
-    other sightings; None is no gate. An EvidenceError refuses a prior of infinite variance, and
+    other sightings; None is no gate. The text tells whether machine code decided, as of
+    `Status.compilation`. An EvidenceError refuses a prior of infinite variance, and
     sensors whose `association` is "sum".
     """
-    known = replace(bound, readings=tuple(r for r in bound.readings if r.unknown is None))
-    plan = ChainPlan.make(graph, known, lineariser)
+    plan = _named(graph, bound, lineariser, probe=False)
     if certificate.is_flat(plan):
         raise EvidenceError(
             "sightings leave open what was seen, and the prior has an infinite variance, under "
             "which every candidate is as likely: give it a finite one"
         )
+    pending, account, whole = _pending(bound, gate), plan.account, slice(0, bound.runs)
+    left = [whole]
+    if is_used(plan, _TIMES):
+        account, left = _compiled(graph, bound, lineariser, gate, pending)
+    for runs in left:
+        if runs != whole:
+            own_graph, own = graph_of(graph, bound, runs), evidence_of(bound, runs)
+            part = _pending(own, gate)
+            with suppress(PgmError):  # the first error may be of other runs
+                _by_numpy(own_graph, own, lineariser, gate, part)
+                for each, found in zip(pending, part, strict=True):
+                    each.put(runs, found)
+                continue
+        _by_numpy(graph, bound, lineariser, gate, pending)
+        break
+    return _closed(bound, pending), account.words(bound.runs)
+
+
+def _named(
+    graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, *, probe: bool = True
+) -> ChainPlan:
+    """The plan of the evidence without its open sightings."""
+    named = tuple(reading for reading in bound.readings if reading.unknown is None)
+    return ChainPlan.make(graph, replace(bound, readings=named), lineariser, probe=probe)
+
+
+def _pending(bound: BoundEvidence, gate: Asked | None) -> list[_Pending]:
+    """The sensors with open sightings, none of which is decided."""
+    return [
+        _Pending(reading, bound.runs, gate)
+        for reading in bound.readings
+        if reading.unknown is not None
+    ]
+
+
+def _compiled(
+    graph: DynamicGraph,
+    bound: BoundEvidence,
+    lineariser: Lineariser,
+    gate: Asked | None,
+    pending: Sequence[_Pending],
+) -> tuple[Account, list[slice]]:
+    """Decide about all sightings in one sweep of machine code, but for the runs that it leaves.
+
+    Its account tells why it leaves some.
+    """
+    swept: Swept | None = None
+    for judge in judged():
+        with judge:
+            plan = ChainPlan.make(graph, bound, lineariser, judge=judge)
+            prepare(plan, gate)
+            size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)
+            known = vacant(shape, (size,)), vacant(shape, (size, size)), np.empty(shape)
+            swept = sweep.forward(plan, Filtering(gate=gate), known, keep=False, times=_TIMES)
+    if swept is None:
+        return plan.account, [slice(0, plan.runs)]
+    sensors = {sensor.variable: sensor for sensor in plan.sensors}
+    for each in pending:
+        sensor = sensors[each.reading.cpd.child]
+        assert isinstance(sensor, OpenSensor)
+        each.decide(range(len(sensor.terms)), each.with_others(sensor.terms))
+    return plan.account, swept.left
+
+
+def _by_numpy(
+    graph: DynamicGraph,
+    bound: BoundEvidence,
+    lineariser: Lineariser,
+    gate: Asked | None,
+    pending: Sequence[_Pending],
+) -> None:
+    """Decide about all sightings, step by step."""
+    plan = _named(graph, bound, lineariser)
     chain = MomentChain(plan, Filtering(gate=gate), keep=False)
-    pending = [_Pending(reading, gate) for reading in bound.readings if reading.unknown is not None]
     belief = chain.start()
     for step in counted(range(bound.steps + 1), "associations"):
         if step:
@@ -94,7 +177,6 @@ def associated(
             rows = each.rows(step)
             if len(rows):
                 belief = each.associate(graph, bound, lineariser, step, rows, belief)
-    return _closed(bound, pending)
 
 
 @quiet()
@@ -113,7 +195,7 @@ def associated_at(
     gate, for open and other sightings; None is no gate. An EvidenceError refuses sensors whose
     `association` is "sum".
     """
-    pending = [_Pending(reading, gate) for reading in bound.readings if reading.unknown is not None]
+    pending = _pending(bound, gate)
     known = tuple(reading for reading in bound.readings if reading.unknown is None)
     belief = _taken(graph, bound, lineariser, step, known, belief, gate)
     for each in pending:
@@ -143,14 +225,14 @@ class _Pending:
     names the unknown parent and its candidates. An EvidenceError refuses the association "sum".
     `gate` is the filter's gate, None for no gate.
 
-    The lists `probability`, `values` and `taken` have an array for each sighting decided so far, in
-    the order of the rows. `probability` (runs, k + 2) is that of the sighting being of each
-    candidate, spurious, or of a new thing. `values` (runs, p) is the chosen value of the unknown
-    parent, of p components. `taken` (runs, d) marks which of the sighting's d components were used
-    as measurements.
+    The arrays `probability`, `values` and `taken` are of the M sightings, in the order of the rows,
+    so far as they are decided. `probability` (M, runs, k + 2) is that of the sighting being of each
+    candidate, spurious, or of a new thing. `values` (M, runs, p) is the chosen value of the unknown
+    parent, of p components. `taken` (M, runs, d) marks which of the sighting's d components were
+    used as measurements.
     """
 
-    def __init__(self, reading: Reading, gate: Asked | None) -> None:
+    def __init__(self, reading: Reading, runs: int, gate: Asked | None) -> None:
         assert reading.unknown is not None
         self.reading, self.gate = reading, gate
         self.parent, self.unknown = reading.unknown
@@ -162,9 +244,15 @@ class _Pending:
                 variable=self.parent,
                 cpd=reading.cpd,
             )
-        self.probability = list[Array]()
-        self.values = list[Array]()
-        self.taken = list[Array]()
+        shape = len(reading.step), runs
+        self.probability = np.empty((*shape, len(self.unknown.candidates) + 2))
+        self.values = np.empty((*shape, self.parent.dimension))
+        self.taken: Mask = np.empty((*shape, reading.values.shape[-1]), dtype=bool)
+
+    def put(self, runs: slice, other: _Pending) -> None:
+        """Copy what was decided of some runs."""
+        for name in ("probability", "values", "taken"):
+            getattr(self, name)[:, runs] = getattr(other, name)
 
     def rows(self, step: int) -> range:
         """The rows of the sensor's sightings at a step, a range that may be empty."""
@@ -188,9 +276,8 @@ class _Pending:
         that of being new, is ∝ its prior probability times its uniform density. Where all k + 2 are
         zero the sighting is spurious. The likeliest of the k + 2 is chosen for each sighting by
         itself, or, if the sensor's `association` is "joint", for all sightings together. Spurious
-        and new sightings do not change the belief. The lists of the class grow by an entry for each
-        row. A NumericalError refuses an S_j that is not positive definite, an EvidenceError a joint
-        choice among too many hypotheses.
+        and new sightings do not change the belief. A NumericalError refuses an S_j that is not
+        positive definite, an EvidenceError a joint choice among too many hypotheses.
         """
         runs, unknown = bound.runs, self.unknown
         pairs = _innovations(
@@ -201,22 +288,34 @@ class _Pending:
         if unknown.gate is not None:
             limit = mahalanobis.square_within(unknown.gate, np.maximum(count, 1))
             terms = np.where(square > limit, -np.inf, terms)
-        others = np.broadcast_to(unknown.log_outliers, (len(rows), runs, 2))
-        terms = np.concatenate([terms, others], axis=-1)
-        # A sighting that no candidate explains is spurious, even where none was declared to be.
-        terms[np.isneginf(terms).all(axis=-1), -2] = 0.0
+        terms = self.with_others(terms)
         if unknown.association == JOINT:
             terms = self._jointly(pairs, terms, belief.by_run[1], step)
-        probability = np.exp(terms - log_sum(terms, -1)[..., None])
-        for row, shares in zip(rows, probability, strict=True):
-            taken = np.broadcast_to(self.reading.taken[row], (runs, self.reading.taken.shape[-1]))
-            shares[~taken.any(axis=-1)] = np.nan
-            likeliest = np.argmax(np.nan_to_num(shares, nan=-1.0), axis=-1)
-            seen = likeliest < len(unknown.candidates)
-            self.probability.append(shares)
-            self.values.append(unknown.candidates[np.where(seen, likeliest, 0)])
-            self.taken.append(taken & seen[:, None])
+        self.decide(rows, terms)
         return _taken(graph, bound, lineariser, step, (self.part(rows),), belief, self.gate)
+
+    def with_others(self, terms: Array) -> Array:
+        """The logarithms of unnormalised probabilities (..., k + 2), in the order of `probability`.
+
+        `terms` (..., k) are those of the candidates, −∞ outside their gate.
+        """
+        others = np.broadcast_to(self.unknown.log_outliers, (*terms.shape[:-1], 2))
+        found = np.concatenate([terms, others], axis=-1)
+        # A sighting that no candidate explains is spurious, even where none was declared to be.
+        found[np.isneginf(found).all(axis=-1), -2] = 0.0
+        return found
+
+    def decide(self, rows: range, terms: Array) -> None:
+        """Take the sightings of some rows for what is likeliest, by `terms` as of `with_others`."""
+        some, candidates = slice(rows.start, rows.stop), self.unknown.candidates
+        probability = np.exp(terms - log_sum(terms, -1)[..., None])
+        measured = self.reading.taken[some].any(axis=-1)
+        probability[~np.broadcast_to(measured, terms.shape[:-1])] = nan
+        likeliest = np.argmax(np.nan_to_num(probability, nan=-1.0), axis=-1)
+        seen = likeliest < len(candidates)
+        self.probability[some] = probability
+        self.values[some] = candidates[np.where(seen, likeliest, 0)]
+        self.taken[some] = self.reading.taken[some] & seen[..., None]
 
     def _jointly(self, pairs: _Pairs, terms: Array, cov: Array, step: int) -> Array:
         """Decide about a step's sightings together; returns log-probabilities of the candidates.
@@ -292,10 +391,10 @@ class _Pending:
             step=np.zeros(len(rows), dtype=np.intp),
             order=np.arange(len(rows)),
             values=self.reading.values[chosen],
-            taken=np.stack(self.taken[chosen]),
+            taken=self.taken[chosen],
             inputs={
                 **{v: a[chosen] for v, a in self.reading.inputs.items()},
-                self.parent: np.stack(self.values[chosen]),
+                self.parent: self.values[chosen],
             },
             unknown=None,
         )
@@ -306,12 +405,8 @@ class _Pending:
 
         Candidates must have been chosen for all sightings before.
         """
-        whole = self.part(range(len(self.reading.step))) if self.values else self.reading
-        inputs = whole.inputs
-        if not self.values:
-            inputs = {**inputs, self.parent: np.zeros((0, 1, self.parent.dimension))}
-        step, order = self.reading.step, self.reading.order
-        return replace(whole, step=step, order=order, inputs=inputs, unknown=None)
+        whole = self.part(range(len(self.reading.step)))
+        return replace(whole, step=self.reading.step, order=self.reading.order)
 
 
 def _taken(
@@ -384,7 +479,7 @@ def _innovations(
     noises = np.broadcast_to(
         noise.reshape(height, height, -1).transpose(2, 0, 1), (every, height, height)
     )
-    innovation = noises + wide @ covs[of] @ wide.mT
+    innovation = moments.predict(covs[of], wide, noises)
     lower = roots.root(innovation)
     if not roots.is_proper(lower) or roots.determined(lower).any():
         raise NumericalError(

@@ -128,11 +128,8 @@ def _points(
 ) -> told.Points:
     points: Points = rule.points(size, name, 0)
     fit = points.fit
-    rows = np.where(
-        abs(fit.rows) > _NOTHING * abs(fit.rows).max(axis=1, keepdims=True), fit.rows, 0.0
-    )
-    mean, slope, rest = map(_told, np.split(rows, [1, 1 + size]))
-    signs = () if fit.signs is None else tuple(fit.signs.tolist())
+    mean, slope, rest = (_told(_cleared(each.array)) for each in fit[:3])
+    signs = () if fit.signs is None else tuple(fit.signs.diagonal)
     return told.Points(
         _told(points.points),
         mean,
@@ -143,6 +140,13 @@ def _points(
         points.fitted_rounding,
         tuple(map(float, variances)),
     )
+
+
+def _cleared(matrix: Array) -> Array:
+    """The matrix, with zeros for entries that are rounding of their row."""
+    size = np.abs(matrix)
+    found: Array = np.where(size > _NOTHING * size.max(axis=1, keepdims=True), matrix, 0.0)
+    return found
 
 
 def _told(matrix: Array) -> told.Rows:

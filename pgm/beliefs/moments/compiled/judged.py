@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pgm.beliefs.moments.steps.open_sensor import OpenSensor
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, Index, Integers, Mask, block, deviation, times_transposed
@@ -24,7 +25,8 @@ def judge(
     """Judge the traces of a plan at the beliefs of its sweep, in runs that are done.
 
     A transition is evaluated at the belief `known` from the measurements of the step before, a
-    sensor at the `predicted` one, and `again`, in an iterated update, at the one that is known.
+    sensor at the `predicted` one, or at that which is kept where its sightings are open, and
+    `again`, in an iterated update, at the one that is known.
     """
     layout, runs = plan.layout, None if done.all() else np.flatnonzero(done)
     front, states, span = layout.state_size, layout.state_places, np.arange(plan.steps)
@@ -45,7 +47,8 @@ def judge(
             continue
         at = _Points.of(family, plan.runs, runs)
         step = family.step - plan.first
-        for moments in (predicted, known) if again else (predicted,):
+        first = sensor.point if isinstance(sensor, OpenSensor) else predicted
+        for moments in (first, known) if again else (first,):
             _judge(family, sensor.parents, at, *at.moments(moments, step))
 
 

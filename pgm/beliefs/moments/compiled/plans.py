@@ -14,9 +14,11 @@ from pgm.beliefs.moments.compiled.called import Call, Calls, Lines
 from pgm.beliefs.moments.compiled.functions import function_of, loss_of, points_of
 from pgm.beliefs.moments.compiled.memory import address
 from pgm.beliefs.moments.steps import gate as gates
+from pgm.beliefs.moments.steps.open_sensor import OpenSensor
 from pgm.beliefs.moments.steps.plan import ChainPlan, Link
 from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.compile.machine import MOST
+from pgm.evidence.values import JOINT
 from pgm.kernels.arrays import Array, Index
 from pgm.kernels.machine.emitter.memory import Runs
 from pgm.kernels.machine.sweeps import told
@@ -133,16 +135,31 @@ def unknown(plan: ChainPlan) -> str | None:
     for sensor in plan.read:
         if sensor.robust and sensor.weights.noise.graduated:
             return f"{sensor.family.cpd!r} has graduated noise"
+        if isinstance(sensor, OpenSensor):
+            why = _open_unknown(sensor)
+            if why is not None:
+                return f"{sensor.family.cpd!r}: {why}"
         if sensor.exact:
             return f"{sensor.family.cpd!r} has a singular noise"
         rule = sensor.family.lineariser
         if getattr(rule, "fresh_per_run", False) and max(np.diff(sensor.bounds)) > 1:
             return f"{sensor.family.cpd!r} draws points anew for each of several sightings"
-        if sensor.grouped and max(np.diff(sensor.bounds)) > 1:
-            return f"{sensor.family.cpd!r} has several sightings in a group"
+        if sensor.is_correlated:
+            return f"{sensor.family.cpd!r} has several sightings in a group, linearised by {rule!r}"
     for family in plan.families:
         if max(family.cpd.child.dimension, family.shape[3]) > MOST:
             return f"{family.cpd!r} has more than {MOST} components"
+    return None
+
+
+def _open_unknown(sensor: OpenSensor) -> str | None:
+    """Why machine code does not compare a sensor's sightings with candidates."""
+    if sensor.unknown.association == JOINT:
+        return "its sightings of a step are associated together"
+    if sensor.robust:
+        return "it has robust noise, and its sightings are to be associated"
+    if getattr(sensor.family.lineariser, "fresh_per_run", False):
+        return "points are drawn anew for each candidate"
     return None
 
 
@@ -185,6 +202,7 @@ def decisive(
             _gate(sensor, gate, stored=stored),
             _missing(sensor, gate, stored=stored),
             _single(sensor, plan.steps),
+            sensor.form if isinstance(sensor, OpenSensor) else None,
         )
         for sensor in plan.read
     ]
@@ -271,7 +289,8 @@ def sensor_of(
     kept = keep and not stored and bool(sensor.variable.angles)
     loss = None
     if sensor.robust:
-        loss = _loss_of(sensor, table, missing, found=stored, controlled=controlled)
+        flags = {"missing": missing, "found": stored, "controlled": controlled}
+        loss = robust_noise_of(sensor, table, **flags)
     # Where some of a step are robust, all sightings are taken in again, as they were linearised.
     again = any(each.robust for each in plan.read)
     held = max(1, *np.diff(sensor.bounds).tolist()) if again else 1
@@ -283,6 +302,29 @@ def sensor_of(
         bounds=None if _single(sensor, plan.steps) else table.at_of(sensor, attrgetter("edges")),
         gate=None if probability is None else _gate_of(probability, sensor, table),
         loss=loss,
+        candidates=_candidates_of(sensor, table) if isinstance(sensor, OpenSensor) else None,
+    )
+
+
+def _candidates_of(sensor: OpenSensor, table: Table) -> told.Candidates:
+    """The candidates of a sensor's sightings, and where what is found of them goes."""
+    count, gated, rejects = sensor.form
+
+    def array(name: str) -> told.Array:
+        return table.of(sensor, attrgetter(name))
+
+    return told.Candidates(
+        count=count,
+        shares=array("shares"),
+        others=array("others"),
+        limits=array("limits") if gated else None,
+        alike=array("alike"),
+        terms=array("terms"),
+        matrix=array("chosen.matrix"),
+        offset=array("chosen.offset"),
+        noise=array("chosen.noise"),
+        values=array("chosen.values") if rejects else None,
+        point=(array("point.mean"), array("point.cov")),
     )
 
 
@@ -296,10 +338,13 @@ def _gate_of(probability: float, sensor: Sensor, table: Table) -> told.Gate:
     )
 
 
-def _loss_of(
-    sensor: Sensor, table: Table, missing: bool, *, found: bool, controlled: bool
+def robust_noise_of(
+    sensor: Sensor, table: Table, *, missing: bool, found: bool, controlled: bool
 ) -> told.Loss:
-    """A sensor's robust noise, with the weights of its sightings; `found` as of `told.Loss`."""
+    """A sensor's robust noise, with the weights of its sightings; `found` as of `told.Loss`.
+
+    `missing` says that components may be missing.
+    """
     family, weights = sensor.family, sensor.weights
     counts = range(0 if missing else sensor.height, sensor.height + 1)
     functions = [loss_of(weights.noise, count) for count in counts]
@@ -334,7 +379,7 @@ def untried(plan: ChainPlan) -> Record:
     """Room for the weights of robust noise that a step control tries."""
     robust = [sensor for sensor in plan.read if sensor.robust]
     names = [name for sensor in robust for name in trials_of(sensor)]
-    shapes = [sensor.family.shape[:2] for sensor in robust for _ in range(2)]
+    shapes = [sensor.shape for sensor in robust for _ in range(2)]
     return {name: np.empty(shape) for name, shape in zip(names, shapes, strict=True)}
 
 
@@ -346,7 +391,7 @@ def rejected_by(sensor: Sensor) -> str:
 def undecided(plan: ChainPlan, gate: gates.Asked | None, *, stored: bool) -> Record:
     """Room for what gates decide in a sweep: 1 of a sighting that is rejected, else 0."""
     return {
-        rejected_by(sensor): np.zeros(sensor.family.shape[:2])
+        rejected_by(sensor): np.zeros(sensor.shape)
         for sensor in plan.read
         if _gate(sensor, gate, stored=stored) is not None
     }

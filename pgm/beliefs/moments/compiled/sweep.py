@@ -30,6 +30,7 @@ from pgm.beliefs.moments.compiled.plans import (
 from pgm.beliefs.moments.compiled.table import Filled, NamedTable
 from pgm.beliefs.moments.steps.chain import MomentChain
 from pgm.beliefs.moments.steps.gate import Asked
+from pgm.beliefs.moments.steps.open_sensor import OpenSensor
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.compile.machine import Compiled
 from pgm.kernels.arrays import Array, Mask, vacant
@@ -48,6 +49,7 @@ from pgm.schedules.schedule import ONCE, Filtering, FixedLag
 _STEP, _LONG = 100, 250_000
 # Why runs are left to the general kernels, going forward and back.
 FAR = "readings are too sharp, a covariance is singular, or numbers are too far apart"
+CLOSE = f"two candidates are as likely or on the edge of a gate, {FAR}"
 LONG = "step control, and windows of a lag, are compiled for slices of few components"
 _SINGULAR = "a covariance is singular on the way back"
 # Sweeps of so many forms of plans are kept by a network's layout.
@@ -101,6 +103,7 @@ def forward(
     *,
     keep: bool,
     anchor: Anchor | None = None,
+    times: int = 1,
 ) -> Swept | None:
     """Sweep a plan forward into arrays of its record; None if it is not compiled.
 
@@ -116,8 +119,10 @@ def forward(
         Whether the plan keeps how it is linearised.
     anchor : Anchor or None
         A measurement of all components, for the trial of a step control.
+    times : int
+        As of `is_used`.
     """
-    if not is_used(plan):
+    if not is_used(plan, times):
         return None
     asked = schedule or ONCE
     stored, calls = schedule is None, Calls(plan.runs)
@@ -172,7 +177,7 @@ def forward(
         raise calls.failure
     decided(plan, record)
     left = stretches(ended[sweeps.LEFT] != 0.0)
-    count(plan, left, FAR)
+    count(plan, left, CLOSE if any(isinstance(s, OpenSensor) for s in plan.read) else FAR)
     if schedule is not None:
         done = ended[sweeps.LEFT] == 0.0
         judge(plan, known, predicted or known, done, again=asked.iterations > 1)

@@ -201,7 +201,7 @@ def joint(careful: Careful, steps: list[int], slices: Sequence[Smooth]) -> tuple
         found = _across(careful, slices, steps[0], second) if j else {}
         for i, first in enumerate(steps[:j]):
             across = found[first] + known.between(slices[first - begin].belief, later.belief)
-            cov[:, i, :, j], cov[:, j, :, i] = across.hi, across.mT.hi
+            cov[:, i, :, j], cov[:, j, :, i] = across.hi, across.T.hi
     whole = len(steps) * size
     total = cov.reshape(runs, whole, whole)
     unbounded = np.isinf(variances(total))
@@ -227,7 +227,7 @@ def _across(
     assert move is not None
     across, found = slices[second - begin].belief.cov, {}
     said = slices[second - begin].here.matrix
-    weight = move.matrix.mT
+    weight = move.matrix.T
     weight = weight - weight @ said @ predicted.cov
     for step in range(second - 1, first - 1, -1):
         move, _, taken = careful.steps[step]
@@ -237,6 +237,6 @@ def _across(
         if step > first:
             assert move is not None
             for component in reversed(taken.components):
-                weight = component.keep.mT @ weight
-            weight = move.matrix.mT @ weight
+                weight = component.keep.T @ weight
+            weight = move.matrix.T @ weight
     return found

@@ -16,7 +16,7 @@ from pgm.beliefs.moments.digits.careful_belief import (
     rounded,
     through,
 )
-from pgm.kernels import extended
+from pgm.kernels import extended, step
 from pgm.kernels.arrays import Array, Mask, apply, sandwich, variances
 from pgm.kernels.extended import Twofold
 
@@ -63,8 +63,8 @@ class Later(NamedTuple):
         drift = through(keep.hi.mT, drift) + along[..., None] * along[..., None, :]
         own = (row * weight[:, None])[..., None] * row[:, None, :]
         rounding = through(keep.hi.mT, rounding) + rounded(keep.hi.mT, matrix.hi, own.hi)
-        vector = keep.mT @ vector + row[..., None] * said[:, None, :]
-        matrix = keep.mT @ matrix @ keep + own
+        vector = keep.T @ vector + row[..., None] * said[:, None, :]
+        matrix = step.predict(matrix, keep.T, own)
         return Later(vector, matrix, rounding, drift, np.maximum(blurred, error))
 
     def back(self, matrix: Twofold) -> Later:
@@ -75,8 +75,8 @@ class Later(NamedTuple):
         slope, said = matrix.hi.mT, self.matrix
         rounding = through(slope, self.rounding) + rounded(slope, said.hi)
         drift = through(slope, self.drift)
-        said = matrix.mT @ said @ matrix
-        return Later(matrix.mT @ self.vector, said, rounding, drift, self.blurred)
+        said = (matrix.T @ said).times(matrix.T)
+        return Later(matrix.T @ self.vector, said, rounding, drift, self.blurred)
 
 
 class Back(NamedTuple):
@@ -112,7 +112,7 @@ def given(known: Belief, later: Later) -> tuple[Belief, Array]:
     its own bounds of rounding, and the shares of its variances that may be rounding, (runs, n).
     """
     columns, cov, own, drift, largest = known
-    left = _symmetric(cov - cov @ later.matrix @ cov)
+    left = cov - (cov @ later.matrix).times(cov)
     before = variances(cov.hi)
     changed = through(cov.hi, later.rounding) + rounded(cov.hi, later.matrix.hi, cov.hi)
     rounding = later.blurred[:, None] * before + variances(changed)
@@ -172,10 +172,9 @@ def _reversed(
     matrix, noise = move.matrix, move.cov
     floor = variances(predicted.rounding)
     unit, pivots = extended.eliminated(predicted.cov, CLEAR, floor)
-    gain = extended.solve(unit, pivots, matrix @ cov).mT
-    keep = np.eye(cov.shape[-1]) - gain @ matrix
-    other = noise + belief.cov
-    left = keep @ cov @ keep.mT + gain @ other @ gain.mT
+    gain = extended.solve(unit, pivots, matrix @ cov).T
+    keep, other = (gain @ matrix).one_minus(), noise + belief.cov
+    left = step.squares_by(keep, cov, gain, other)
     # Changes E of P and E′ of Q change G (x − m) by (1 − G A) E Aᵀ y − G E′ y.
     kept = through(keep.hi, own)
     summed = np.maximum(floor - variances(sandwich(matrix.hi, own)), 0.0)
@@ -193,7 +192,7 @@ def _reversed(
     drift = through(keep.hi, drift) + through(gain.hi, belief.drift) + diagonal(moved**2)
     proper = np.where(pivots.hi > 0.0, pivots.hi, np.inf)
     error = (floor / proper).max(axis=-1) + others.max(axis=-1)
-    found = Belief(columns + gain @ shift, _symmetric(left), rounding, drift, largest)
+    found = Belief(columns + gain @ shift, left, rounding, drift, largest)
     return gain, found.certain(), error
 
 
@@ -205,8 +204,3 @@ def _either(mask: Mask, a: Belief, b: Belief) -> Belief:
         rounding=np.where(mask, a.rounding, b.rounding),
         drift=np.where(mask, a.drift, b.drift),
     )
-
-
-def _symmetric(cov: Twofold) -> Twofold:
-    """(P + Pᵀ) / 2 of a covariance P (..., n, n), since rounding makes products unsymmetric."""
-    return 0.5 * (cov + cov.mT)

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from pgm.beliefs.moments.steps.diffuse import Diffuse
 from pgm.beliefs.moments.steps.vector import Measured
-from pgm.kernels import extended, semidefinite
+from pgm.kernels import extended, semidefinite, step
 from pgm.kernels.arrays import (
     Array,
     Kind,
@@ -232,7 +232,7 @@ def predicted(belief: Belief, move: Move) -> Belief:
     summed = np.abs(matrix.hi) @ np.abs(belief.columns.hi)
     columns = cancelled(matrix @ belief.columns, summed)
     columns[..., 0] = columns[..., 0] + move.offset
-    cov = matrix @ belief.cov @ matrix.mT + move.cov
+    cov = step.predict(belief.cov, matrix, move.cov)
     rounding = through(matrix.hi, belief.rounding) + rounded(matrix.hi, belief.cov.hi, move.cov.hi)
     moved = ROUNDING * (summed[..., 0] + np.abs(move.offset.hi))
     drift = through(matrix.hi, belief.drift) + diagonal(moved**2)
@@ -255,7 +255,7 @@ class Solved(NamedTuple):
 
     def between(self, first: Belief, second: Belief) -> Twofold:
         """D₁ Cov(δ) D₂ᵀ: what δ adds to the cross-covariance of two slices, (runs, n, n)."""
-        return first.columns[..., 1:] @ self.cov @ second.columns[..., 1:].mT
+        return first.columns[..., 1:] @ self.cov @ second.columns[..., 1:].T
 
 
 def solved(whole: Twofold) -> Solved:
@@ -285,7 +285,7 @@ def solved(whole: Twofold) -> Solved:
         there = known[lost, None]
         spanned = np.where(there, unit.hi[lost], 0.0)
         log_det[lost] += np.linalg.slogdet(spanned.mT @ spanned + np.eye(size) * ~there)[1]
-    open_ = np.where(known[:, None, :], 0.0, extended.inverse_unit(unit).mT.hi)
+    open_ = np.where(known[:, None, :], 0.0, extended.inverse_unit(unit).T.hi)
     return Solved(weights, cov, open_, 0.5 * (level - log_det))
 
 
@@ -371,8 +371,7 @@ def take(
     innovation[:, 0] = innovation[:, 0] + value
     missed = np.abs(innovation.hi[:, :1])
     gain = cross * weight[:, None]
-    keep = np.eye(cov.shape[-1]) - gain[..., None] * row[:, None, :]
-    own = (gain * noise[:, None])[..., None] * gain[:, None, :]
+    keep = (gain[..., None] @ row[:, None, :]).one_minus()
     # A change E of P changes G by (1 − G h) E hᵀ/S.
     kept = through(keep.hi, rounding)
     blur = np.sqrt(np.maximum(variances(kept) * blurred[:, None], 0.0))
@@ -390,9 +389,10 @@ def take(
     columns = cancelled(columns + gain[..., None] * innovation[:, None, :], columns, terms)
     # What rounding has left of a zero in 1 − G h is squared.
     again = np.eye(cov.shape[-1]) + np.abs(gain.hi[..., None] * line)
-    rounding = kept + rounded(keep.hi, cov.hi, own.hi) + ROUNDING * rounded(again, cov.hi)
+    own = diagonal(gain.hi**2 * np.abs(noise.hi[:, None]))
+    rounding = kept + rounded(keep.hi, cov.hi, own) + ROUNDING * rounded(again, cov.hi)
     drift = through(keep.hi, drift) + diagonal(moved**2)
-    cov = keep @ cov @ keep.mT + own
+    cov = step.squares_by(keep, cov, gain[..., None], noise[:, None, None])
     after = Belief(columns, cov, rounding, drift, belief.largest).certain()
     component = Component(row, keep, innovation, weight, floor * weight.hi, blur, moved)
     return after, component, predictive.hi, improper
@@ -401,7 +401,7 @@ def take(
 def informed(information: Twofold, component: Component) -> Twofold:
     """The sum Σ [v V]ᵀ[v V] / S, (runs, 1 + q, 1 + q), with one scalar measurement more."""
     row = component.innovation[:, None, :]
-    return information + row.mT @ (row * component.weight[:, None, None])
+    return information + row.T @ (row * component.weight[:, None, None])
 
 
 def decorrelated(parts: Sequence[Measured], runs: int, width: int) -> tuple[Twofold, Twofold, Mask]:

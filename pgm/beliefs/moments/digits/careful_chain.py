@@ -102,8 +102,8 @@ def _conditional(links: list[Link], rows: slice, front: int, size: int) -> Move:
             columns[..., child, :] = slope @ columns[..., parents, :]
             cross = slope @ cov[..., parents, :]
             cov[..., child, :] = cross
-            cov[..., :, child] = cross.mT
-            spread = cross[..., parents] @ slope.mT + spread
+            cov[..., :, child] = cross.T
+            spread = cross[..., parents].times(slope) + spread
         cov[..., child, child] = spread
         for place in np.flatnonzero(open_):
             columns.hi[..., child.start + int(place), done] = 1.0
@@ -126,7 +126,7 @@ def regular(noise: Array, flat: Mask) -> Twofold:
     unit, pivots = extended.eliminated(noise, NEGLIGIBLE)
     if not (pivots.hi == 0.0).any():
         return Twofold(noise)
-    return unit * pivots[..., None, :] @ unit.mT
+    return (unit * pivots[..., None, :]).times(unit)
 
 
 def moving(plan: ChainPlan, step: int, mean: Array, cov: Array) -> Move:

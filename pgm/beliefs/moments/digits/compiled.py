@@ -87,7 +87,7 @@ def _require_known(
     for sensor in plan.read:
         if sensor.robust and schedule is not None:
             raise Uncompiled(f"{sensor.family.cpd!r} has robust noise")
-        if sensor.grouped and max(np.diff(sensor.bounds)) > 1:
+        if sensor.is_correlated:
             raise Uncompiled(f"{sensor.family.cpd!r} has several sightings in a group")
     if plan.layout.slice_size > _MOST:
         raise Uncompiled(f"a slice has more than {_MOST} components")

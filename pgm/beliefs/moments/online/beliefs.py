@@ -30,6 +30,7 @@ import numpy as np
 from pgm.beliefs.moments.digits import certificate, close_points, last_places
 from pgm.beliefs.moments.digits.careful_belief import Belief, over
 from pgm.beliefs.moments.online.judged import Decided
+from pgm.beliefs.moments.online.records import Records
 from pgm.beliefs.moments.online.watch import Watch
 from pgm.beliefs.moments.online.window import Sliding, Trail, is_like
 from pgm.beliefs.moments.steps.gate import Asked
@@ -45,7 +46,7 @@ from pgm.kernels import gaussian
 from pgm.kernels.arrays import Array, Integers, Mask, block, symmetric
 from pgm.networks import DynamicBayesianNetwork
 from pgm.posteriors.associations import NONE, Found
-from pgm.posteriors.belief_kind import Kind
+from pgm.posteriors.belief_kind import FILTERED, Kind
 from pgm.posteriors.lost import PageTest
 from pgm.posteriors.online_belief import OnlineBelief
 from pgm.posteriors.posterior import require_variable
@@ -59,8 +60,10 @@ from pgm.variables import Variable
 _REGULAR = 1.0 / certificate.MODERATE
 
 
-# The core of a belief: the compiled steps of its filter, its step, its numbers, kind and status.
-Core = tuple["Steps", int, bytes, Kind, Status]
+# The core of a belief: the compiled steps of its filter, its step, its numbers, its kind, how the
+# step's records are read, None of a belief that was adopted, and has its attributes; and the steps
+# behind it, None without a lag.
+Core = tuple["Steps", int, bytes, Kind, Records | None, Trail | None]
 
 
 class Steps(Protocol):
@@ -68,7 +71,7 @@ class Steps(Protocol):
 
     `layout` is that of the slices, and `only` the slice's hidden variable if there is just one,
     else None. `record` says how numbers lie in a core's bytes: the mean (n,), the covariance
-    (n, n), and the log-evidence.
+    (n, n), the log-evidence, and with a watch its numbers. Behind them stand `Records`.
     """
 
     layout: SliceLayout
@@ -99,10 +102,16 @@ class _Later:
         core = None if belief is None else belief._core
         if belief is None or core is None:
             raise AttributeError(self.name)
-        steps, step, numbers, kind, status = core
-        parts = tuple(map(opened(steps, numbers).__getitem__, steps.record.names))
-        parts = step, steps.layout, (), *parts, status, kind
+        steps, step, numbers, kind, records, behind = core
+        assert records is not None
+        found = opened(steps, numbers)
+        rest = np.frombuffer(numbers, offset=steps.record.itemsize)
+        moments = found["mean"], found["cov"], found["total"]
+        parts = step, steps.layout, (), *moments, records.status(rest), kind, None, behind
         MomentBelief.__init__(belief, *parts)
+        if "watch" in steps.record.names:
+            belief.__dict__["watch"] = Watch.of(found["watch"])
+        belief.__dict__["_gated"] = records.decided(rest) if kind == FILTERED else ()
         put_core(belief, core)
         return belief.__dict__[self.name]
 
@@ -142,8 +151,8 @@ class MomentBelief(_Kept, OnlineBelief, Immutable):
     careful: Belief | None = _later()
     behind: Trail | Sliding | None = _later()
     associations: Found = NONE
-    _gated: tuple[Decided, ...] = ()
-    watch: Watch | None = None
+    _gated: tuple[Decided, ...] = _later()
+    watch: Watch | None = _later()
     _arrays: ClassVar[str] = ".mean and .cov by variable, belief[x].mean"
 
     def __init__(
@@ -173,6 +182,8 @@ class MomentBelief(_Kept, OnlineBelief, Immutable):
         values["kind"] = kind
         values["careful"] = careful
         values["behind"] = behind
+        values["_gated"] = ()
+        values["watch"] = None
         put_core(self, None)
 
     def __getstate__(self) -> dict[str, Any]:

@@ -10,17 +10,22 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from pgm.beliefs.moments.compiled.judged import judge
-from pgm.beliefs.moments.online.beliefs import MomentBelief, is_plain, opened, put_core
-from pgm.beliefs.moments.online.kind import Kind, Made
+from pgm.beliefs.moments.online.beliefs import Core, MomentBelief, is_plain, opened, put_core
+from pgm.beliefs.moments.online.kind import Kind, Made, Questions
+from pgm.beliefs.moments.online.records import Records
+from pgm.beliefs.moments.online.window import Passed, Sliding
 from pgm.beliefs.moments.steps.plan import ChainPlan
+from pgm.beliefs.moments.steps.readings import Moments
 from pgm.compile import SliceLayout
 from pgm.evidence import Sightings
 from pgm.kernels.arrays import Array
+from pgm.kernels.machine.sweeps import lost
 from pgm.posteriors.belief_kind import FILTERED, PREDICTED
 from pgm.posteriors.status import Status
 from pgm.schedules.step_evidence import MOST, Values, numbers
@@ -44,18 +49,34 @@ _JUDGED = "a function's trace, or machine code, answered otherwise than the func
 _FAR = "numbers are too far apart, or a reading is too sharp"
 
 
+class _Passed(Passed):
+    """A past transition that machine code has made, from a belief's core to new numbers."""
+
+    def __init__(self, records: Records, before: Core, after: bytes) -> None:
+        self._ends = records, before[0], before[2], after
+
+    @cached_property
+    def _made(self) -> tuple[ChainPlan, Moments, Moments]:  # type: ignore[override]
+        records, steps, *ends = self._ends
+        plan = records.transition(np.frombuffer(ends[1], offset=steps.record.itemsize))
+        before, after = (opened(steps, numbers) for numbers in ends)
+        known, predicted = (Moments(each["mean"], each["cov"]) for each in (before, after))
+        return plan, known, predicted
+
+
 class CompiledSteps:
-    """Machine code for the steps of an online filter of one run, without gates or windows.
+    """Machine code for the steps of an online filter of one run, without sliding windows.
 
     It is made from functions of the filter, each of a belief and the values given. `ahead` and
     `seen` make the plan of a prediction and of an update, which lays out the step's CPDs and
     evidence; `moved` and `taken` make these steps in the general way. `done` is the status after
-    predictions and updates by linear sensors, `linearised` after others. `left` counts the steps
-    made in the general way, by reason: the belief is of many runs or of another filter, or float64
-    has too few digits for it; a value is neither an array of numbers nor sightings without steps;
-    the update is at step 0; machine code cannot make steps of the kind, or its results, compared
-    with NumPy's, were others; or numbers are too far apart. So many steps of a kind as `wait` are
-    made in the general way before there is machine code.
+    predictions and updates by linear sensors, `linearised` after others. `asked` are the questions
+    that steps answer beside those of beliefs. `left` counts the steps made in the general way, by
+    reason: the belief is of many runs or of another filter, or float64 has too few digits for it; a
+    value is neither an array of numbers nor sightings without steps; the update is at step 0;
+    machine code cannot make steps of the kind, or its results, compared with NumPy's, were others;
+    or numbers are too far apart. So many steps of a kind as `wait` are made in the general way
+    before there is machine code.
     """
 
     def __init__(
@@ -67,22 +88,23 @@ class CompiledSteps:
         taken: General,
         done: Status,
         linearised: Status,
+        asked: Questions,
         *,
         wait: int = 0,
     ) -> None:
         self.layout, model = layout, layout.model
         self.only = layout.slice[0] if len(layout.slice) == 1 else None
         own = layout.slice_size
-        self.record = np.dtype(
-            [("mean", float, (own,)), ("cov", float, (own, own)), ("total", float)]
-        )
+        record: list[Any] = [("mean", float, own), ("cov", float, (own, own)), ("total", float)]
+        record += [("watch", float, lost.SIZE)] if asked.watched else []
+        self.record = np.dtype(record)
         self._ways = (seen, taken), (ahead, moved)
-        self._statuses = linearised, done
+        self._statuses, self._asked = (linearised, done), asked
         # Machine code tells variables by their identity: those of the model itself.
         self._own = {variable: variable for variable in (*model.inputs, *model.sensors)}
         self._grouped = {cpd.child for cpd in model.observation if getattr(cpd, "grouped", False)}
-        # The kinds of the last update and the last prediction, which are looked at first; all.
-        self._last: list[tuple[Made, Status] | None] = [None, None]
+        # Of the kinds of the last update and the last prediction, looked at first; all kinds.
+        self._last: list[tuple[Made, Records] | None] = [None, None]
         self._known: dict[Key, Kind] = {}
         self._wait, self._waited = wait, Counter[Key]()
         # Why steps were made the general way, and how many of them.
@@ -96,7 +118,8 @@ class CompiledSteps:
             found = last[0](core[2], values)
             if found:
                 after: MomentBelief = _new(MomentBelief)
-                put_core(after, (self, core[1] + 1, found, PREDICTED, last[1]))
+                behind = None if core[5] is None else core[5].on(_Passed(last[1], core, found))
+                put_core(after, (self, core[1] + 1, found, PREDICTED, last[1], behind))
                 return after
         return self._any(belief, values, moves=True)
 
@@ -107,7 +130,9 @@ class CompiledSteps:
             found = last[0](core[2], readings)
             if found:
                 after: MomentBelief = _new(MomentBelief)
-                put_core(after, (self, core[1], found, FILTERED, last[1]))
+                put_core(after, (self, core[1], found, FILTERED, last[1], core[5]))
+                if last[1].warns:
+                    last[1].tell(found, self.record.itemsize)
                 return after
         return self._any(belief, readings, moves=False)
 
@@ -117,9 +142,12 @@ class CompiledSteps:
         It gets none if it has axes of runs, or float64 has too few digits for it.
         """
         if not belief.lead and belief.status.digits is None and is_plain(belief):
-            parts = belief.mean, belief.cov, belief.log_evidence
-            told = b"".join(part.tobytes() for part in parts), belief.kind, belief.status
-            put_core(belief, (self, belief.step, *told))
+            parts = [belief.mean, belief.cov, belief.log_evidence]
+            if belief.watch is not None:
+                parts.append(belief.watch.numbers(belief.step))
+            numbers = b"".join(part.tobytes() for part in parts)
+            assert not isinstance(belief.behind, Sliding)
+            put_core(belief, (self, belief.step, numbers, belief.kind, None, belief.behind))
         return belief
 
     def _any(self, belief: MomentBelief, values: Values, *, moves: bool) -> MomentBelief:
@@ -141,10 +169,13 @@ class CompiledSteps:
                 found, why = kind.step(core[2], given[1]), _FAR
                 if found:
                     after: MomentBelief = _new(MomentBelief)
-                    known = PREDICTED if moves else FILTERED
-                    put_core(after, (self, core[1] + moves, found, known, kind.status))
+                    known, behind = PREDICTED if moves else FILTERED, core[5]
+                    if moves and behind is not None:
+                        behind = behind.on(_Passed(kind.records, core, found))
+                    put_core(after, (self, core[1] + moves, found, known, kind.records, behind))
                     if not kind.trials:
-                        self._last[moves] = kind.step, kind.status
+                        self._last[moves] = kind.step, kind.records
+                        kind.records.tell(found, self.record.itemsize)
                         return after
                     due = general(belief, values)
                     if _tried(kind, opened(self, found), due):
@@ -178,7 +209,7 @@ class CompiledSteps:
         """
         for _ in range(2):  # a trace that is wrong is made anew
             plan = make(belief, values)
-            made = Kind(plan, values, self._statuses[plan.linear])
+            made = Kind(plan, values, self._statuses[plan.linear], self._asked)
             shape = plan.steps + 1, 1
             mean, cov = belief.mean, belief.cov
             here = (

@@ -18,7 +18,7 @@ from pgm.beliefs.moments.outcomes.innovations import by_step
 from pgm.beliefs.moments.smoothers.fixed_lag import Window
 from pgm.beliefs.moments.steps.readings import Moments, Reading
 from pgm.beliefs.moments.steps.vector import vector
-from pgm.kernels import mahalanobis
+from pgm.kernels import gaussian, mahalanobis
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.posteriors.gate_record import GateRecord
 from pgm.posteriors.lost import Read
@@ -42,11 +42,8 @@ def of_update(
         return gated, watch
     mean, cov = known
     matrix, residual, noise, missing = vector([part.seen for part in parts], mean)
-    if mean.ndim == 1:
-        spread = matrix @ cov @ matrix.T + noise
-    else:
-        spread = np.einsum("ijr,jkr,lkr->ilr", matrix, cov, matrix, optimize=_PATH) + noise
-        residual = np.broadcast_to(residual, (len(residual), *mean.shape[1:]))
+    spread = gaussian.predict(cov, matrix, noise)
+    residual = np.broadcast_to(residual, (len(residual), *mean.shape[1:]))
     nis = mahalanobis.squares(residual[None], spread[None]).reshape(-1)
     dof = np.full(nis.shape, len(residual), dtype=np.intp)
     if missing is not None:
@@ -58,10 +55,6 @@ def of_update(
         for part, found in zip(parts, each, strict=True)
     ]
     return gated, watch.and_(_read(nis, dof, judged))
-
-
-# The order of the products: first H P, then the result times Hᵀ.
-_PATH = ["einsum_path", (0, 1), (0, 1)]
 
 
 def of_window(watch: Watch | None, window: Window) -> tuple[tuple[Decided, ...], Watch | None]:
@@ -110,7 +103,13 @@ def _decided(part: Reading) -> Decided:
     the decisions is sighting ``order[k]`` of the evidence.
     """
     assert part.gated is not None
-    rejected, square = (each.reshape(len(each), -1) for each in part.gated)
-    nothing = np.ones((0, 0, 0), dtype=bool)
-    record = GateRecord(part.gate, nothing, rejected.astype(bool), square.astype(float))
-    return part.sensor.variable, record, part.sensor.order
+    return decided(part.sensor.variable, part.gate, *part.gated, part.sensor.order)
+
+
+def decided(
+    variable: Variable, gate: float, rejected: Mask, square: Array, order: Integers
+) -> Decided:
+    """The decisions (M, *batch) of a sensor's gate, whose probability is `gate`, as a record."""
+    shape, nothing = (len(order), -1), np.ones((0, 0, 0), dtype=bool)
+    masks, squares = rejected.reshape(shape).astype(bool), square.reshape(shape).astype(float)
+    return variable, GateRecord(gate, nothing, masks, squares), order

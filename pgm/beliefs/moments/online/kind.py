@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,10 +19,14 @@ from pgm.beliefs.moments.compiled.plans import (
     Uncompiled,
     motion_of,
     places,
+    robust_noise_of,
     sensor_of,
     unknown,
 )
+from pgm.beliefs.moments.compiled.sweep import settings
 from pgm.beliefs.moments.digits.close_points import families, largest
+from pgm.beliefs.moments.online.records import Records
+from pgm.beliefs.moments.steps import gate as gates
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.cpds import AffineCPD
@@ -35,6 +39,8 @@ from pgm.kernels.machine.sweeps.evidence import Evidence
 from pgm.kernels.machine.sweeps.writer import arrays
 from pgm.linearisation.family import Family
 from pgm.posteriors.status import Status
+from pgm.schedules.damping import LevenbergMarquardt
+from pgm.schedules.schedule import Filtering
 from pgm.schedules.step_evidence import Values
 from pgm.tracing import Judge
 from pgm.variables import Variable
@@ -47,21 +53,34 @@ TRIALS = 5
 Where = dict[tuple[Variable | None, Variable], told.Array]
 
 
+class Questions(NamedTuple):
+    """Questions that steps answer beside those of beliefs.
+
+    `schedule` says how updates linearise, and has the gates. `watched` says that beliefs have a
+    watch, `reverses` that predictions are reversed.
+    """
+
+    schedule: Filtering
+    watched: bool = False
+    reverses: bool = False
+
+
 class Kind:
     """A kind of step, made from the plan and the values of its first one.
 
     `step` is the machine code, a function of a belief and values; None where there is none, for the
-    reason `why`. `status` is that of a belief after the step. The `judge` compares the functions'
-    traces with the functions; `trials` is how many more steps are made in NumPy, too, before
-    machine code is trusted.
+    reason `why`. The `records` are read from what it leaves; `status` is that of a belief after a
+    step that settles nothing. The `judge` compares the functions' traces with the functions;
+    `trials` is how many more steps are made in NumPy, too, before machine code is trusted.
     """
 
     step: Made | None = None
     why: str = ""
     trials: int = TRIALS
 
-    def __init__(self, plan: ChainPlan, values: Values, status: Status) -> None:
-        self.status, self.judge = status, Judge()
+    def __init__(self, plan: ChainPlan, values: Values, status: Status, asked: Questions) -> None:
+        self.judge, self._asked = Judge(), asked
+        self.records = Records(plan, asked.schedule, status)
         try:
             self.step = self._made(plan, values)
         except Uncompiled as error:
@@ -73,6 +92,8 @@ class Kind:
             why = "its sigma points lie close together, and lost digits are to be told"
         if why is not None:
             raise Uncompiled(why)
+        if self.records.iterated and isinstance(self._asked.schedule.damping, LevenbergMarquardt):
+            raise Uncompiled("steps are controlled (damping=LevenbergMarquardt(...))")
         table, layout = _Constants(plan), plan.layout
         given = {place: table.room(width) for place, width in _widths(values)}
         cpds = {"stored": False, "keep": False}
@@ -82,13 +103,13 @@ class Kind:
             replace(motion_of(plan, link, table, **cpds), **_fed(link.family, None, given, table))
             for link in plan.transition
         )
+        if self._asked.reverses:
+            motions = tuple(_kept(motion, table) for motion in motions)
         bounds: dict[Variable, int] = {}
         sensors = []
         for sensor in plan.read:
             variable = sensor.variable
-            if sensor.robust:
-                raise Uncompiled(f"{sensor.family.cpd!r} has robust noise")
-            if isinstance(values[variable], Sightings) and not sensor.grouped:
+            if isinstance(values[variable], Sightings) and not sensor.correlates:
                 bounds[variable] = table.at(np.empty(0))
             sensors.append(
                 replace(
@@ -96,6 +117,8 @@ class Kind:
                     readings=given[None, variable],
                     missing=True,
                     bounds=bounds.get(variable),
+                    gate=self._gate_of(sensor, table),
+                    loss=_loss_of(sensor, table),
                     **_fed(sensor.family, sensor, given, table),
                 )
             )
@@ -113,19 +136,49 @@ class Kind:
             predicted=(),
             known=(table.room(size), table.room(size, size)),
             density=table.room(),
-            iterated=False,
+            iterated=self.records.iterated,
         )
         used = set(arrays(chain))
         if not used.issuperset(given.values()):
             raise Uncompiled("something that is given is read by no function")
         constants = {array: each for array, each in table.constants.items() if array in used}
-        evidence = _evidence(values, given, bounds)
-        machine = online.made(online.Step(chain, not plan.read, tuple(constants), evidence))
-        numbers = b"".join(each.tobytes() for each in constants.values())
+        read = {sensor.variable for sensor in plan.read}
+        evidence = _evidence(values, given, bounds, read)
+        moves = bool(plan.transition)
+        schedule, watched = self._asked.schedule, self._asked.watched
+        iterations = schedule.iterations if self.records.iterated else 1
+        step = online.Step(chain, moves, tuple(constants), evidence, watched, iterations)
+        machine = online.made(step)
+        numbers = b"".join(each.tobytes() for each in (*constants.values(), settings(schedule)))
         # As of `evidence.VARIABLES` and before.
+        self.records.motions = motions
         names = "values", "step", "_given"
         own = numbers, np.ndarray, Sightings, *names, *(variable for _, variable in given)
         return python.bound(machine, online.STEP, own)
+
+    def _gate_of(self, sensor: Sensor, table: _Constants) -> told.Gate | None:
+        gate = self.records.gates.get(sensor.variable)
+        if gate is None:
+            return None
+        limits = table.array(gates.limits(gate, sensor.height)[None, None])
+        return told.Gate(limits, table.room(1), table.room(1))
+
+
+def _loss_of(sensor: Sensor, table: _Constants) -> told.Loss | None:
+    """The robust noise of a sensor, whose weights are found anew at each step."""
+    if not sensor.robust:
+        return None
+    loss = robust_noise_of(sensor, table, missing=True, found=False, controlled=False)
+    return replace(loss, weights=table.room(1), squares=table.room(1))
+
+
+def _kept(motion: told.Motion, table: _Constants) -> told.Motion:
+    """A CPD of a transition whose linearisation is kept."""
+    if not motion.curved:
+        return motion
+    height, width = motion.height, len(motion.parents)
+    room = table.room(height, height) if motion.points is not None else None
+    return replace(motion, matrix=table.room(height, width), offset=table.room(height), kept=room)
 
 
 class _Constants(Table):
@@ -160,14 +213,16 @@ def _widths(values: Values) -> Iterable[tuple[tuple[Variable | None, Variable], 
             yield (variable, parent), each.shape[1]
 
 
-def _evidence(values: Values, given: Where, bounds: dict[Variable, int]) -> tuple[Evidence, ...]:
+def _evidence(
+    values: Values, given: Where, bounds: dict[Variable, int], read: set[Variable]
+) -> tuple[Evidence, ...]:
     found = []
     for variable, value in values.items():
         parents = None
         if isinstance(value, Sightings):
             parents = tuple(given[variable, parent] for parent in value.given)
-        read = variable in bounds or parents is not None
-        found.append(Evidence(given[None, variable], read, parents, bounds.get(variable)))
+        place = given[None, variable]
+        found.append(Evidence(place, variable in read, parents, bounds.get(variable)))
     return tuple(found)
 
 

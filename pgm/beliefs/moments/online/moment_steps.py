@@ -31,6 +31,7 @@ from pgm.beliefs.moments.online.beliefs import (
 )
 from pgm.beliefs.moments.online.compiled import CompiledSteps
 from pgm.beliefs.moments.online.judged import of_update, of_window
+from pgm.beliefs.moments.online.kind import Questions
 from pgm.beliefs.moments.online.settings import require_settings, require_watch
 from pgm.beliefs.moments.online.slid import slid
 from pgm.beliefs.moments.online.step_layouts import Layouts
@@ -42,7 +43,7 @@ from pgm.beliefs.moments.steps.gate import prepare as prepare_gates
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.readings import Moments
 from pgm.compile import compile
-from pgm.compile.machine import COMPILED, GATE, Choice, as_choice
+from pgm.compile.machine import COMPILED, Choice, as_choice
 from pgm.cpds import AffineCPD, NonlinearGaussianCPD
 from pgm.display import InCode
 from pgm.errors import NumericalError
@@ -153,17 +154,16 @@ class MomentSteps(InCode, Immutable):
     def _compile(self) -> None:
         """Replace `predict` and `update` by compiled ones, where the settings allow it.
 
-        They allow it if the schedule is a `Filtering` of one linearisation without a gate, and
-        there is no watch.
+        They allow it unless windows of steps are linearised at each update.
         """
         layout = self._graph.layout
         wait = 0 if self.compiled else _LONG * -(-layout.slice_size // 4)
-        schedule = self.schedule
-        single = isinstance(schedule, Filtering) and schedule.iterations == 1
-        if single and schedule.gate is None and not self.watch:
+        if not isinstance(self._behind, Sliding):
             ways = self._ahead, self._seen, self.predict, self.update
             statuses = _DONE, _LINEARISED
-            steps = CompiledSteps(layout, *ways, *statuses, wait=wait)
+            reverses = self._behind is not None and self._behind.lag > 0
+            asked = Questions(self._filtering, watched=self.watch, reverses=reverses)
+            steps = CompiledSteps(layout, *ways, *statuses, asked, wait=wait)
             self._set(_steps=steps, predict=steps.predict, update=steps.update)
 
     @property
@@ -185,16 +185,7 @@ class MomentSteps(InCode, Immutable):
         if self.compiled is None and not self._is_safe:
             return "by NumPy: compiled=True would record the model's functions as they are"
         if self._steps is None:
-            schedule, why = self.schedule, []
-            if schedule.gate is not None:
-                why.append(GATE)
-            if self.watch:
-                why.append("a watch (watch=True) judges each step")
-            if isinstance(schedule, FixedLag):
-                why.append("beliefs wait for a lag")
-            if schedule.iterations > 1:
-                why.append("steps are iterated")
-            return f"not compiled: {'; '.join(why)}"
+            return "not compiled: the last steps are linearised again at each update"
         left = [f"{count} × {why}" for why, count in self._steps.left.items()]
         return f"compiled, but for: {'; '.join(left)}" if left else COMPILED
 

@@ -10,7 +10,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from pgm.beliefs.moments.steps.gate import Asked
+from pgm.kernels.arrays import Array
+from pgm.kernels.machine.sweeps import lost as machine
 from pgm.posteriors.associations import Found
 from pgm.posteriors.lost import PageTest, Read
 from pgm.schedules.gates import gate_of
@@ -27,6 +31,32 @@ class Watch(NamedTuple):
     before: PageTest
     read: Read | None = None
     opened: Read | None = None
+
+    @classmethod
+    def of(cls, numbers: Array) -> Watch:
+        """The watch of one run from the numbers of compiled steps."""
+        one, whole = numbers[:, None], numbers.astype(np.intp)[:, None]
+        stretch = whole[machine.FIRST], whole[machine.DECLARED], whole[machine.WHY]
+        level, onset = one[machine.LEVEL : machine.ONSET], whole[machine.ONSET : machine.LOST]
+        before = PageTest(level, onset, one[machine.LOST] != 0.0, *stretch)
+        read = opened = None
+        if numbers[machine.NIS : machine.ODDS].any():
+            dof, rejected, judged = whole[machine.DOF : machine.ODDS]
+            read = Read(one[machine.NIS], dof, rejected, judged)
+        if numbers[machine.ODDS]:
+            nothing = np.zeros(1, dtype=np.intp)
+            opened = Read(np.zeros(1), nothing, nothing, nothing, odds=one[machine.ODDS])
+        return cls(before, read, opened)
+
+    def numbers(self, step: int) -> Array:
+        """The numbers from which compiled steps of one run go on, at the step of that number."""
+        read, odds = np.zeros(machine.ODDS - machine.NIS), np.zeros(1)
+        if self.read is not None:
+            read = np.concatenate(self.read[: len(read)])
+        if self.opened is not None:
+            odds = np.ravel(self.opened.odds)
+        before = [np.ravel(each) for each in self.before]
+        return np.concatenate([*before, read, odds, [step]]).astype(np.float64)
 
     @classmethod
     def start(cls, lead: tuple[int, ...]) -> Watch:

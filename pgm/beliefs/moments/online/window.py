@@ -243,8 +243,10 @@ class Passed:
     Arrays are (*lead, ...), *lead being the user's axes of runs; a slice has n components.
     """
 
+    _made: tuple[ChainPlan, Moments, Moments]
+
     def __init__(self, plan: ChainPlan, before: Moments, after: Moments) -> None:
-        self._made, self._lead = (plan, before, after), plan.lead
+        self._made = plan, before, after
 
     @cached_property
     def back(self) -> Conditional:
@@ -256,13 +258,14 @@ class Passed:
         (mean, cov), (later, spread) = (each.by_run for each in ends)
         both = np.stack([mean, later]), np.stack([cov, spread])
         parts = Reverse.make(plan, _Ends(*both, *both)).whole
-        return Conditional(*(part[0].reshape(*self._lead, *part.shape[2:]) for part in parts))
+        return Conditional(*(part[0].reshape(*plan.lead, *part.shape[2:]) for part in parts))
 
     @cached_property
     def variances(self) -> Array:
         """Variances of the slice before, given the measurements up to its step, (*lead, n)."""
-        cov = self._made[1].by_run[1]
-        found: Array = np.einsum("...ii->...i", cov).reshape(*self._lead, cov.shape[-1])
+        plan, before, _ = self._made
+        cov = before.by_run[1]
+        found: Array = np.einsum("...ii->...i", cov).reshape(*plan.lead, cov.shape[-1])
         return found
 
     @cached_property
@@ -278,7 +281,7 @@ class Passed:
         moves = between_slices(plan)
         parts = moves.matrix[0], moves.cov[0], predicted, known
         matrix, noise, after, before = (
-            np.broadcast_to(part, known.shape).reshape(*self._lead, *known.shape[1:])
+            np.broadcast_to(part, known.shape).reshape(*plan.lead, *known.shape[1:])
             for part in parts
         )
         return matrix, noise, after, before
@@ -290,9 +293,10 @@ class Passed:
         It bounds the error of a smoothed covariance of the slice before the transition, as a share
         of that slice's covariance P given only the measurements up to its step.
         """
-        predicted = self._made[2].by_run[1]
+        plan, _, after = self._made
+        predicted = after.by_run[1]
         found: Array = accumulated(np.stack([predicted, predicted]))
-        return found.reshape(self._lead)
+        return found.reshape(plan.lead)
 
     def __getstate__(self) -> dict[str, Any]:
         # What they are found from need not travel.

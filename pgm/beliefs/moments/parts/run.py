@@ -63,9 +63,10 @@ def run(graph: DynamicGraph, bound: BoundEvidence, call: Call) -> ChainOutcome |
     require_gaussian((*model.prior, *model.transition, *model.observation), "Gaussian beliefs")
     if is_open(bound):
         gate = getattr(schedule, "gate", None)
-        bound, found = associated(graph, bound, lineariser, gate)
+        (bound, found), how = associated(graph, bound, lineariser, gate)
         posterior = run(graph, bound, call)
-        return replace(posterior, associations=found)
+        status = posterior.status.with_compilation(_both(posterior.status.compilation, how))
+        return replace(posterior, status=status, associations=found)
     kept = None if keep is None else _hidden(graph.layout, keep)
     _require_memory(graph.layout, bound, schedule, kept)
     workers = Workers(executor)
@@ -100,6 +101,13 @@ def run(graph: DynamicGraph, bound: BoundEvidence, call: Call) -> ChainOutcome |
         return swept_once(graph, bound, lineariser, status, room)
     each = [result.found for result in results if result.found is not None]
     return joined(graph, bound, lineariser, status, each)
+
+
+def _both(compilation: str, associations: str) -> str:
+    """The account of a call's sweeps, and of the associations before them where that is another."""
+    if associations in ("", compilation):
+        return compilation
+    return f"{compilation}; associations {associations}".removeprefix("; ")
 
 
 def _told(posterior: ChainOutcome) -> ChainOutcome:

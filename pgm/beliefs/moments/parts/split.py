@@ -5,21 +5,19 @@
 
 from __future__ import annotations
 
-import copy
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
+from pgm.beliefs.moments.steps.some_runs import evidence_of, graph_of
 from pgm.compile import DynamicGraph
-from pgm.cpds import ConditionalGaussian, NonlinearGaussianCPD
+from pgm.cpds import NonlinearGaussianCPD
 from pgm.evidence import BoundEvidence
 from pgm.evidence.rows import as_rows
-from pgm.factors.arrays import flat
-from pgm.kernels.arrays import Array, cut, frozen
+from pgm.kernels.arrays import frozen
 from pgm.linearisers import Lineariser
 from pgm.schedules.starting_points import Start, over_runs, require_hidden
 
@@ -60,7 +58,7 @@ def split(whole: Part, lineariser: Lineariser, workers: int) -> Iterator[Part]:
     edges = [*range(0, bound.runs, size), bound.runs]
     for runs in (slice(first, last) for first, last in pairwise(edges)):
         own = None if start is None else {v: frozen(np.asarray(a)[runs]) for v, a in start.items()}
-        yield Part(runs, _graph(graph, bound.lead, runs), _evidence(bound, runs), own)
+        yield Part(runs, graph_of(graph, bound, runs), evidence_of(bound, runs), own)
 
 
 def _size(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, workers: int) -> int:
@@ -87,58 +85,3 @@ def _size(graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, wor
     most = min(max(ROOM // (8 * numbers * workers), 1), MOST)
     count = workers * math.ceil(bound.runs / (most * workers))
     return math.ceil(bound.runs / count)
-
-
-def _graph(graph: DynamicGraph, lead: tuple[int, ...], runs: slice) -> DynamicGraph:
-    """The graph with the CPDs of a part of the runs; the same if no CPD differs by run."""
-    model = graph.model
-    changed = {
-        name: tuple(_cpd(cpd, lead, runs) for cpd in getattr(model, name))
-        for name in ("prior", "transition")
-    }
-    if all(new == getattr(model, name) for name, new in changed.items()):
-        return graph
-    own = copy.copy(model)
-    own._set(**changed)
-    return type(graph)(own, graph.steps)
-
-
-def _cpd(cpd: ConditionalGaussian, lead: tuple[int, ...], runs: slice) -> ConditionalGaussian:
-    """A CPD with the offsets and covariances of a part of the runs.
-
-    It is the same CPD if all runs have one offset and one covariance.
-    """
-    changed: dict[str, Any] = {}
-    for name, own in (("offset", 1), ("cov", 2)):
-        value = getattr(cpd, name, None)
-        if isinstance(value, np.ndarray) and value.ndim > own:
-            changed[name] = cut(flat(value, lead, own), runs, 0)
-    if not changed:
-        return cpd
-    part = copy.copy(cpd)
-    part._set(**changed, _origin=cpd.origin)
-    return part
-
-
-def _evidence(bound: BoundEvidence, runs: slice) -> BoundEvidence:
-    """The evidence of a part of the runs, with the number of the first of them as `first_run`."""
-
-    def inputs(values: Mapping[Any, Array]) -> dict[Any, Array]:
-        """The values of inputs in the part's runs, by variable."""
-        return {variable: cut(array, runs) for variable, array in values.items()}
-
-    return replace(
-        bound,
-        lead=(runs.stop - runs.start,),
-        first_run=runs.start,
-        transition=tuple(map(inputs, bound.transition)),
-        readings=tuple(
-            replace(
-                reading,
-                values=cut(reading.values, runs),
-                taken=cut(reading.taken, runs),
-                inputs=inputs(reading.inputs),
-            )
-            for reading in bound.readings
-        ),
-    )

@@ -64,8 +64,7 @@ def prepare(plan: ChainPlan, gate: Asked | None) -> None:
         own = gate_of(gate, sensor.variable)
         if own is None or sensor.gated is not None:
             continue
-        count, runs, height, _ = sensor.family.shape
-        taken: Mask = np.ones((count, runs, height), dtype=bool)
+        taken: Mask = np.ones((*sensor.shape, sensor.height), dtype=bool)
         if sensor.taken is not None:
             taken &= sensor.taken
         sensor.gated = GateRecord.empty(own, taken.copy())

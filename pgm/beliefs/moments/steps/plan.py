@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from pgm.beliefs.moments.steps.account import Account
+from pgm.beliefs.moments.steps.open_sensor import by_candidate, made_of
 from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.compile import DynamicGraph, SliceLayout
 from pgm.compile.dynamic import Place
@@ -211,8 +212,10 @@ class ChainPlan:
     ) -> ChainPlan:
         """Lay out the families of a graph with evidence, and probe their functions.
 
-        The `lineariser` serves nonlinear CPDs that have none of their own. `first` is the number of
-        the first step, and without `prior` the plan has none: both are for a plan of later steps.
+        A sensor whose sightings leave a parent open is an `OpenSensor`, which only machine code
+        sweeps. The `lineariser` serves nonlinear CPDs that have none of their own. `first` is the
+        number of the first step, and without `prior` the plan has none: both are for a plan of
+        later steps.
         With `probe` each function is called once on trial, if the graph has not done so before.
         Functions may be replaced by traces, programs recorded from a call of the function. A
         trace's values are compared with the function's: by the `judge` when the inference is done,
@@ -245,8 +248,8 @@ class ChainPlan:
             )
 
         def sensor(reading: Reading) -> Sensor:
-            place = layout.place(reading.cpd, layout.slice)
-            made = family(reading.cpd, place, reading.step + first, reading.inputs)
+            place, rows = layout.place(reading.cpd, layout.slice), by_candidate(reading)
+            made = family(reading.cpd, place, rows.step + first, rows.inputs)
             return _sensor(made, place, reading, layout, bound.steps)
 
         start, later = np.zeros(1, dtype=np.intp), np.arange(bound.steps) + first + 1
@@ -295,15 +298,17 @@ def _sensor(
                 step=0,
             )
     bounds = np.searchsorted(reading.step, np.arange(steps + 2)).tolist()
-    made = Sensor(
-        family,
-        place.parents,
-        reading.order,
-        None if reading.taken.all() else reading.taken,
-        reading.values,
-        bounds,
-        {},
-        isinstance(place.parents, slice) and place.parents == slice(0, layout.slice_size),
+    made = made_of(
+        reading,
+        layout.slice_size,
+        family=family,
+        parents=place.parents,
+        order=reading.order,
+        taken=None if reading.taken.all() else reading.taken,
+        values=reading.values,
+        bounds=bounds,
+        cross={},
+        whole=isinstance(place.parents, slice) and place.parents == slice(0, layout.slice_size),
     )
     if place.singular is not None:
         made.exact = place.singular

@@ -16,6 +16,8 @@ def elementary(name: str, *given: Number) -> Number:
     code, lanes = given[0].code, given[0].lanes
     if lanes == 1:
         return code.from_outside(known_in_c(name), list(given), "double", PURE)
+    if lanes != code.lanes:  # and no function of these packs can be called
+        return _of_pack(name, given)
     helper = code.module.helper(f"{name} of {lanes}", [PACK] * len(given), lanes)
     if helper.fresh:
         helper.code.give(_of_pack(name, helper.code.arguments))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from pgm.kernels.machine.emitter.code import Code
@@ -35,6 +35,7 @@ class Module:
         self._helpers: dict[str, Code] = {}
         self._exported: list[Code] = []
         self._declarations: dict[str, None] = {}  # in order, each once
+        self._numbers: dict[str, dict[Hashable, int]] = {}
 
     def function(
         self,
@@ -92,6 +93,11 @@ class Module:
     def declare(self, declaration: str) -> None:
         """Make a function from outside known."""
         self._declarations[declaration] = None
+
+    def number(self, kind: str, thing: Hashable) -> int:
+        """The number of a thing among those of its kind, which equal things share."""
+        numbers = self._numbers.setdefault(kind, {})
+        return numbers.setdefault(thing, len(numbers))
 
     def text(self) -> str:
         """The module in LLVM's assembly language."""

@@ -29,7 +29,7 @@ _BUFFER, _OWNER, _FORMAT, _SHAPE, _WIDE = 0, 1, 5, 6, 10
 # The text "d" of a float64 in the machine's own order of bytes, as a number of 16 bits.
 _DOUBLE = int.from_bytes(b"d\0", "little")
 # Words of exceptions, which stay in memory as long as code that refers to them.
-_OTHER_SIZE = ctypes.create_string_buffer(b"bytes of another size were due")
+_TOO_SHORT = ctypes.create_string_buffer(b"more bytes were due")
 _OTHER_COUNT = ctypes.create_string_buffer(b"another number of arguments was due")
 
 Objects = tuple[Address, ...]
@@ -99,11 +99,11 @@ class Python:
         return Address(self.code, found.text)
 
     def bytes(self, thing: Address, size: int) -> Address:
-        """The memory of a bytes object of a size; anything else is an exception."""
+        """The memory of a bytes object of that size or more; anything else is an exception."""
         found: Address = self.call("PyBytes_AsString", thing)
         self.give_null_if(found.is_null())
-        with self.code.when(self.call("PyBytes_Size", thing, result=WHOLE) != size):
-            _refuse(self.code, "ValueError", _OTHER_SIZE)
+        with self.code.when(self.call("PyBytes_Size", thing, result=WHOLE) < size):
+            _refuse(self.code, "ValueError", _TOO_SHORT)
         return found
 
     def items(self, thing: Address, count: int) -> list[tuple[Address, Address]]:

@@ -18,7 +18,7 @@ from pgm.kernels.machine.loops.frame import Frame
 from pgm.kernels.machine.loops.layout import Layout
 from pgm.kernels.machine.loops.stored import Space, Stored
 from pgm.kernels.machine.loops.transfers import inside, lie, place, read, write
-from pgm.kernels.machine.loops.views import View
+from pgm.kernels.machine.loops.views import View, lanes_where
 
 
 class Loops:
@@ -27,7 +27,6 @@ class Loops:
     def __init__(self, code: Code, frame: Frame) -> None:
         self.code, self._frame = code, frame
         self._space = Space(code, frame, Layout.of(code.lanes))
-        self._functions: dict[Function, int] = {}
 
     # From arrays and to them
 
@@ -102,7 +101,7 @@ class Loops:
         return found.T
 
     def above(self, one: Stored, other: Stored) -> Stored:
-        """A vector, and below it another."""
+        """A matrix, and below it another."""
         return one.above(other)
 
     def shifted(self, matrix: Stored, vector: Stored) -> Stored:
@@ -151,6 +150,8 @@ class Loops:
 
     def values(self, function: Function, points: Stored, inputs: Inputs) -> Stored:
         """The values of a function at points, row by row."""
+        if points.shape[0] > self._space.layout.across > 1:
+            return self._packed(function, points, inputs)
         points = points.plain()
         found = self._space.new(points.height, len(function.value))
         if points.height == 1:
@@ -163,9 +164,25 @@ class Loops:
             self._apply(function, point, inputs, value)
         return found
 
+    def _packed(self, function: Function, points: Stored, inputs: Inputs) -> Stored:
+        """The values at points of a single run, whose components lie in packs."""
+        count, across = points.shape[0], self._space.layout.across
+        columns = points.T.plain()
+        found = self._space.new(len(function.value), count)
+        with self.code.loop(self._space.layout.packs(count)) as q:
+            at = [columns.view.pack(i, q) for i in range(columns.height)]
+            for i, x in enumerate(traced(self.code, function, at, inputs)[0]):
+                found.view.put(i, q, x)
+        full, rest = divmod(count, across)
+        if rest:  # and lanes beyond the last point have the value at zero
+            known = lanes_where(self.code, [lane < rest for lane in range(across)])
+            for i in range(found.height):
+                found.view.put(i, full, known.where(found.view.pack(i, full), 0.0))
+        return found.T
+
     def _apply(self, function: Function, at: Stored, inputs: Inputs, *out: Stored) -> None:
         """Write the value, and the slope, if there is room for one, of a function."""
-        number = self._functions.setdefault(function, len(self._functions))
+        number = self.code.module.number("function", function)
         memories = list({id(cells): cells for cells, _ in inputs.values()}.values())
         told = " ".join(map(lie, memories))
         given = [value for cells in memories for value in place(cells)]

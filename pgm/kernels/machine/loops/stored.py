@@ -17,7 +17,6 @@ from pgm.kernels.machine.loops.views import View
 # Rows or columns from which on matrices are transposed by packs.
 _FEW = 4
 _KINDS: dict[type, Kind] = {Address: ADDRESS, Whole: WHOLE, Number: FLOAT}
-Constants = dict[tuple[int, tuple[tuple[float, ...], ...]], str]
 
 
 class Space:
@@ -25,13 +24,10 @@ class Space:
 
     def __init__(self, code: Code, frame: Frame, layout: Layout) -> None:
         self.code, self.frame, self.layout = code, frame, layout
-        self._constants: Constants = {}
 
     def inside(self, code: Code) -> Space:
         """The memory as another function of the module sees it."""
-        found = Space(code, self.frame, self.layout)
-        found._constants = self._constants
-        return found
+        return Space(code, self.frame, self.layout)
 
     def new(self, height: int, width: int) -> Stored:
         """Room for a matrix."""
@@ -40,18 +36,13 @@ class Space:
 
     def constant(self, rows: Sequence[Sequence[float]], width: int) -> Stored:
         """A matrix that is known as the code is written."""
-        key = width, tuple(map(tuple, rows))
-        name = self._constants.get(key)
-        if name is None:
-            name = self._constants[key] = f'@"constant {len(self._constants)}"'
-            wide, entry = self.layout.packs(width) * self.layout.across, self.layout.entry
-            floats = [
-                x for row in rows for y in (*row, *(0.0,) * (wide - width)) for x in (y,) * entry
-            ]
-            floats += [0.0] * self.layout.lanes
-            text = ", ".join(f"double {constant(self.code, float(x)).text}" for x in floats)
-            kind = f"[{len(floats)} x double]"
-            self.code.module.declare(f"{name} = private constant {kind} [{text}], align 64")
+        wide, entry = self.layout.packs(width) * self.layout.across, self.layout.entry
+        floats = [x for row in rows for y in (*row, *(0.0,) * (wide - width)) for x in (y,) * entry]
+        floats += [0.0] * self.layout.lanes
+        text = ", ".join(f"double {constant(self.code, float(x)).text}" for x in floats)
+        module, kind = self.code.module, f"[{len(floats)} x double]"
+        name = f'@"constant {module.number("constant", text)}"'
+        module.declare(f"{name} = private constant {kind} [{text}], align 64")
         return Stored(self, Address(self.code, name), len(rows), width)
 
     def numbers(self, *numbers: Operand) -> Stored:
@@ -155,7 +146,7 @@ class Stored:
 
     def clear(self) -> None:
         """Write zeros."""
-        self.space.call("cleared", moves.cleared, self, given=[self.packs])
+        self.space.call("cleared", moves.cleared, self._straight, given=[self.packs])
 
     def put(self, out: Stored, i: int, j: int) -> None:
         """Write the entries to a block of another matrix, from a row and a column on."""
@@ -268,12 +259,14 @@ class Stored:
         return found
 
     def above(self, other: Stored) -> Stored:
-        """The column of this one's numbers, and of those of another."""
-        found = self.space.new(1, self.shape[0] + other.shape[0])
+        """The entries of the matrix, and below them those of another."""
+        height, width = self.shape[0] + other.shape[0], self.shape[1]
+        row_by_row = not self.turned and width != 1  # columns are rows that are turned
+        found = self.space.new(height, width) if row_by_row else self.space.new(width, height).T
         found.clear()
-        self.put(found.T, 0, 0)
-        other.put(found.T, self.shape[0], 0)
-        return found.T
+        self.put(found, 0, 0)
+        other.put(found, self.shape[0], 0)
+        return found
 
     def kept(self, truths: Stored) -> Stored:
         """The matrix with zeros in rows whose truth, in a row of entries, does not hold."""
@@ -376,6 +369,14 @@ class StoredRoot:
         found = self._space.new(*self._upper.shape)
         self._space.call("triangle", roots.triangle, self._upper, found)
         return found.T
+
+    @property
+    def inverse(self) -> Stored:
+        """The matrix A⁻¹."""
+        size = range(self._upper.height)
+        eye = [[1.0 if i == j else 0.0 for j in size] for i in size]
+        white = self.solve(self._space.constant(eye, len(size))).T
+        return white.times(white)
 
     def solve(self, right: Stored) -> Stored:
         """The X with L X = B."""

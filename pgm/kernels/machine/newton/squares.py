@@ -9,24 +9,26 @@ for some rows at once, as lanes of packs; large ones by loops, row by row.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import groupby
+from itertools import groupby, product
 from typing import Any
 
-from pgm.kernels import step
 from pgm.kernels.machine.emitter.code import Code
 from pgm.kernels.machine.emitter.kinds import ADDRESS, WHOLE
 from pgm.kernels.machine.emitter.memory import Cells, Memory
 from pgm.kernels.machine.emitter.module import Module
 from pgm.kernels.machine.emitter.numbers import Number
-from pgm.kernels.machine.emitter.traces import traced
 from pgm.kernels.machine.emitter.wholes import Address, Whole
-from pgm.kernels.machine.newton.blocks import Block, Workspace
+from pgm.kernels.machine.loops.frame import Frame
+from pgm.kernels.machine.loops.loops import Loops
 from pgm.kernels.machine.newton.equations import Layout
 from pgm.kernels.machine.sweeps import cpd as cpds
 from pgm.kernels.machine.sweeps import told
+from pgm.kernels.machine.sweeps.cpd import Line
 from pgm.kernels.machine.sweeps.lines import Lines
+from pgm.kernels.machine.sweeps.matrices import Matrices
 from pgm.kernels.machine.sweeps.writer import Writer
-from pgm.kernels.numbers import Matrix, is_zero, where
+from pgm.kernels.numbers import is_zero, where
+from pgm.kernels.step import AnyMatrix
 
 # Products that are written as straight lines.
 _MOST = 300
@@ -42,20 +44,22 @@ def is_small(height: int, every: int) -> bool:
 class Rows:
     """The rows of a CPD that is being written: a function, and the rows at hand.
 
-    The function is ``add(table, run, begin, end, equations, work)``, of the steps from `begin` up
-    to `end`; `taken` says how many floats it works in.
+    The function is ``add(table, run, begin, end, equations, room)``, of the steps from `begin` up
+    to `end`; `room` says how many floats it works in.
     """
 
     def __init__(self, module: Module, chain: told.Newton, cpd: told.Squares, name: str) -> None:
         kinds = ADDRESS, WHOLE, WHOLE, WHOLE, ADDRESS, ADDRESS
         self.code = code = module.function(name, kinds, lanes=cpd.lanes, **_APART)
-        table, self.run, begin, end, self.equations, work = code.arguments
+        table, self.run, begin, end, self.equations, room = code.arguments
         self.cpd, self.layout, self.reference = cpd, Layout(chain.size), chain.reference
-        lines = Lines(code)
-        self.w = Writer(code, table, cpd, lines)
-        self._along = Writer(code, table, chain.reference, lines)
+        self.places = cpd.parents + cpd.child
+        frame = Frame(code, room)
+        small = is_small(cpd.height, len(self.places))
+        self.matrices: Matrices = Lines(code) if small else Loops(code, frame)
+        self.w = Writer(code, table, cpd, self.matrices)
+        self._along = Writer(code, table, chain.reference, self.matrices)
         self._along.run = self.run
-        self.space = Workspace(code, work)
         addresses = Cells(code, table, Address)
         self._steps = None if cpd.steps is None else addresses.load(cpd.steps)
         self._count = Cells(code, table, Whole).load(cpd.count)
@@ -64,41 +68,26 @@ class Rows:
         else:
             bounds = Cells(code, addresses.load(cpd.bounds), Whole)
             self._first, self._last = bounds.load(begin), bounds.load(end)
-        self.places = cpd.parents + cpd.child
-        if is_small(cpd.height, len(self.places)):
-            self._straight()
+        if small:
+            self._by_packs()
         else:
-            self._by_loops()
+            self._row_by_row()
+        self.room = frame.size
 
-    @property
-    def taken(self) -> int:
-        """The floats that the function works in."""
-        return self.space.taken
-
-    def _straight(self) -> None:
-        code, lanes = self.code, self.cpd.lanes
-        due: list[tuple[int, Any]] = []
+    def _by_packs(self) -> None:
+        code, lanes, layout = self.code, self.cpd.lanes, self.layout
         every = range(len(self.places))
-        room = code.room(len(every) * (len(every) + 3) // 2)
+        room = code.room(len(every) * (len(every) + 1))
         with code.loop((self._last - self._first + (lanes - 1)) // lanes) as pack:
             begin = self._first + pack * lanes
             row = begin.at_most(self._count - lanes)
-            self.w.run = row
-            x = self._point(row)
-            mean = Matrix.column(x[: len(self.cpd.parents)])
-            line = cpds.linearised(self.w, self.cpd, self.run, mean, mean)
-            residual, shift = self._residual([value for (value,) in line.value.rows], x)
-            line = line._replace(value=line.value + Matrix.column(shift))
-            cpds.keep(self.w, self.cpd, self.run, mean, line)
-            pairs = zip(line.matrix.rows, self._own(), strict=True)
-            slope = Matrix([*by_parents, *by_child] for by_parents, by_child in pairs)
-            weighed = (line.noise @ slope).T
-            squares = weighed.times(slope.T)
+            squares, right = self._squares(row)
+            due: list[tuple[int, Any]] = []
             for i in every:
                 for j in range(i + 1):
-                    due.append((self.layout.square(self.places[i], self.places[j]), squares[i, j]))
-            right = weighed @ Matrix.column(residual)
-            due += [(self.layout.side(place), right[i, 0]) for i, place in enumerate(self.places)]
+                    targets = sorted(layout.squares(self.places[i], self.places[j]))
+                    due += [(target, squares[i, j]) for target in targets]
+            due += [(layout.side(place), right[i, 0]) for i, place in enumerate(self.places)]
             due = [(target, number) for target, number in due if not is_zero(number)]
             for k, (_, number) in enumerate(due):
                 room.store(k, number)
@@ -106,6 +95,32 @@ class Rows:
             ending = (self._last - row).at_most(code.whole(lanes))
             with code.loop(ending, begin - row) as lane:
                 code.call(add, self._cells(row + lane).address, room.address + lane)
+
+    def _row_by_row(self) -> None:
+        with self.code.loop(self._last, self._first) as row:
+            squares, right = self._squares(row)
+            cells = self._cells(row)
+            for i, place in enumerate(self.places):
+                target = self.layout.side(place)
+                cells.store(target, cells.load(target) + right[i, 0])
+            self._add(cells, squares)
+
+    def _squares(self, row: Whole) -> tuple[AnyMatrix, AnyMatrix]:
+        """The squares Sᵀ W S of rows, and Sᵀ W r."""
+        w, cpd, matrices = self.w, self.cpd, self.matrices
+        w.run = row
+        x, size = self._point(row), len(cpd.parents)
+        mean = self._vector(x[:size])
+        line = cpds.linearised(w, cpd, self.run, mean, mean)
+        residual, line = self._residual(line, x[size:])
+        cpds.keep(w, cpd, self.run, mean, line)
+        slope = line.matrix
+        if cpd.child:
+            own = range(cpd.height)
+            minus = matrices.constant([[-1.0 if i == j else 0.0 for j in own] for i in own])
+            slope = matrices.above(slope.T, minus).T
+        weighed = (line.noise @ slope).T
+        return weighed.times(slope.T), weighed @ residual
 
     def _adding(self, targets: Sequence[int]) -> Code:
         """The function that adds the squares of a lane to the equations of its step.
@@ -119,51 +134,6 @@ class Rows:
         for target, number in zip(targets, sums, strict=True):
             cells.store(target, number)
         return code
-
-    def _by_loops(self) -> None:
-        code, w, space, cpd = self.code, self.w, self.space, self.cpd
-        height, size, run = cpd.height, len(cpd.parents), self.run
-        slope = space.block(height, len(self.places)).fill(0.0)
-        for i in range(len(cpd.child)):
-            slope.store(i, size + i, -1.0)
-        matrix = Block(space, slope.address, height, size, wide=slope.wide)
-        point, weight = space.block(size, 1), space.block(height, height)
-        off = space.block(height, 1)
-        with code.loop(self._last, self._first) as row:
-            w.run = row
-            x = self._point(row)
-            for i in range(size):
-                point.store(i, 0, x[i])
-            if cpd.function is None:
-                assert cpd.matrix is not None
-                assert cpd.offset is not None
-                _copied(code, w.at(cpd.matrix, run), matrix)
-                line = matrix @ point
-                given = w.at(cpd.offset, run)
-                value = [line.load(i, 0) + given.load(i) for i in range(height)]
-            else:
-                given_of = cpds.inputs(w, cpd, run)
-                value, slopes = traced(code, cpd.function, x[:size], given_of, slope=True)
-                for k, number in enumerate(slopes):
-                    if not is_zero(number):
-                        matrix.store(*divmod(k, size), number)
-            residual, shift = self._residual(value, x)
-            if cpd.function is not None and cpd.matrix is not None:
-                assert cpd.offset is not None
-                _copied_out(code, matrix, w.at(cpd.matrix, run))
-                line, kept = matrix @ point, w.at(cpd.offset, run)
-                for i, number in enumerate(value):
-                    kept.store(i, number + shift[i] - line.load(i, 0))
-            for i, number in enumerate(residual):
-                off.store(i, 0, number)
-            _copied(code, w.at(cpd.noise, run), weight)
-            weighed = (weight @ slope).T
-            squares, right = weighed.times(slope.T), weighed @ off
-            cells = self._cells(row)
-            for i, place in enumerate(self.places):
-                target = self.layout.side(place)
-                cells.store(target, cells.load(target) + right.load(i, 0))
-            self._add(cells, squares)
 
     def _point(self, row: Whole) -> list[Number]:
         """The components of the slices that the rows at hand know, at the reference."""
@@ -193,38 +163,38 @@ class Rows:
         place = self.equations + self._step(row) * self.layout.length
         return Memory(self.code, place, lanes=1)
 
-    def _own(self) -> list[list[float]]:
-        """The slope of a residual in the child of a transition."""
-        size = range(len(self.cpd.child))
-        return [[-1.0 if i == j else 0.0 for j in size] for i in range(self.cpd.height)]
+    def _vector(self, numbers: Sequence[Number]) -> AnyMatrix:
+        """The vector of numbers."""
+        zeros = self.matrices.constant([[0.0] * len(numbers)]).T
+        return self.matrices.replaced(zeros, dict(enumerate(numbers)))
 
-    def _residual(self, value: Sequence[Any], x: Sequence[Number]) -> tuple[list[Any], list[Any]]:
-        """Residuals of a value; and its shift, where a transition's child is on another branch."""
-        cpd, w = self.cpd, self.w
-        if cpd.readings is None:
-            given = list(x[len(cpd.parents) :])
-        else:
-            given = [number for (number,) in w.column(cpd.readings, self.run).rows]
-        left = list(given)
-        for k in cpd.angles:
-            left[k] = step.nearest(given[k], value[k])
-        w.keep(cpd.moved, Matrix.column(left), self.run)
-        found = [a - b for a, b in zip(left, value, strict=True)]
+    def _residual(self, line: Line, child: Sequence[Number]) -> tuple[AnyMatrix, Line]:
+        """Residuals; and the line, moved where a transition's child is on another branch."""
+        cpd, w, matrices, value = self.cpd, self.w, self.matrices, line.value
+        given = self._vector(child) if cpd.readings is None else w.column(cpd.readings, self.run)
+        left = cpds.on_branch(w, given, value, cpd.angles)
+        w.keep(cpd.moved, left, self.run)
+        residual = left - value
         if cpd.missing:
-            found = [where(a == a, b, 0.0) for a, b in zip(left, found, strict=True)]
-        turning = cpd.angles if cpd.readings is None else ()
-        shift = [given[k] - left[k] if k in turning else 0.0 for k in range(cpd.height)]
-        return found, shift
+            both = zip(matrices.beside(left), matrices.beside(residual), strict=True)
+            found = [where(a == a, b, 0.0) for a, b in both]
+            residual = matrices.with_columns(residual, {0: found})
+        if cpd.readings is None:
+            moved = {k: value[k, 0] + (given[k, 0] - left[k, 0]) for k in cpd.angles}
+            line = line._replace(value=matrices.replaced(value, moved))
+        return residual, line
 
-    def _add(self, cells: Memory, squares: Block) -> None:
+    def _add(self, cells: Memory, squares: AnyMatrix) -> None:
         """Add squares to the equations of a step, stretch by stretch of places in a row."""
         code, layout = self.code, self.layout
         stretches = list(_stretches(self.places, layout.size))
-        for (i, place, count), (j, other, many) in _pairs(stretches):
+        for (i, place, count), (j, other, many) in product(stretches, repeat=2):
+            if place // layout.size > other // layout.size:
+                continue  # across there is one block
             first = layout.square(place, other)
             with code.loop(count) as a, code.loop(many) as b:
-                target = a * layout.wide + b + first
-                cells.store(target, cells.load(target) + squares.load(a + i, b + j))
+                target = a * layout.size + b + first
+                cells.store(target, cells.load(target) + squares[a + i, b + j])
 
 
 Stretch = tuple[int, int, int]
@@ -235,25 +205,3 @@ def _stretches(places: Sequence[int], size: int) -> Iterator[Stretch]:
     for _, group in groupby(enumerate(places), lambda each: (each[1] - each[0], each[1] // size)):
         (number, place), *rest = group
         yield number, place, 1 + len(rest)
-
-
-def _pairs(stretches: Sequence[Stretch]) -> Iterator[tuple[Stretch, Stretch]]:
-    """Pairs of stretches, each with itself too, whose places are in order."""
-    ordered = sorted(stretches, key=lambda each: each[1])
-    for k, first in enumerate(ordered):
-        for later in ordered[k:]:
-            yield first, later
-
-
-def _copied(code: Code, cells: Memory, block: Block) -> None:
-    """Copy a matrix into a block."""
-    height, width = block.shape
-    with code.loop(height) as i, code.loop(width) as j:
-        block.store(i, j, cells.load(i * width + j))
-
-
-def _copied_out(code: Code, block: Block, cells: Memory) -> None:
-    """Copy a block into a matrix."""
-    height, width = block.shape
-    with code.loop(height) as i, code.loop(width) as j:
-        cells.store(i * width + j, block.load(i, j))

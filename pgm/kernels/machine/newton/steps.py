@@ -18,11 +18,13 @@ from pgm.kernels.machine.emitter.module import Module
 from pgm.kernels.machine.emitter.numbers import Number
 from pgm.kernels.machine.emitter.variables import Variable
 from pgm.kernels.machine.emitter.wholes import Address, Whole
-from pgm.kernels.machine.newton.blocks import Workspace
-from pgm.kernels.machine.newton.equations import PACK, Kept, Layout
+from pgm.kernels.machine.loops.frame import Frame
+from pgm.kernels.machine.loops.loops import Loops
+from pgm.kernels.machine.newton.equations import PACK, Layout
 from pgm.kernels.machine.newton.squares import Rows
 from pgm.kernels.machine.sweeps import told
 from pgm.kernels.machine.sweeps.lines import Lines
+from pgm.kernels.machine.sweeps.matrices import Belief, Matrices
 from pgm.kernels.machine.sweeps.writer import Writer
 from pgm.kernels.normal_equations import eliminate, substitute
 
@@ -47,8 +49,7 @@ def made(chain: told.Newton) -> Step:
     module = Module()
     rows = [Rows(module, chain, each, f"squares {k}") for k, each in enumerate(chain.rows)]
     written = _Written(module, chain, rows)
-    work = max([written.space.taken, *(written.carries + each.taken for each in rows)])
-    return Step(module.compile().callable("newton"), work)
+    return Step(module.compile().callable("newton"), written.frame.size)
 
 
 class _Written:
@@ -57,16 +58,14 @@ class _Written:
     def __init__(self, module: Module, chain: told.Newton, rows: list[Rows]) -> None:
         kinds = ADDRESS, WHOLE, WHOLE, ADDRESS, ADDRESS
         self.code = code = module.function("newton", kinds, disjoint=True)
-        self.table, first, last, self.work, equations = code.arguments
+        self.table, first, last, work, equations = code.arguments
         self.equations: Address = equations
         self.chain, self.rows, self.layout = chain, rows, Layout(chain.size)
-        self.w = w = Writer(code, self.table, chain, Lines(code))
-        self.space = Workspace(code, self.work)
-        self.kept = Kept(code, self.layout, self.space)
-        size = self.layout.size
-        # What is carried from slice to slice: equations going forward, moments going back.
-        self.carried = self.kept.room(self.layout.across), self.kept.room(size)
-        self.carries = self.space.taken
+        self.frame = frame = Frame(code, work)
+        # Rows are linearised one after another, in the same room.
+        self.room = frame.take(max((each.room for each in rows), default=0))
+        self.matrices: Matrices = Lines(code) if self.layout.straight else Loops(code, frame)
+        self.w = w = Writer(code, self.table, chain, self.matrices)
         with code.loop(last, first) as run:
             w.run = run
             with code.when(w.at(chain.active).load(0) > 0.0):
@@ -83,67 +82,68 @@ class _Written:
         begin, first = w.at(self.chain.begin), self._slice(code.whole(0))
         with code.loop(layout.length) as k:
             Memory(code, first).store(k, begin.load(k))
-        self._carry_nothing()
+        carried = self._nothing()  # of the equations of the slices before
         with code.loop(w.last // _AT_ONCE + 1) as part:
             start = part * _AT_ONCE
             end = (start + _AT_ONCE).at_most(w.last + 1)
             fresh = Memory(code, self._slice(start + 1), step=PACK, lanes=PACK)
             with code.loop((end.at_most(w.last) - start) * (layout.length // PACK)) as k:
                 fresh.store(k, 0.0)
-            given = self.table, run, start, end, self.equations, self.work + self.carries
+            given = self.table, run, start, end, self.equations, self.room
             for each in self.rows:
                 code.call(each.code, *given)
             with code.loop(end, start) as at:
-                solved.set(self._eliminate(self._slice(at)))
+                solved.set(self._eliminate(self._slice(at), carried))
                 code.leave_unless(solved.get())
             code.leave_unless(solved.get())
 
-    def _eliminate(self, place: Address) -> Number:
+    def _eliminate(self, place: Address, carried: Belief) -> Number:
         """Eliminate a slice; whether that goes."""
-        kept, layout, (own, right) = self.kept, self.layout, self.carried
-        found = eliminate(
-            kept.symmetric(place) - kept.symmetric(own),
-            kept.matrix(place + layout.across),
-            kept.column(place + layout.right) - kept.column(right),
-        )
-        kept.put(own, found.own)
-        kept.put(right, found.right)
-        kept.put(place, found.cov)
-        kept.put(place + layout.across, found.gain)
-        kept.put(place + layout.right, found.offset)
-        goes: Number = found.share > 0.0
+        matrices, (own, across, right) = self.matrices, self._cells(place)
+        size = self.layout.size
+        with matrices.scratch():
+            found = eliminate(
+                matrices.symmetric(own, size) - carried.cov,
+                matrices.matrix(across, size, size),
+                matrices.column(right, size) - carried.mean,
+            )
+            carried.set(found.right, found.own)
+            matrices.keep(own, found.cov)
+            matrices.keep(across, found.gain)
+            matrices.keep(right, found.offset)
+            goes: Number = found.share > 0.0
         return goes
 
     def _back(self) -> None:
         """Find slice after slice, going back."""
-        code, w, chain, kept, layout = self.code, self.w, self.chain, self.kept, self.layout
-        later_cov, later = self.carried
-        self._carry_nothing()
-        with code.loop(w.last + 1, down=True) as at:
-            place = self._slice(at)
+        code, w, chain = self.code, self.w, self.chain
+        matrices, size = self.matrices, self.layout.size
+        later = self._nothing()
+        with code.loop(w.last + 1, down=True) as at, matrices.scratch():
+            own, across, right = self._cells(self._slice(at))
             mean, cov = substitute(
-                kept.matrix(place + layout.across),
-                kept.column(place + layout.right),
-                kept.symmetric(place),
-                kept.column(later),
-                kept.symmetric(later_cov),
+                matrices.matrix(across, size, size),
+                matrices.column(right, size),
+                matrices.symmetric(own, size),
+                later.mean,
+                later.cov,
             )
-            kept.put(later, mean)
-            kept.put(later_cov, cov)
-            reference, found = w.at(chain.reference, at), w.at(chain.found, at)
+            later.set(mean, cov)
+            w.keep(chain.found, w.column(chain.reference, at) + mean, at)
             variance = w.at(chain.variance, at)
-
-            def tell(i: Whole | int) -> None:
-                found.store(i, reference.load(i) + mean[i, 0])
-                variance.store(i, cov[i, i])
-
-            kept.each(tell)
+            for k, number in enumerate(cov.diagonal):
+                variance.store(k, number)
 
     def _slice(self, at: Whole) -> Address:
         """The equations of a step."""
         return self.equations + at * self.layout.length
 
-    def _carry_nothing(self) -> None:
-        own, right = self.carried
-        self.kept.clear(own, self.layout.across)
-        self.kept.clear(right, self.layout.size)
+    def _cells(self, place: Address) -> list[Memory]:
+        """The cells of a slice: its own matrix, that across, and the right side."""
+        begins = 0, self.layout.across, self.layout.right
+        return [Memory(self.code, place + begin) for begin in begins]
+
+    def _nothing(self) -> Belief:
+        """A vector and a symmetric matrix that are carried from slice to slice: zeros at first."""
+        zeros = self.matrices.constant([[0.0] * self.layout.size] * self.layout.size)
+        return self.matrices.carried(zeros.part((0,), range(self.layout.size)).T, zeros)

@@ -14,6 +14,7 @@ from pgm.kernels.machine.emitter.wholes import Whole
 from pgm.kernels.machine.loops.frame import Frame
 from pgm.kernels.machine.loops.loops import Loops
 from pgm.kernels.machine.sweeps import costs, relinearising, windows
+from pgm.kernels.machine.sweeps.associating import associated, is_open
 from pgm.kernels.machine.sweeps.extent import is_long
 from pgm.kernels.machine.sweeps.lines import Lines
 from pgm.kernels.machine.sweeps.motion import predicted
@@ -99,7 +100,7 @@ def forward(w: Writer, chain: Forward) -> None:
         mean, cov = belief.mean, belief.cov
         for array, part in zip(chain.predicted, (mean, cov), strict=False):
             w.keep(array, part, at)
-        found = taken(w, chain, at, mean, cov)
+        found = (associated if is_open(chain) else taken)(w, chain, at, mean, cov)
         known, spread = found.moments.mean, found.moments.cov
         numbers = [abs(x) for vector in (mean, known) for x in w.matrices.beside(vector)]
         numbers += [x for matrix in (cov, spread) for x in w.matrices.diagonal(matrix)]

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from pgm.kernels import step
 from pgm.kernels.machine.emitter.numbers import Number
 from pgm.kernels.machine.emitter.wholes import Whole
-from pgm.kernels.machine.sweeps.cpd import REGULAR, linearised, value_at
+from pgm.kernels.machine.sweeps.cpd import REGULAR, linearised, on_branch, value_at
 from pgm.kernels.machine.sweeps.lines import held
 from pgm.kernels.machine.sweeps.matrices import Belief
 from pgm.kernels.machine.sweeps.outliers import cost_of, is_rejected, square_of
@@ -129,20 +129,11 @@ class Control:
         first, share = self._prior.square(x)
         total, sure = held(code, first), code.variable(self._w.true & (share > _TOLD_APART))
         for sensor in self._chain.sensors:
-            if sensor.bounds is None:
-                self._add(sensor, self._at, x, cov, total, sure)
-                continue
-            begin, end = self._w.sightings(sensor, self._at)
-            with code.loop(end, begin) as row:
-                self._add(sensor, row, x, cov, total, sure)
+            with self._w.each_sighting(sensor, self._at) as row:
+                square, certain = cost(self._w, sensor, row, x, cov)
+                total.set(total.get() + square)
+                sure.set(sure.get() & certain)
         return total.get(), sure.get()
-
-    def _add(
-        self, sensor: Sensor, row: Whole, x: Matrix, cov: Matrix, total: Any, sure: Any
-    ) -> None:
-        square, certain = cost(self._w, sensor, row, x, cov)
-        total.set(total.get() + square)
-        sure.set(sure.get() & certain)
 
 
 class _Prior:
@@ -171,15 +162,14 @@ def cost(w: Writer, sensor: Sensor, at: Whole, x: AnyMatrix, cov: AnyMatrix) -> 
     parents, m = sensor.parents, w.matrices
     spread = None if cov is None else cov.part(parents, parents)
     value, sure = expected(w, sensor, at, x.part(parents, (0,)), spread)
-    readings = w.column(sensor.readings, at)
-    near = {k: step.nearest(readings[k, 0], value[k, 0]) for k in sensor.angles}
-    left, kept = m.replaced(readings, near) - value, kept_sensor(sensor, weighed=False)
+    values = on_branch(w, w.column(sensor.readings, at), value, sensor.angles)
+    left, kept = values - value, kept_sensor(sensor, weighed=False)
     noise = w.symmetric(kept.noise, at)
     seen: tuple[AnyMatrix, ...] = ()
     if sensor.loss is not None and sensor.loss.expects:
         assert kept.matrix is not None
         seen = w.matrix(kept.matrix, at), spread
-    known = [reading == reading for reading in m.beside(readings)] if sensor.missing else None
+    known = [reading == reading for reading in m.beside(values)] if sensor.missing else None
     square, count = square_of(w, known, left, noise, *seen)
     if sensor.loss is not None:
         square = cost_of(w, sensor.loss, square, count)

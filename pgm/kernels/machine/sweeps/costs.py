@@ -11,9 +11,9 @@ from pgm.kernels import step
 from pgm.kernels.machine.emitter.numbers import Number
 from pgm.kernels.machine.emitter.wholes import Whole
 from pgm.kernels.machine.sweeps.control import cost, expected
-from pgm.kernels.machine.sweeps.cpd import REGULAR
+from pgm.kernels.machine.sweeps.cpd import REGULAR, on_branch
 from pgm.kernels.machine.sweeps.relinearising import Beliefs, pair_at
-from pgm.kernels.machine.sweeps.told import Linearised, Motion, Sensor
+from pgm.kernels.machine.sweeps.told import Linearised, Motion
 from pgm.kernels.machine.sweeps.writer import Writer
 from pgm.kernels.step import AnyMatrix
 
@@ -27,21 +27,14 @@ def written(w: Writer, chain: Linearised) -> Number:
         total.set(total.get() + found[0])
         sure.set(sure.get() & found[1])
 
-    def read(sensor: Sensor, row: Whole, at: Whole) -> None:
-        cov = None if beliefs.cov is None else w.symmetric(beliefs.cov, at)
-        add(cost(w, sensor, row, w.column(beliefs.mean, at), cov))
-
     with code.loop(w.last + 1) as at, w.matrices.scratch():
         with code.when(at > 0), w.matrices.scratch():
             for motion, mean, cov, child in pair_at(w, chain, beliefs, at - 1):
                 add(_moved(w, motion, at - 1, mean, cov, child))
         for sensor in chain.sensors:
-            if sensor.bounds is None:
-                read(sensor, at, at)
-                continue
-            first, last = w.sightings(sensor, at)
-            with code.loop(last, first) as row, w.matrices.scratch():
-                read(sensor, row, at)
+            with w.each_sighting(sensor, at) as row:
+                cov = None if beliefs.cov is None else w.symmetric(beliefs.cov, at)
+                add(cost(w, sensor, row, w.column(beliefs.mean, at), cov))
     assert chain.cost is not None
     w.at(chain.cost).store(0, total.get())
     return sure.get()
@@ -52,7 +45,6 @@ def _moved(
 ) -> tuple[Any, Number]:
     """The cost of a CPD of a transition at a row, and whether it is right, so far as is told."""
     value, sure = expected(w, motion, at, x, cov)
-    near = {k: step.nearest(child[k, 0], value[k, 0]) for k in motion.angles}
     noise = w.symmetric(motion.kept or motion.noise, at)
-    square = step.weighed_square(w.matrices.replaced(child, near) - value, noise)
+    square = step.weighed_square(on_branch(w, child, value, motion.angles) - value, noise)
     return square, sure & (noise.root().share > REGULAR)

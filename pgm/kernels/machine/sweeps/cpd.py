@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import nullcontext
 from functools import reduce
 from math import pi
@@ -14,7 +15,7 @@ from pgm.kernels.machine.emitter.traces import Inputs
 from pgm.kernels.machine.emitter.wholes import Whole
 from pgm.kernels.machine.sweeps.called import tangent, values_at
 from pgm.kernels.machine.sweeps.lines import held
-from pgm.kernels.machine.sweeps.told import Points, Row
+from pgm.kernels.machine.sweeps.told import Points, Row, Sensor
 from pgm.kernels.machine.sweeps.writer import Writer
 from pgm.kernels.numbers import inner, nearest_whole, where
 from pgm.kernels.step import AnyMatrix
@@ -128,6 +129,19 @@ def keep(w: Writer, row: Row, at: Whole, mean: AnyMatrix, line: Line) -> None:
         assert row.offset is not None
         w.keep(row.matrix, line.matrix, at)
         w.keep(row.offset, line.value - line.matrix @ mean, at)
+
+
+def readings(w: Writer, sensor: Sensor, at: Whole, value: AnyMatrix) -> AnyMatrix:
+    """A sensor's readings at a row, with angles on the branch nearest to a value, and kept so."""
+    found = on_branch(w, w.column(sensor.readings, at), value, sensor.angles)
+    w.keep(sensor.moved, found, at)
+    return found
+
+
+def on_branch(w: Writer, vector: AnyMatrix, value: AnyMatrix, angles: Sequence[int]) -> AnyMatrix:
+    """The vector with its angles on the branch nearest to those of a value."""
+    near = {k: step.nearest(vector[k, 0], value[k, 0]) for k in angles}
+    return w.matrices.replaced(vector, near)
 
 
 def _regressed(

@@ -20,13 +20,12 @@ from pgm.kernels.machine.emitter.traces import written
 from pgm.kernels.machine.emitter.variables import Variable
 from pgm.kernels.machine.emitter.wholes import Address, Whole
 from pgm.kernels.machine.sweeps.chain import Sweep, each_run
-from pgm.kernels.machine.sweeps.cpd import keep, linearised
+from pgm.kernels.machine.sweeps.cpd import keep, linearised, readings
 from pgm.kernels.machine.sweeps.lines import Lines, held
 from pgm.kernels.machine.sweeps.motion import line_of
 from pgm.kernels.machine.sweeps.told import Array, Motion, Sensor
 from pgm.kernels.machine.sweeps.writer import Writer
 from pgm.kernels.numbers import Matrix, most, where
-from pgm.kernels.step import nearest
 
 Arrays = tuple[Array, ...]
 # The arguments of a trace: the numbers of each, by their place.
@@ -200,10 +199,7 @@ def _linearised(
     x = mean.part(parents, (0,))
     line = linearised(w, sensor, row, x, cov.part(parents, parents))
     keep(w, sensor, row, x, line)
-    values = [number for (number,) in w.column(sensor.readings, row).rows]
-    for k in sensor.angles:
-        values[k] = nearest(values[k], line.value[k, 0])
-    w.keep(sensor.moved, Matrix.column(values), row)
+    values = w.matrices.beside(readings(w, sensor, row, line.value))
     constant_of, own = line.value - line.matrix @ x, line.own.diagonal
     for k, value in enumerate(values):
         seen = value == value if sensor.missing else w.true

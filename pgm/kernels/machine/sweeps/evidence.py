@@ -50,6 +50,7 @@ class Table:
         self.address = Address(code, code.reserve(f"[{size} x i64]"))
         self._wholes = Cells(code, self.address, Whole)
         self._addresses = Cells(code, self.address, Address)
+        self._counts: dict[int, Whole] = {}
         for place in range(told.FIRST):
             self._wholes.store(place, code.whole(int(place == told.RUNS)))
 
@@ -65,6 +66,17 @@ class Table:
         bounds.store(0, self.code.whole(0))
         bounds.store(1, count)
         self._addresses.store(place, bounds.address)
+        self._counts[place] = count
+
+    def put_iterations(self, most: int, settings: Address, record: Address) -> None:
+        """Tell how often measurements are linearised, and where settings and the record are."""
+        self._wholes.store(told.ITERATIONS, self.code.whole(most))
+        self._addresses.store(told.SETTINGS, settings)
+        self._addresses.store(told.RESIDUALS, record)
+
+    def count(self, sensor: told.Sensor) -> Whole:
+        """How many sightings of a sensor the step has."""
+        return self.code.whole(1) if sensor.bounds is None else self._counts[sensor.bounds]
 
 
 def read(python: Python, evidence: tuple[Evidence, ...], table: Table, values: Address) -> Number:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pgm.kernels.machine.emitter.processor import registers
 from pgm.kernels.machine.sweeps.told import Backward, Forward, Linearised, Row, Windows
 
 # Operations of a sweep forward and of one back from which on loops are compiled sooner and run no
@@ -14,29 +15,31 @@ def is_long(chain: Forward | Backward | Windows | Linearised, lanes: int) -> boo
     if isinstance(chain, Windows):
         return False  # they are written in lines alone
     most = _BACK if isinstance(chain, Backward) else _FORWARD
-    return operations(chain) > (most // 2 if lanes > 1 else most)
+    return operations(chain, lanes) > (most // 2 if lanes > 1 else most)
 
 
-def operations(chain: Forward | Backward | Linearised) -> int:
-    """The operations of a sweep in straight lines, about."""
+def operations(chain: Forward | Backward | Linearised, lanes: int) -> int:
+    """The operations of a sweep of so many lanes in straight lines, about."""
     if isinstance(chain, Linearised):
-        return sum(_of(row) + row.height**3 for row in (*chain.motions, *chain.sensors))
+        return sum(_of(row, lanes) + row.height**3 for row in (*chain.motions, *chain.sensors))
     n = chain.size
     if isinstance(chain, Backward):
         states, pushes = len(chain.states), bool(chain.smoothed) + bool(chain.controls)
         return 8 * states**3 + pushes * 2 * n**3
     found = n**3  # a look at covariances
     for motion in chain.motions:
-        found += _of(motion) + 2 * motion.height * len(motion.parents) * n
+        found += _of(motion, lanes) + 2 * motion.height * len(motion.parents) * n
     for sensor in chain.sensors:
         # Components on which it does not depend leave zeros, of which nothing is written.
         d, p = sensor.height, len(sensor.parents)
-        found += _of(sensor) + (3 * n**2 * p) // 2 + 2 * d * n * p + 3 * d**2 * n
+        found += _of(sensor, lanes) + (3 * n**2 * p) // 2 + 2 * d * n * p + 3 * d**2 * n
+        if sensor.candidates is not None:  # with which a sighting is compared before it is read
+            found += d * n * p + 2 * d**2 * n
     return found
 
 
-def _of(row: Row) -> int:
-    """The operations of a linearisation."""
+def _of(row: Row, lanes: int) -> int:
+    """The operations of a linearisation; a single run's points are worked on pack by pack."""
     if not row.curved:
         return 0
     n, d = len(row.parents), row.height
@@ -45,4 +48,5 @@ def _of(row: Row) -> int:
     if row.points is None:
         return count
     points = len(row.points.points)
-    return points * (count + n**2 + 2 * n * d + d**2)
+    values = points if lanes > 1 else -(-points // registers()[0])
+    return values * count + points * (n**2 + 2 * n * d + d**2)

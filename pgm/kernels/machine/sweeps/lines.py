@@ -11,6 +11,7 @@ from pgm.kernels.machine.emitter.code import Code
 from pgm.kernels.machine.emitter.functions import Function
 from pgm.kernels.machine.emitter.memory import Memory
 from pgm.kernels.machine.emitter.numbers import Number, constant
+from pgm.kernels.machine.emitter.processor import registers
 from pgm.kernels.machine.emitter.traces import Inputs, traced
 from pgm.kernels.machine.emitter.variables import Variable
 from pgm.kernels.numbers import Matrix, most, where
@@ -91,8 +92,8 @@ class Lines:
         return Matrix(rows, matrix.width)
 
     def above(self, one: Matrix, other: Matrix) -> Matrix:
-        """A vector, and below it another."""
-        return Matrix([*one.rows, *other.rows], 1)
+        """A matrix, and below it another."""
+        return Matrix([*one.rows, *other.rows], one.width)
 
     def shifted(self, matrix: Matrix, vector: Matrix) -> Matrix:
         """The matrix with a vector added to each of its rows."""
@@ -141,8 +142,19 @@ class Lines:
         return Matrix.column(value), Matrix(rows, size)
 
     def values(self, function: Function, points: Matrix, inputs: Inputs) -> Matrix:
-        """The values of a function at points, row by row."""
-        return Matrix(traced(self.code, function, row, inputs)[0] for row in points.rows)
+        """The values of a function at points, row by row: those of a single run pack by pack."""
+        lanes = registers()[0]
+        if self.code.lanes > 1 or len(points.rows) <= lanes:
+            return Matrix(traced(self.code, function, row, inputs)[0] for row in points.rows)
+        found: list[list[Any]] = []
+        for first in range(0, len(points.rows), lanes):
+            rows = points.rows[first : first + lanes]
+            # Lanes beyond the last point have the first, as they must have some.
+            every = [*rows, *[rows[0]] * (lanes - len(rows))]
+            packs = [_beside(self.code, column) for column in zip(*every, strict=True)]
+            value = [constant(self.code, x) for x in traced(self.code, function, packs, inputs)[0]]
+            found += [[x.lane(k) for x in value] for k in range(len(rows))]
+        return Matrix(found)
 
 
 class Carried:
@@ -176,6 +188,14 @@ def held(code: Code, number: Number | float) -> Variable[Number]:
     """A variable that begins as a number, of all runs at hand."""
     number = constant(code, number)
     return code.variable(number.spread(max(code.lanes, number.lanes)))
+
+
+def _beside(code: Code, numbers: Sequence[Number | float]) -> Number:
+    """The pack that has a number in each lane."""
+    pack = Number(code, "poison", len(numbers))
+    for lane, number in enumerate(numbers):
+        pack = pack.with_lane(lane, number)
+    return pack
 
 
 def _symmetric(half: list[list[Any]]) -> Matrix:

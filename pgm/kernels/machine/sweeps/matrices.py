@@ -93,7 +93,7 @@ class Matrices(Protocol):
         """The matrix with other columns, whose numbers are side by side, at some places."""
 
     def above(self, one: Any, other: Any) -> AnyMatrix:
-        """A vector, and below it another."""
+        """A matrix, and below it another."""
 
     def shifted(self, matrix: Any, vector: Any) -> AnyMatrix:
         """The matrix with a vector added to each of its rows."""

@@ -1,6 +1,11 @@
 """A step of an online filter in machine code: from a belief and the evidence given to the next one.
 
-A belief is one bytes object: the mean (n,), the covariance (n, n), and the log-evidence. Python
+A belief is one bytes object: the mean (n,), the covariance (n, n), the log-evidence, and with a
+watch its numbers (`lost`). Behind them an update puts 1 if weights of robust noise are not settled,
+else 0, if there is any; the record of its iterations, if there are any (`settling`); of each sensor
+with a gate the number M of sightings, their squares (M,), and 1 of each that is rejected, else 0
+(M,); and of each with robust noise the weights (M,) and the squares that these are of (M,). A
+prediction that is to be reversed puts its linearisations there: see `kept`. Python
 calls ``step(belief, values)``, in which `values` is the mapping from variables to their evidence.
 The answer is the next belief; None where the evidence is of another kind than the step is made
 for; and no bytes, ``b""``, where more care is needed: numbers are too far apart for float64, or
@@ -9,6 +14,7 @@ some are not finite.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import accumulate
@@ -18,15 +24,17 @@ from typing import TYPE_CHECKING, Any
 
 from pgm.kernels.machine.emitter.module import Module
 from pgm.kernels.machine.emitter.python import Python, written
+from pgm.kernels.machine.emitter.wholes import Address
 from pgm.kernels.machine.loops.frame import Frame
 from pgm.kernels.machine.loops.loops import Loops
-from pgm.kernels.machine.sweeps import told
+from pgm.kernels.machine.sweeps import lost, told
 from pgm.kernels.machine.sweeps.evidence import CONSTANTS, Evidence, Table, read
 from pgm.kernels.machine.sweeps.extent import is_long
 from pgm.kernels.machine.sweeps.lines import Lines
 from pgm.kernels.machine.sweeps.motion import predicted
 from pgm.kernels.machine.sweeps.reading import taken
 from pgm.kernels.machine.sweeps.writer import Writer
+from pgm.kernels.numbers import where
 from pgm.kernels.step import AnyMatrix
 
 if TYPE_CHECKING:
@@ -41,13 +49,33 @@ _REGULAR, _FAR = 1.0 / 2e7, (2e-6 / 2.0**-52) ** 2
 class Step:
     """A prediction, if it `moves`, or an update: its chain of one step, and what it is made from.
 
-    `constants` are the arrays whose numbers the step is bound to, one after another.
+    `constants` are the arrays whose numbers the step is bound to, one after another, and behind
+    them the settings of iterations. `watched` says that beliefs have a watch; `iterations` is how
+    often measurements are linearised at most.
     """
 
     chain: told.Forward
     moves: bool
     constants: tuple[told.Array, ...]
     evidence: tuple[Evidence, ...]
+    watched: bool = False
+    iterations: int = 1
+
+    @property
+    def weighs(self) -> bool:
+        """Whether some sensor has robust noise."""
+        return any(sensor.weighs for sensor in self.chain.sensors)
+
+    @property
+    def record(self) -> int:
+        """How many numbers the record of its iterations has."""
+        return self.iterations + 1 if self.chain.iterated else 0
+
+
+def kept(motion: told.Motion) -> list[told.Array]:
+    """The matrix F, the offset and the noise of a linearisation, so far as they are kept."""
+    found = (motion.matrix, motion.offset) if motion.curved else ()
+    return [array for array in (*found, motion.kept) if array is not None]
 
 
 @lru_cache(maxsize=128)
@@ -62,32 +90,53 @@ def _write(python: Python, online: Step) -> None:
     code, chain = python.code, online.chain
     known, values = python.given
     size = chain.size
-    count = size + size * size + 1
+    last = size + size * size
+    count = last + 1 + (lost.SIZE if online.watched else 0)
     table = Table(code, chain)
     begin = python.bytes(known, 8 * count)
     table.put(chain.begin[0], begin)
     table.put(chain.begin[1], begin + size)
-    _constants(python, online, table)
+    settings = _constants(python, online, table)
     finite = read(python, online.evidence, table, values)
-    later = python.call("PyBytes_FromStringAndSize", python.null, 8 * count)
+    lines = [array for motion in chain.motions for array in kept(motion)]
+    length = code.whole(count + sum(prod(array.shape) for array in lines))
+    length = length + int(online.weighs) + online.record
+    for sensor in chain.sensors:
+        length = length + (2 * table.count(sensor) + 1) * int(sensor.gate is not None)
+        length = length + 2 * table.count(sensor) * int(sensor.weighs)
+    later = python.call("PyBytes_FromStringAndSize", python.null, 8 * length)
     python.give_null_if(later.is_null())
     end = python.call("PyBytes_AsString", later)
     table.put(chain.known[0], end)
     table.put(chain.known[1], end + size)
-    table.put(chain.density, end + (count - 1))
+    table.put(chain.density, end + last)
+    place = end + (count + int(online.weighs))
+    if chain.iterated:
+        table.put_iterations(online.iterations, settings, place)
+        with code.loop(code.whole(online.record)) as k:
+            code.memory(place).store(k, 0.0)
+    _sightings(chain, table, place + online.record)
+    _put(table, lines, place)
 
     frame = Frame.of_function(code)
     w = Writer(code, table.address, chain, Loops(code, frame) if is_long(chain, 1) else Lines(code))
     mean, cov = w.column(chain.begin[0]), w.symmetric(chain.begin[1])
-    total, at = code.memory(begin).load(count - 1), code.whole(0)
+    total, at = code.memory(begin).load(last), code.whole(0)
+    watch = code.memory(begin + (last + 1)), code.memory(end + (last + 1))
     if online.moves:
         moved = predicted(w, chain, at, mean, cov)
         after, spread, sure = moved.mean, moved.cov, moved.sure
         cov = spread
+        if online.watched:
+            lost.on(*watch)
     else:
         found = taken(w, chain, at, mean, cov)
         after, spread, sure = found.moments.mean, found.moments.cov, found.sure
         total = total + found.density
+        if online.watched:
+            lost.read(*watch, found)
+        if online.weighs:
+            code.memory(end + count).store(0, where(found.settled, 0.0, 1.0))
     sure = sure & finite & (abs(total) < inf) & _is_moderate(w, after, spread, cov)
     w.keep(chain.known[0], after)
     w.keep(chain.known[1], spread)
@@ -99,11 +148,35 @@ def _write(python: Python, online: Step) -> None:
     frame.settle()
 
 
-def _constants(python: Python, online: Step, table: Table) -> None:
-    sizes = [prod(array.shape) for array in online.constants]
-    *places, count = accumulate(sizes, initial=0)
+def _sightings(chain: told.Forward, table: Table, place: Address) -> None:
+    """Tell where the decisions of gates lie, and behind them robust weights."""
+    for sensor in chain.sensors:
+        if sensor.gate is not None:
+            count = table.count(sensor)
+            table.code.memory(place).store(0, count.number())
+            table.put(sensor.gate.squares, place + 1, 1)
+            table.put(sensor.gate.rejected, place + 1 + count, 1)
+            place = place + 1 + 2 * count
+    for sensor in chain.sensors:
+        if sensor.loss is not None:
+            count = table.count(sensor)
+            table.put(sensor.loss.weights, place, 1)
+            table.put(sensor.loss.squares, place + count, 1)
+            place = place + 2 * count
+
+
+def _constants(python: Python, online: Step, table: Table) -> Address:
+    """Tell where constants lie; gives the address behind them."""
+    count = sum(prod(array.shape) for array in online.constants)
     begin = python.bytes(python.mine(CONSTANTS), 8 * count)
-    for array, place in zip(online.constants, places, strict=True):
+    _put(table, online.constants, begin)
+    return begin + count
+
+
+def _put(table: Table, arrays: Sequence[told.Array], begin: Address) -> None:
+    """Tell that arrays lie one behind another."""
+    places = accumulate((prod(array.shape) for array in arrays), initial=0)
+    for array, place in zip(arrays, places, strict=False):
         table.put(array, begin + place)
 
 

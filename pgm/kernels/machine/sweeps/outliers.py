@@ -12,7 +12,7 @@ from pgm.kernels.machine.emitter.traces import written
 from pgm.kernels.machine.emitter.wholes import Whole
 from pgm.kernels.machine.sweeps.lines import held
 from pgm.kernels.machine.sweeps.matrices import Belief
-from pgm.kernels.machine.sweeps.told import Gate, Loss, Sensor
+from pgm.kernels.machine.sweeps.told import Array, Gate, Loss, Sensor
 from pgm.kernels.machine.sweeps.writer import Writer
 from pgm.kernels.numbers import most, where
 from pgm.kernels.step import AnyMatrix
@@ -33,12 +33,7 @@ def gated(
     assert gate is not None
 
     def decide() -> Any:
-        limits = w.at(gate.limits)
-        limit = w.code.constant(0.0) + limits.load(sensor.height)
-        if sensor.missing:
-            for k in range(sensor.height):
-                limit = where(count == float(k), limits.load(k), limit)
-        rejected = square > limit
+        rejected = square > limit_of(w, sensor, gate.limits, count)
         w.at(gate.squares, at).store(0, where(count > 0.0, square, w.code.constant(float("nan"))))
         w.at(gate.rejected, at).store(0, where(rejected, 1.0, 0.0))
         return rejected
@@ -48,6 +43,16 @@ def gated(
     with w.code.when(first):
         decide()
     return is_rejected(w, gate, at)
+
+
+def limit_of(w: Writer, sensor: Sensor, limits: Array, count: Any) -> Any:
+    """The largest square of a sighting of which so many components were measured."""
+    by_count = w.at(limits)
+    limit = w.code.constant(0.0) + by_count.load(sensor.height)
+    if sensor.missing:
+        for k in range(sensor.height):
+            limit = where(count == float(k), by_count.load(k), limit)
+    return limit
 
 
 def is_rejected(w: Writer, gate: Gate, at: Whole) -> Any:
@@ -67,7 +72,7 @@ class Weighing:
         self.belief = w.matrices.carried(mean, cov)
         self._active, self._moved = w.code.varying(True), w.code.varying(0.0)
         self._left = w.code.varying(float("inf"))
-        self.again = w.code.constant(False).lane(0)
+        self.again = self._last = w.code.constant(False).lane(0)
 
     def begin(self) -> None:
         """Begin with a new linearisation."""
@@ -76,7 +81,7 @@ class Weighing:
 
     def turn(self, count: Whole) -> None:
         """Begin a turn: all sightings are taken in, and weighed before from the second one on."""
-        self.again = count > 0
+        self.again, self._last = count > 0, count == REWEIGHINGS
         self._moved.set(0.0)
 
     def turned(self, found: Belief) -> Number:
@@ -87,6 +92,12 @@ class Weighing:
             self._active.set(self._left.get() > SETTLED)
         self.belief.set(found.mean, found.cov)
         return code.some(self._active.get())
+
+    @property
+    def may_end(self) -> Number:
+        """Whether a turn may be the last: no weight moves, of those that it has found so far."""
+        moved = self._w.code.some(self._moved.get() > SETTLED)
+        return self._last | (self.again & ~moved)
 
     @property
     def settled(self) -> Any:

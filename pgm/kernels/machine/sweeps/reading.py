@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
+from functools import partial
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from pgm.kernels import step
@@ -10,7 +14,7 @@ from pgm.kernels.gaussian import NEARLY_SINGULAR
 from pgm.kernels.machine.emitter.numbers import Number
 from pgm.kernels.machine.emitter.wholes import Whole
 from pgm.kernels.machine.sweeps.control import Anchor, Control, Solve, tried
-from pgm.kernels.machine.sweeps.cpd import REGULAR, Line, keep, linearised
+from pgm.kernels.machine.sweeps.cpd import REGULAR, Line, keep, linearised, readings
 from pgm.kernels.machine.sweeps.matrices import Belief
 from pgm.kernels.machine.sweeps.outliers import REWEIGHINGS, Weighing, gated, kept_surplus, surplus
 from pgm.kernels.machine.sweeps.settling import Settling, moved
@@ -27,6 +31,19 @@ _CURVED, _STRAIGHT, _MILD = 1e-6, 1e-8, 1e-3
 _FARTHEST = 1e12
 
 
+class Counts(NamedTuple):
+    """Numbers of the sightings of a step.
+
+    `nis` is the normalised innovation squared of those taken in, `dof` the number of their
+    components. `judged` counts the sightings that gates have judged, `rejected` those rejected.
+    """
+
+    nis: Any
+    dof: Any
+    rejected: Any
+    judged: Any
+
+
 class Taken:
     """A belief that takes in measurements: moments, their log-density, and whether it is sure."""
 
@@ -34,6 +51,12 @@ class Taken:
         self.moments = w.matrices.carried(mean, cov)
         self._density, self._sure = w.code.varying(0.0), w.code.varying(True)
         self._settled = w.code.varying(True)
+        self._counts = [w.code.varying(0.0) for _ in Counts._fields]
+
+    @property
+    def counts(self) -> Counts:
+        """Numbers of the sightings so far."""
+        return Counts(*(each.get() for each in self._counts))
 
     @property
     def density(self) -> Number:
@@ -55,6 +78,13 @@ class Taken:
         self.moments.set(mean, cov)
         self._density.set(0.0)
         self._sure.set(True)
+        for each in self._counts:
+            each.set(0.0)
+
+    def count(self, *more: Any) -> None:
+        """Count a sighting, as `Counts` has it."""
+        for each, number in zip(self._counts, more, strict=True):
+            each.set(each.get() + number)
 
     def take(self, mean: AnyMatrix, cov: AnyMatrix, density: Any, sure: Number) -> None:
         """Go on to a belief that knows one measurement more."""
@@ -178,10 +208,13 @@ def _solved(
         _once(w, chain, at, found, point, None)
         return
     weighing.begin()
+    # What stays the same in all turns; of several sightings it would have to be kept in memory.
+    alone = [each for each in chain.sensors if each.bounds is None and each.called is None]
+    shown = {sensor: Sighting.of(w, sensor, at, point) for sensor in alone}
     with w.code.loop(w.code.whole(REWEIGHINGS + 1)) as turn:
         weighing.turn(turn)
         found.begin(point.mean, point.cov)
-        _once(w, chain, at, found, point, weighing)
+        _once(w, chain, at, found, point, weighing, shown)
         w.code.leave_unless(weighing.turned(found.moments))
         w.code.leave_unless(w.code.some(found.sure))
     found.settle(weighing.settled)
@@ -211,27 +244,31 @@ def _move(w: Writer, point: Belief, found: Belief, damping: Number, settled: Num
 
 
 def _once(
-    w: Writer, chain: Forward, at: Whole, found: Taken, point: Point, weighing: Weighing | None
+    w: Writer,
+    chain: Forward,
+    at: Whole,
+    found: Taken,
+    point: Point,
+    weighing: Weighing | None,
+    shown: Mapping[Sensor, Sighting] = MappingProxyType({}),
 ) -> None:
-    """Take in the measurements of a step, linearised at a point."""
+    """Take in the measurements of a step, linearised at a point, where that is not `shown`."""
     fresh = point.first is None  # no measurement has moved the belief from the point yet
     for sensor in chain.sensors:
-        if sensor.bounds is None:
-            with w.matrices.scratch():
-                _read(w, sensor, at, found, point, weighing, fresh=fresh)
-        else:
-            first, last = w.sightings(sensor, at)
-            with w.code.loop(last, first) as row, w.matrices.scratch():
-                _read(w, sensor, row, found, point, weighing)
+        fresh = fresh and sensor.bounds is None
+        with w.each_sighting(sensor, at) as row:
+            sighting = shown.get(sensor) or Sighting.of(w, sensor, row, point, weighing)
+            read(w, sensor, row, sighting, found, point, weighing, fresh=fresh)
         fresh = False
     if point.anchor is not None:
         found.hold(point.anchor)
 
 
-def _read(
+def read(
     w: Writer,
     sensor: Sensor,
     at: Whole,
+    sighting: Sighting,
     found: Taken,
     point: Point,
     weighing: Weighing | None,
@@ -239,22 +276,11 @@ def _read(
     fresh: bool = False,
 ) -> None:
     """Take in a sighting; `fresh` says that no other of its step is taken in yet."""
-    parents = sensor.parents
-    x = point.at.part(parents, (0,))
-    again = None if weighing is None else weighing.again
-    line = linearised(w, sensor, at, x, point.about.part(parents, parents), again)
-    keep(w, sensor, at, x, line)
-    values = w.column(sensor.readings, at)
-    near = {k: step.nearest(values[k, 0], line.value[k, 0]) for k in sensor.angles}
-    values = w.matrices.replaced(values, near)
-    w.keep(sensor.moved, values, at)
-    left = values - line.value
-    sighting = _Sighting.of(w, sensor, line, left, point.at.shape[0], values)
-    noise = sighting.noise
+    line, noise = sighting.line, sighting.noise
     begins = point.first
     if weighing is not None:
         begins = ~weighing.again if begins is None else begins & ~weighing.again
-    surplus_of: Any = 0.0
+    surplus_of: Callable[[], Any] = float
     if sensor.loss is not None:
         count = sighting.count
         if sensor.weighs:
@@ -272,9 +298,9 @@ def _read(
             if sensor.kept is not None:  # of components that are missing, or rejected, as well
                 own = line.own.scaled(1.0 / weight)
                 w.keep(sensor.kept, own if line.error is None else own + line.error, at)
-            surplus_of = surplus(w, sensor.loss, of, count, weight)
+            surplus_of = partial(surplus, w, sensor.loss, of, count, weight)
         else:
-            surplus_of = kept_surplus(w, sensor.loss, at, count)
+            surplus_of = partial(kept_surplus, w, sensor.loss, at, count)
     else:
         w.keep(sensor.kept, line.noise, at)
     mean, cov = found.moments.mean, found.moments.cov
@@ -282,20 +308,26 @@ def _read(
     if not fresh:
         residual = residual - sighting.matrix @ (mean - point.at)
     after = step.update(mean, cov, sighting.matrix, residual, noise)
-    limit = _CURVED if sensor.curved else _STRAIGHT
-    part = least(limit * (10.0 + after.square), w.code.constant(_MILD))
     whole = step.predict(point.cov, sighting.matrix, noise)
-    sharp = (after.square < _FARTHEST) & _is_positive(w, noise - whole.scaled(part))
-    density = -0.5 * (after.square + LOG_2PI * sighting.count) - after.volume + surplus_of
+    # Of a turn that is not the last no more is asked than its belief.
+    told, mild = w.code.varying(0.0), w.code.varying(True)
+    with nullcontext() if weighing is None else w.code.when(weighing.may_end), w.matrices.scratch():
+        part = least(
+            (_CURVED if sensor.curved else _STRAIGHT) * (10.0 + after.square),
+            w.code.constant(_MILD),
+        )
+        told.set(sighting.density(after) + surplus_of())
+        mild.set((after.square < _FARTHEST) & _is_positive(w, noise - whole.scaled(part)))
+    density, sharp = told.get(), mild.get()
     if sensor.gate is None:
         sure = line.sure & (after.share > NEARLY_SINGULAR) & sharp
         found.take(after.mean, after.cov, density, sure)
+        found.count(after.square, sighting.count, 0.0, 0.0)
         return
     square, share = after.square, after.share
     if not fresh:
-        root = whole.root()
-        white, share = root.solve(sighting.left), least(root.share, after.share)
-        square = (white.T @ white)[0, 0]
+        alone = step.innovation(sighting.left, whole)
+        square, share = alone.square, least(alone.share, after.share)
     rejected = gated(w, sensor, at, square, sighting.count, begins)
     sure = line.sure & (share > NEARLY_SINGULAR) & (rejected | sharp)
     found.take(
@@ -304,16 +336,24 @@ def _read(
         where(rejected, 0.0, density),
         sure,
     )
+    found.count(
+        where(rejected, 0.0, after.square),
+        where(rejected, 0.0, sighting.count),
+        rejected.number(),
+        where(sighting.count > 0.0, 1.0, 0.0),
+    )
 
 
-class _Sighting(NamedTuple):
+class Sighting(NamedTuple):
     """A sighting as linearised: z = value + H (x − m) + e over the whole slice.
 
     `left` is z − value, `own` and `error` are the covariances of the noise and of the line's error,
     None for zero, and `count` is how many components were measured; others say nothing. `stands` is
-    the part of `own` that stands for these, None where there are none.
+    the part of `own` that stands for these, None where there are none. `line` is the linearisation
+    by itself, over the sensor's parents.
     """
 
+    line: Line
     left: AnyMatrix
     matrix: AnyMatrix
     own: AnyMatrix
@@ -323,25 +363,44 @@ class _Sighting(NamedTuple):
 
     @classmethod
     def of(
-        cls, w: Writer, sensor: Sensor, line: Line, left: AnyMatrix, size: int, values: AnyMatrix
-    ) -> _Sighting:
-        """A sighting of some values, as linearised over a slice of so many components."""
-        m = w.matrices
-        matrix = m.widened(line.matrix, sensor.parents, size)
+        cls,
+        w: Writer,
+        sensor: Sensor,
+        at: Whole,
+        point: Point,
+        weighing: Weighing | None = None,
+        row: Whole | None = None,
+    ) -> Sighting:
+        """A sensor's sighting at a row, linearised at a point, its angles on the nearest branch.
+
+        The CPD is linearised at a `row` of its own, where it has several for a sighting.
+        """
+        m, parents = w.matrices, sensor.parents
+        x = point.at.part(parents, (0,))
+        again = None if weighing is None else weighing.again
+        about, of = point.about.part(parents, parents), at if row is None else row
+        line = linearised(w, sensor, of, x, about, again)
+        keep(w, sensor, at, x, line)
+        values = readings(w, sensor, at, line.value)
+        left, matrix = values - line.value, m.widened(line.matrix, parents, point.at.shape[0])
         if not sensor.missing:
-            return cls(left, matrix, line.own, line.error, float(sensor.height))
+            return cls(line, left, matrix, line.own, line.error, float(sensor.height))
         known = [value == value for value in m.beside(values)]
         left, matrix, own = m.seen(known, left, matrix, line.own)
         error = None if line.error is None else m.kept(known, line.error)
         missing = w.sum([1.0 - truth.number() for truth in known])
         stands = own - m.kept(known, own) if sensor.weighs else None
-        return cls(left, matrix, own, error, float(sensor.height) - missing, stands)
+        return cls(line, left, matrix, own, error, float(sensor.height) - missing, stands)
 
     def weighed(self, weight: Any) -> AnyMatrix:
         """The covariance of the noise by a weight, which is not of what was not measured."""
         if self.stands is None:
             return self.own.scaled(1.0 / weight)
         return (self.own - self.stands).scaled(1.0 / weight) + self.stands
+
+    def density(self, of: step.Updated | step.Innovation) -> Any:
+        """The log-density of what was measured, by how likely it is."""
+        return -0.5 * (of.square + LOG_2PI * self.count) - of.volume
 
     @property
     def noise(self) -> AnyMatrix:

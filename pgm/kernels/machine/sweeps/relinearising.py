@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from pgm.kernels import step
 from pgm.kernels.machine.emitter.numbers import Number
 from pgm.kernels.machine.emitter.wholes import Whole
-from pgm.kernels.machine.sweeps.cpd import Line, keep, linearised
+from pgm.kernels.machine.sweeps.cpd import Line, keep, linearised, readings
 from pgm.kernels.machine.sweeps.outliers import is_rejected, square_of, weight_of
 from pgm.kernels.machine.sweeps.told import Array, Forward, Linearised, Motion, Sensor
 from pgm.kernels.machine.sweeps.writer import Writer
@@ -88,11 +88,7 @@ def read(w: Writer, chain: Steps, at: Whole, beliefs: Beliefs, row: Whole) -> Nu
     for sensor in chain.sensors:
         if sensor.function is None and sensor.loss is None and sensor.moved is None:
             continue
-        if sensor.bounds is None:
-            sure.set(sure.get() & _read(w, sensor, at, mean, cov))
-            continue
-        first, last = w.sightings(sensor, at)
-        with w.code.loop(last, first) as sighting, w.matrices.scratch():
+        with w.each_sighting(sensor, at) as sighting:
             sure.set(sure.get() & _read(w, sensor, sighting, mean, cov))
     return sure.get()
 
@@ -102,20 +98,17 @@ def _read(w: Writer, sensor: Sensor, at: Whole, mean: AnyMatrix, cov: AnyMatrix)
     x, spread = mean.part(places, (0,)), None if cov is None else cov.part(places, places)
     line = linearised(w, sensor, at, x, spread)
     keep(w, sensor, at, x, line)
-    readings = w.column(sensor.readings, at)
-    near = {k: step.nearest(readings[k, 0], line.value[k, 0]) for k in sensor.angles}
-    readings = m.replaced(readings, near)
-    w.keep(sensor.moved, readings, at)
+    values = readings(w, sensor, at, line.value)
     loss, noise = sensor.loss, line.noise
     if loss is not None:
         known: Any = None
         if sensor.missing or sensor.gate is not None:
-            known = [reading == reading for reading in m.beside(readings)]
+            known = [value == value for value in m.beside(values)]
         if sensor.gate is not None:
             rejected = is_rejected(w, sensor.gate, at)
             known = [truth & ~rejected for truth in known]
         parts = (line.matrix, spread, line.error) if loss.expects else (None, None, None)
-        square, count = square_of(w, known, readings - line.value, line.own, *parts)
+        square, count = square_of(w, known, values - line.value, line.own, *parts)
         weight = weight_of(w, loss, square, count)
         w.at(loss.weights, at).store(0, weight)
         w.at(loss.squares, at).store(0, square)

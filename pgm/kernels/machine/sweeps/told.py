@@ -225,8 +225,48 @@ class Loss:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Candidates:
+    """The candidates of a sensor whose sightings are each of one of them, or of none.
+
+    Attributes
+    ----------
+    count : int
+        How many there are, k. The CPD has a row for each with each sighting: sighting s and
+        candidate j are at row s k + j.
+    shares : Array
+        By candidate, the logarithm of its prior probability, (1,).
+    others : Array
+        The log-densities of what is of none, each with its probability, (2,).
+    limits : Array or None
+        The largest squares (height + 1,) by how many components were measured; None without a gate.
+    alike : Array
+        By candidate, the number of the first one that is the same, (1,).
+    terms : Array
+        Where the log-density of a sighting with each candidate is put, with its probability, (k,).
+    matrix, offset, noise : Array
+        Where the linearisation with the candidate that was chosen last is put.
+    values : Array or None
+        Where a sighting's values are put, NaN of one of none; None if there can be no such.
+    point : tuple of Array
+        Where, by step, means and covariances are put at which sightings are linearised.
+    """
+
+    count: int
+    shares: Array
+    others: Array
+    limits: Array | None
+    alike: Array
+    terms: Array
+    matrix: Array
+    offset: Array
+    noise: Array
+    values: Array | None
+    point: tuple[Array, Array]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Sensor(Row):
-    """A sensor, a row a sighting.
+    """A sensor, a row a sighting, or several: one for each of some `candidates`.
 
     Attributes
     ----------
@@ -241,6 +281,8 @@ class Sensor(Row):
         Of a sweep that rejects sightings.
     loss : Loss or None
         Of robust noise.
+    candidates : Candidates or None
+        Of sightings that leave open of what they are.
     """
 
     readings: Array
@@ -249,6 +291,7 @@ class Sensor(Row):
     bounds: int | None = None
     gate: Gate | None = None
     loss: Loss | None = None
+    candidates: Candidates | None = None
 
     @property
     def weighs(self) -> bool:
@@ -369,6 +412,24 @@ def kept_sensor(sensor: Sensor, *, weighed: bool) -> Sensor:
         readings=sensor.moved or sensor.readings,
         moved=None,
         loss=None if loss is None else replace(loss, found=weighed),
+    )
+
+
+def chosen(sensor: Sensor) -> Sensor:
+    """A sensor as its sightings are read with the candidate that was chosen last."""
+    of = sensor.candidates
+    assert of is not None
+    return replace(
+        _affine(sensor),
+        matrix=of.matrix,
+        offset=of.offset,
+        noise=of.noise,
+        inputs=(),
+        shifts=(),
+        angles=sensor.angles,
+        readings=of.values or sensor.readings,
+        missing=sensor.missing or of.values is not None,
+        candidates=None,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from functools import reduce
 from operator import add
@@ -97,6 +98,17 @@ class Writer:
             cells = self.at(self._asked)
             cells.store(told.STEP, step)
             cells.store(told.SURE, sure.number())
+
+    @contextmanager
+    def each_sighting(self, sensor: told.Sensor, at: Whole) -> Iterator[Whole]:
+        """The rows of a step's sightings, one after another, each with a scratch of its own."""
+        if sensor.bounds is None:
+            with self.matrices.scratch():
+                yield at
+        else:
+            first, last = self.sightings(sensor, at)
+            with self.code.loop(last, first) as row, self.matrices.scratch():
+                yield row
 
     def sightings(self, sensor: told.Sensor, at: Whole) -> tuple[Whole, Whole]:
         """The first sighting of a step, and the one after its last."""
