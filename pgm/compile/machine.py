@@ -65,6 +65,8 @@ POINTS = 128
 MOST = 60
 # Why a schedule leaves machine code.
 CONTROL = "Levenberg–Marquardt (damping=) judges the windows of a lag"
+# Why a CPD does whose sightings are one vector in sweeps that linearise going forward.
+GROUPED = "its sightings are grouped, and gated, weighed or linearised again"
 COMPILED = "compiled"
 # Before the reason why machine code calls a function rather than having it itself.
 CALLED = "called back: "
@@ -160,6 +162,11 @@ class Compilation(Told[CPD]):
             for cpd, words in self.items()
             if words != COMPILED and cpd not in called
         ]
+        # A smoother, which may have a start, linearises all steps again.
+        smooths = "start" in getattr(schedule, "takes", ())
+        again = several and (control or lagging or smooths)
+        if again or getattr(schedule, "gate", None) is not None:
+            why += [f"{cpd!r}: {GROUPED}" for cpd in self if _is_grouped(cpd)]
         if why:
             return f"left to NumPy: {'; '.join(why)}"
         return COMPILED + "".join(f", {cpd.child.name} {words}" for cpd, words in called.items())
@@ -193,11 +200,18 @@ def _told(cpd: CPD, template: FunctionTemplate | None, sensor: bool) -> str:
     assert template is not None
     whole = template.whole.traced()
     rule = cpd.lineariser if isinstance(cpd, NonlinearGaussianCPD) else None
-    if isinstance(cpd, NonlinearGaussianCPD) and cpd.grouped and rule and type(rule) is not Taylor:
-        return f"its sightings are grouped, where a step has several, and linearised by {rule!r}"
+    if _is_grouped(cpd) and cpd.noise is not None:
+        return GROUPED
     why = None if rule is None else rule_told(rule, template)
     why = why or (whole if isinstance(whole, str) else None)
     return f"{CALLED}{why}" if why else COMPILED
+
+
+def _is_grouped(cpd: CPD) -> bool:
+    """Whether the errors of a step's sightings are correlated, by the CPD's own lineariser."""
+    if not isinstance(cpd, NonlinearGaussianCPD) or cpd.lineariser is None:
+        return False
+    return cpd.grouped and type(cpd.lineariser) is not Taylor
 
 
 def rule_told(rule: Lineariser, template: FunctionTemplate) -> str | None:

@@ -24,6 +24,7 @@ from pgm.factors.scope import Scope
 from pgm.kernels.arrays import Array, Integers, block_diagonal
 from pgm.linearisers import BoundFunction, FunctionTemplate, Lineariser
 from pgm.linearisers.function import Source
+from pgm.linearisers.repeated import Repeated
 from pgm.tracing import Answers
 from pgm.variables import Variable
 
@@ -142,6 +143,20 @@ class Rows:
         if noise is None:
             noise = self._own(first, last)
         return At(function, None, None, noise, first, last)
+
+    def repeated(self, more: tuple[int, ...]) -> Repeated:
+        """The function at one row after another, at points whose axes are `more` behind the batch.
+
+        The CPD must not be affine.
+        """
+        assert self.template is not None
+
+        def bind(row: int) -> BoundFunction:
+            function = self.at(row, row + 1).function
+            assert function is not None
+            return function
+
+        return Repeated(self.template, self._known, self.batch, more, bind)
 
     def given(self, step: int, inputs: Sequence[Array], count: int) -> At:
         """The CPD at new rows with the inputs given here, in place of its own rows; for one run.

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pgm.errors import PgmError
 from pgm.immutable import set_writeable
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Integers, Mask, components_first, components_last, quiet
@@ -19,7 +20,7 @@ from pgm.tracing import Answers, Points, Program, beside
 
 _ARRAY, _FLOAT = np.ndarray, np.dtype(np.float64)
 # Up to so many numbers are copied in less time than it takes to broadcast them.
-_FEW = 4096
+FEW = 4096
 
 
 class Source(NamedTuple):
@@ -129,9 +130,24 @@ class BoundFunction(NamedTuple):
         try:  # here, and not in `_call`, which a user's traceback need not tell of
             value = function(*arguments)
         except Exception as error:
-            raise self._told("function", x).failure(function, arguments, error, due) from error
+            raise self._failure(x, arguments, error) from error
         value = self._fitting("function", function, x, arguments, value, due)
         return value if not self.lead else _along_runs(value, 1)
+
+    def _failure(self, x: Array, arguments: Sequence[Array], error: Exception) -> PgmError:
+        """The error to raise where the CPD's function has failed at points (..., n)."""
+        function, due = self.template.function, self._due(x)
+        return self._told("function", x).failure(function, arguments, error, due)
+
+    def _array(self, x: Array, arguments: Sequence[Array], value: Any) -> Array:
+        """A value of the CPD's function at points (..., n), as an array (..., d), or refused."""
+        function, due = self.template.function, self._due(x)
+        return self._fitting("function", function, x, arguments, value, due)
+
+    def _due(self, x: Array) -> tuple[int, ...]:
+        """The shape of the CPD's own values at points (..., n)."""
+        group = () if self.group is None else (self.group,)
+        return (*x.shape[:-1], *group, self.template.height)
 
     def jacobian(self, x: Array, std: Array | None = None) -> Array:
         """The derivative, as the user gave it, else its trace's, else by central differences.
@@ -201,9 +217,9 @@ class BoundFunction(NamedTuple):
         except Exception as error:
             raise self._told(role, x).failure(function, arguments, error, None) from error
         due, steep = (*shape, template.height), (*shape, template.height, template.size)
-        if not (type(value) is _ARRAY and value.dtype is _FLOAT and value.shape == due):
+        if not is_due(value, due):
             value = self._told("function", x).array(template.function, arguments, value, due)
-        if not (type(slope) is _ARRAY and slope.dtype is _FLOAT and slope.shape == steep):
+        if not is_due(slope, steep):
             slope = self._told("derivative", x).array(derivative, arguments, slope, steep)
         return value, slope
 
@@ -385,13 +401,13 @@ class BoundFunction(NamedTuple):
         role: str,
         function: Function,
         x: Array,
-        arguments: list[Array],
+        arguments: Sequence[Array],
         value: Any,
         due: tuple[int, ...],
     ) -> Array:
         """What a function has returned, sightings stacked; refused if its shape is not `due`."""
         found: Array = value
-        if not (type(value) is _ARRAY and value.dtype is _FLOAT and value.shape == due):
+        if not is_due(value, due):
             found = self._told(role, x).array(function, arguments, value, due)
         if self.group is None:
             return found
@@ -418,6 +434,11 @@ def _alike(a: Array, b: Array, angles: Mask) -> bool:
         return bool(((error <= 1e-9 * (1.0 + np.abs(a))) | (np.isnan(a) & np.isnan(b))).all())
 
 
+def is_due(value: Any, shape: tuple[int, ...]) -> bool:
+    """Whether a function has returned an array of floats of the shape that was due."""
+    return type(value) is _ARRAY and value.dtype is _FLOAT and value.shape == shape
+
+
 def sealed(array: Array) -> Array:
     """A read-only view: a function that writes into its arguments would change the belief."""
     view = array.view()
@@ -435,6 +456,6 @@ def _along_runs(array: Array, own: int) -> Array:
 def _expanded(value: Array, lead: int, extra: tuple[int, ...]) -> Array:
     shape = value.shape
     wide = value.reshape(*shape[:lead], *(1 for _ in extra), *shape[lead:])
-    if len(extra) == 1 and value.size * extra[0] <= _FEW:
+    if len(extra) == 1 and value.size * extra[0] <= FEW:
         return wide.repeat(extra[0], lead)
     return np.broadcast_to(wide, (*shape[:lead], *extra, *shape[lead:]))

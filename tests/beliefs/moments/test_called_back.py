@@ -10,10 +10,11 @@ from crossed import crossed
 from robots import DRIVE, drive_cpd
 from scipy.special import erf
 from test_compiled import assert_posterior, both
-from textbooks import assert_belief
-from zoo import MODELS, SIGHT, plain, recording, wrapping, x
+from textbooks import assert_belief, assert_log
+from zoo import SIGHT, STEP, plain, recording, wrapping, x
 
 import pgm
+from pgm.kernels.machine.emitter.module import Module
 
 pytest.importorskip("llvmlite", reason="sweeps are compiled by llvmlite")
 
@@ -81,13 +82,15 @@ CALLED = {
     "monte carlo": plain(drive_cpd(lineariser=pgm.MonteCarlo(40, seed=1))),
     "fresh points": plain(drive_cpd(lineariser=pgm.MonteCarlo(40, fresh_per_run=True))),
     "sobol": plain(drive_cpd(lineariser=pgm.QuasiMonteCarlo(32))),
-    "many points": plain(drive_cpd(lineariser=pgm.GaussHermite(5))),
+    "many points": plain(drive_cpd(lineariser=pgm.GaussHermite(6))),
     "sensor": sensor(),
     "both": plain(
         drive_cpd(function=branching, jacobian=None), SIGHT.cpd(function=seen, jacobian=None)
     ),
     "own derivative": plain(drive_cpd(function=branching)),
     "wrapping": motion(branching_and_wrapping),
+    "grouped": sensor(grouped=True),
+    "fresh sightings": plain(sensor=SIGHT.cpd(lineariser=pgm.MonteCarlo(40, fresh_per_run=True))),
     "robust": sensor(noise=pgm.Huber(1.5)),
     "robust lineariser": plain(sensor=SIGHT.cpd(lineariser=bare, noise=pgm.StudentT(4))),
 }
@@ -113,6 +116,23 @@ def test_compiled_equals_plain(alone, name, runs):
 @crossed(("runs", "rule"), [1, 11], [pgm.Unscented(), pgm.Cubature()])
 def test_points_of_compiled_rules(alone, rule, runs):
     assert_posterior(*both(pgm.smooth, CALLED["both"], evidence(runs), lineariser=rule))
+
+
+def test_angles_that_differ_by_more_than_half_a_turn(alone):
+    """Where a sighting's points do, its function is asked again, for its derivative."""
+    shapes = []
+
+    def noted(state, landmark):
+        shapes.append(state.shape[-3:])
+        return seen(state, landmark)
+
+    prior = pgm.GaussianCPD(x, [0.0, 0.0, 0.0], np.diag([0.1, 0.1, 9.0]))
+    model = plain(sensor=SIGHT.cpd(function=noted, jacobian=None), prior=prior)
+    for rule in (pgm.Cubature(), pgm.GaussHermite(2)):
+        found = pgm.smooth(model, evidence(11), lineariser=rule, compiled=True)
+        assert {13, 2} <= {shape[1] for shape in shapes if len(shape) == 3}
+        shapes.clear()
+        assert_posterior(found, pgm.smooth(model, evidence(11), lineariser=rule, compiled=False))
 
 
 @crossed(("rule", "size"), [pgm.Taylor(), pgm.Cubature(), pgm.MonteCarlo(60)], [7, 14])
@@ -170,6 +190,30 @@ def test_threads(alone, name, compiled):
     given = evidence(43)
     found = pgm.smooth(CALLED[name], given, compiled=compiled)
     assert_posterior(found, pgm.smooth(CALLED[name], given, compiled=False))
+
+
+def test_differences_of_more_components_are_no_more_code(monkeypatch):
+    lengths, compiled = [], Module.compile
+
+    def noted(module, *level):
+        lengths.append(len(module.text()))
+        return compiled(module, *level)
+
+    monkeypatch.setattr(Module, "compile", noted)
+    for size in (6, 12):
+        states = pgm.Variable("states", components=tuple(f"c{k}" for k in range(size)))
+
+        def moved(state):
+            return state if np.any(state > 1e9) else np.sin(state)
+
+        model = pgm.DynamicBayesianNetwork(
+            [pgm.GaussianCPD(states, np.zeros(size), 1.0)],
+            [pgm.NonlinearGaussianCPD(states, (states.previous,), moved, cov=0.1)],
+            [],
+        )
+        pgm.infer(pgm.compile(model, 3, compiled=True), {}, schedule=pgm.Filtering())
+    short, long = lengths
+    assert long < 1.5 * short
 
 
 def test_runs_are_called_together():
@@ -336,13 +380,123 @@ def test_what_is_called_is_told(name):
     ).status.compilation.startswith("not compiled: ")
 
 
-def test_several_sightings_that_are_left_to_numpy():
-    model = MODELS["grouped"]
-    status = pgm.filter(
-        model, recording("grouped"), lineariser=pgm.Unscented(), compiled=True
-    ).status
-    assert "several sightings in a group" in status.compilation
-    fresh = plain(sensor=SIGHT.cpd(lineariser=pgm.MonteCarlo(40, fresh_per_run=True)))
-    found = both(pgm.smooth, fresh, evidence(11))
-    assert_posterior(*found)
-    assert "draws points anew for each of several sightings" in found[0].status.compilation
+def test_sightings_of_a_step_are_called_together():
+    shapes = []
+
+    def noted(state, landmark):
+        shapes.append(state.shape)
+        return seen(state, landmark)
+
+    # Of angles, the value at the mean comes before those at a rule's points.
+    for rule, points in ((pgm.Taylor(), 13), (pgm.Cubature(), 7)):
+        for runs in (1, 8):
+            lead = () if runs == 1 else (runs,)
+            pgm.filter(
+                plain(sensor=SIGHT.cpd(function=noted, jacobian=None)),
+                evidence(runs),
+                lineariser=rule,
+                compiled=True,
+            )
+            counts = np.bincount(STEP)
+            due = [(*lead, points, *((k,) if k > 1 else ()), 3) for k in counts[counts > 0]]
+            assert [shape for shape in shapes if points in shape] == due
+            shapes.clear()
+
+
+def test_an_error_at_several_sightings():
+    told = []
+
+    def failing_at(state, landmark):
+        if np.any(landmark[..., 0] > 1e6):
+            raise ValueError("no such landmark")
+        return seen(state, landmark)
+
+    model = plain(sensor=SIGHT.cpd(function=failing_at, jacobian=None))
+    for runs in (1, 11):
+        given = evidence(runs)
+        z, m = SIGHT.z, next(iter(given[SIGHT.z].given))
+        places = given[z].given[m].copy()
+        places[..., 5, :] = 2e6  # the second sighting of a step
+        given[z] = pgm.sightings(given[z].values, step=STEP, given={m: places})
+        for compiled in (False, True):
+            with pytest.raises(pgm.PgmError, match="no such landmark") as caught:
+                pgm.filter(model, given, compiled=compiled)
+            told.append((str(caught.value), caught.value.step, caught.value.run))
+        assert told[-1] == told[-2]
+
+
+GROUPS = {
+    "traced": plain(sensor=SIGHT.cpd(grouped=True)),
+    "called": sensor(grouped=True),
+    "own lineariser": plain(sensor=SIGHT.cpd(grouped=True, lineariser=bare)),
+    "fresh points": plain(
+        sensor=SIGHT.cpd(grouped=True, lineariser=pgm.MonteCarlo(40, fresh_per_run=True))
+    ),
+}
+
+
+@pytest.mark.parametrize("name", GROUPS)
+@pytest.mark.parametrize("runs", [1, 11])
+def test_groups_whose_errors_are_correlated(alone, name, runs):
+    """They are one vector; what is kept of them is where a smoother goes on."""
+    given = evidence(runs)
+    for schedule in (
+        pgm.Filtering(iterations=2, tolerance=0),
+        pgm.Smoothing(iterations=2, tolerance=0),
+    ):
+        found = [
+            pgm.infer(
+                pgm.compile(GROUPS[name], 8, compiled=compiled),
+                given,
+                schedule=schedule,
+                lineariser=pgm.Cubature(),
+            )
+            for compiled in (True, False)
+        ]
+        assert_belief(found[0][x], found[1][x].mean, found[1][x].cov, 1e-10)
+        assert_log(found[0].log_evidence, found[1].log_evidence, 1e-10)
+        assert found[0].status.compilation.startswith("compiled")
+    due = "compiled" if name == "traced" else "compiled, z called back: "
+    told = pgm.compile(GROUPS[name], 8).compilation.under(pgm.Filtering(iterations=2))
+    assert told.startswith(due)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "gate"), [(GROUPS["called"], 0.9), (sensor(grouped=True, noise=pgm.Huber(2)), None)]
+)
+def test_groups_whose_sightings_are_judged_one_by_one(sensor, gate):
+    found = [
+        pgm.filter(sensor, evidence(3), gate=gate, lineariser=pgm.Cubature(), compiled=compiled)
+        for compiled in (True, False)
+    ]
+    assert_belief(found[0][x], found[1][x].mean, found[1][x].cov, 1e-12)
+    assert "several sightings in a group" in found[0].status.compilation
+
+
+def test_what_a_graph_tells_of_groups():
+    rule = pgm.Cubature()
+    compilation = pgm.compile(plain(sensor=SIGHT.cpd(grouped=True, lineariser=rule)), 8).compilation
+    assert compilation.under(pgm.Smoothing()) == "compiled"
+    for schedule in (pgm.Filtering(gate=0.9), pgm.Smoothing(iterations=2)):
+        assert "its sightings are grouped" in compilation.under(schedule)
+    robust = SIGHT.cpd(grouped=True, lineariser=rule, noise=pgm.Huber(2))
+    assert "grouped" in pgm.compile(plain(sensor=robust), 8).compilation[robust]
+
+
+def test_runs_of_a_group_that_are_left():
+    """What a run was linearised to by NumPy is put beside that of the others."""
+    spreads = np.array([1.0, 1e4, 1.0])[:, None, None] * np.diag([0.1, 0.1, 0.01])
+    model = GROUPS["called"].replace(prior=[pgm.GaussianCPD(x, np.zeros((3, 3)), spreads)])
+    found = [
+        pgm.smooth(
+            model,
+            evidence(3),
+            iterations=2,
+            tolerance=0,
+            lineariser=pgm.Cubature(),
+            compiled=compiled,
+        )
+        for compiled in (True, False)
+    ]
+    assert "in 1 of 3 runs" in found[0].status.compilation
+    assert_belief(found[0][x], found[1][x].mean, found[1][x].cov, 1e-8)

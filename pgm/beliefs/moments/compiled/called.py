@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from functools import partial
+from math import inf
 from threading import Lock
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 
@@ -13,7 +16,8 @@ from pgm.kernels.machine.sweeps import told
 from pgm.kernels.machine.sweeps.asking import Asking
 from pgm.linearisation.failures import failure
 from pgm.linearisation.family import Family
-from pgm.linearisers import BoundFunction, Taylor
+from pgm.linearisers import BoundFunction, Line, Taylor
+from pgm.linearisers.repeated import Repeated
 
 # The runs of a call: the only one, all, or some.
 Some = int | slice | Integers
@@ -26,43 +30,105 @@ class Failed(Exception):
     """
 
 
+class Asked(NamedTuple):
+    """For what a sweep waits: rows of a step, at so many points, or, at none, their lines.
+
+    Answers are put from a place on.
+    """
+
+    first: int
+    after: int
+    place: int
+    points: int
+
+    @property
+    def places(self) -> slice:
+        """Where the answers of the rows are put."""
+        return slice(self.place, self.place + self.after - self.first)
+
+
+class _Bound(NamedTuple):
+    """A function at so many points of all runs, where they are, and where its values are put.
+
+    These arrays are as the function has them, (*batch, count, n) and (*batch, count, d), without
+    an axis for a single point.
+    """
+
+    function: Repeated
+    points: Array
+    values: Array
+
+
 class Call:
     """A CPD whose function is called: the points at which it is asked for, and its values there.
 
-    `points` (count, n, runs) and `values` (count, d, runs) are for so many points at most.
+    `points` (count, n, runs) and `values` (rows, count, d, runs) are for so many points at most,
+    and for so many rows of a step; `told` are the values as machine code is told of them.
     """
 
-    def __init__(self, family: Family, count: int) -> None:
+    def __init__(self, family: Family, count: int, rows: int) -> None:
         _, runs, height, size = family.shape
         self.family = family
-        self.points, self.values = np.zeros((count, size, runs)), np.zeros((count, height, runs))
+        self.points = np.zeros((count, size, runs))
+        self.told = self.values = np.zeros((rows, count, height, runs))
+        self._bound: dict[int, _Bound] = {}
 
-    def answer(self, row: int, count: int, runs: Some) -> None:
-        """Call the function at a row, at the first points of some runs."""
-        function = self._bound(row, runs)
-        asked = self.points[:count, :, runs]
-        # The runs first, in memory of which the function may keep a view.
-        points = asked.copy() if isinstance(runs, int) else asked.copy().transpose(2, 0, 1)
-        points = points[..., 0, :] if count == 1 else points
-        values = self._values(function, points)
-        found = values[..., None, :] if count == 1 else values
-        self.values[:count, :, runs] = found if isinstance(runs, int) else found.transpose(1, 2, 0)
-
-    def _values(self, function: BoundFunction, points: Array) -> Array:
+    def answer(self, asked: Asked, runs: Some) -> None:
+        """Call the function at some rows, at the first points of some runs."""
+        first, after, place, count = asked
+        if place or after - first > 1 or isinstance(runs, np.ndarray):
+            self._answer(asked, runs)
+            return
+        bound = self._bound.get(count) or self._bind(count)
+        points = bound.points.copy("K")  # of which the function may keep a view
         try:
-            return function(points)
+            bound.values[...] = bound.function(first, points)
         except Exception as error:
-            mean = points[..., 0, :] if points.ndim > 1 + function.lead else points
-            if type(self.family.lineariser) is Taylor:
-                function(mean)  # which is called first where no machine code is
-            refusal = failure(self.family, function, mean.T, error)
-            if refusal is error:
-                raise
-            raise refusal from error
+            self._refuse(self._function(asked, runs), points, error)
 
-    def _bound(self, row: int, runs: Some) -> BoundFunction:
-        """The function at a row, with the evidence of some runs."""
-        function = self.family.at(row, row + 1).function
+    def _bind(self, count: int) -> _Bound:
+        """The function at so many points of all runs, at one row after another."""
+        batch = self.family.batch
+        points, values = (
+            self._own(cells[:count], batch) for cells in (self.points, self.values[0])
+        )
+        function = self.family.repeated((count,) if count > 1 else ())
+        self._bound[count] = found = _Bound(function, points, values)
+        return found
+
+    @staticmethod
+    def _own(cells: Array, lead: tuple[int, ...]) -> Array:
+        """Numbers at points (count, d, runs), as the function has them."""
+        found = cells.transpose(2, 0, 1) if lead else cells[..., 0]
+        return found[..., 0, :] if len(cells) == 1 else found
+
+    def _answer(self, asked: Asked, runs: Some) -> None:
+        """Call the function at any rows, for any runs."""
+        function, count = self._function(asked, runs), asked.points
+        some = [runs] if isinstance(runs, int) else runs
+        cells = self.points[:count][..., some].copy()  # the runs first, as the function has them
+        points = self._own(cells, () if isinstance(runs, int) else (len(cells[0, 0]),))
+        try:
+            values = function(points)
+        except Exception as error:
+            self._refuse(function, points, error)
+        rows, height = asked.after - asked.first, self.values.shape[2]
+        every = values.reshape(-1, count, rows, height).transpose(2, 1, 3, 0)
+        self.values[asked.places, :count][..., some] = every
+
+    def _refuse(self, function: BoundFunction, points: Array, error: Exception) -> NoReturn:
+        """Raise the error that there is where no machine code is."""
+        mean = points[..., 0, :] if points.ndim > 1 + function.lead else points
+        if type(self.family.lineariser) is Taylor:
+            function(mean)  # which is called first where no machine code is
+        refusal = failure(self.family, function, mean.T, error)
+        if refusal is error:
+            raise error
+        raise refusal from error
+
+    def _function(self, asked: Asked, runs: Some) -> BoundFunction:
+        """The function at some rows, with the evidence of some runs."""
+        function = self.family.at(asked.first, asked.after).function
         assert function is not None
         if not isinstance(runs, np.ndarray):
             return function
@@ -73,11 +139,11 @@ class Call:
 class Lines(Call):
     """A CPD that is linearised here, by its lineariser, at the belief whose mean is asked for.
 
-    Linearisations are put into memory for so many `rows` at a time; see `told.Lines`.
+    Linearisations are put into memory for so many `rows` of a step; see `told.Lines`.
     """
 
     def __init__(self, family: Family, rows: int) -> None:
-        super().__init__(family, 1)
+        super().__init__(family, 1, rows)
         _, runs, height, size = family.shape
         self.runs = runs
         # Points that are drawn anew for each run depend on how many runs come before it.
@@ -90,22 +156,36 @@ class Lines(Call):
         exact = type(family.lineariser) is Taylor or not family.hidden
         self.error = None if exact else np.zeros((rows, height, height, runs))
 
-    def answer(self, row: int, count: int, runs: Some) -> None:
-        """Linearise the CPD at a row for some runs; or call its function, where `count` is one."""
-        if count:
-            super().answer(row, count, runs)
+    def answer(self, asked: Asked, runs: Some) -> None:
+        """Linearise the CPD at some rows for some runs; or call its function at a point."""
+        if asked.points:
+            super().answer(asked, runs)
             return
+        line = self._line(asked, runs)
+        where = (asked.places, ..., runs)
+        rows, height, batch = asked.after - asked.first, self.value.shape[1], line.value.shape[1:]
+        self.value[where] = line.value.reshape(rows, height, *batch)
+        self.matrix[where] = line.matrix.reshape(rows, height, -1, *batch)
+        if self.error is not None and line.error is not None:
+            each = np.arange(rows)
+            blocks = line.error.reshape(rows, height, rows, height, *batch)
+            self.error[where] = blocks[each, :, each]
+        elif self.error is not None:
+            self.error[where] = 0.0
+
+    def _line(self, asked: Asked, runs: Some) -> Line:
+        """The linearisation of rows, as one vector, at the belief that is asked for."""
         alone = self.every and isinstance(runs, np.ndarray)
-        at = self.family.at(row, row + 1)
+        at = self.family.at(asked.first, asked.after)
         if not alone:
-            at = at._replace(function=self._bound(row, runs))
+            at = at._replace(function=self._function(asked, runs))
         mean, cov = (self._belief(cells[0], runs) for cells in (self.points, self.cov))
         line = self.family.line(at, mean, cov)
-        place, some = row % len(self.value), runs if alone else slice(None)
-        self.value[place][..., runs] = line.value[..., some]
-        self.matrix[place][..., runs] = line.matrix[..., some]
-        if self.error is not None:
-            self.error[place][..., runs] = 0.0 if line.error is None else line.error[..., some]
+        if not alone:
+            return line
+        matrix, value, error = line
+        some = None if error is None else error[..., runs]
+        return Line(matrix[..., runs], value[..., runs], some)
 
     def _belief(self, cells: Array, runs: Some) -> Array:
         """Numbers of some runs, in memory that may be kept; of all where points are drawn anew."""
@@ -121,7 +201,7 @@ class Calls:
     """The functions that are called in a sweep, one at a time, and what is asked of them."""
 
     def __init__(self, runs: int) -> None:
-        self.asked = np.zeros((5, runs))  # see `told.WHAT`
+        self.asked = np.zeros((told.ASKED, runs))  # see `told.WHAT`
         self.each: list[Call] = []
         self.failure: BaseException | None = None
         self._lock, self._runs = Lock(), runs
@@ -141,20 +221,25 @@ class Calls:
         frames, every = aligned(packs * made.floats, ALIGNED), np.arange(packs)
         begin, together = address(frames), self._runs_of(every, first, lanes)
         asked = self.asked[:, first : first + packs * lanes : lanes]
-        made.begin(table, first, packs, begin)
+        leader, all_of_them = asked[:, 0], address(every)
+        made.begin(made.floats, begin, table, first, packs)
+        go_on = partial(made.go_on, made.floats, begin)
         while self.failure is None:
             due = every if packs == 1 else _together(asked, every)
-            what, count, row, step, _ = asked[:, due[0]].tolist()
-            if step == np.inf:
+            alike = due is every
+            now = leader if alike else asked[:, due[0]]
+            what, count, row, after, place, step, _ = now.tolist()
+            if step == inf:
                 return
-            runs = together if due is every else self._runs_of(due, first, lanes)
-            self._call(self.each[int(what)], int(row), int(count), runs)
-            made.go_on(begin, address(due), len(due))
+            runs = together if alike else self._runs_of(due, first, lanes)
+            wanted = Asked(int(row), int(after), int(place), int(count))
+            self._call(self.each[int(what)], wanted, runs)
+            go_on(all_of_them if alike else address(due), len(due))
 
-    def _call(self, call: Call, row: int, count: int, runs: Some) -> None:
+    def _call(self, call: Call, asked: Asked, runs: Some) -> None:
         with self._lock:
             try:
-                call.answer(row, count, runs)
+                call.answer(asked, runs)
             except Exception as error:
                 if not isinstance(runs, np.ndarray) and self.asked[told.SURE].all():
                     raise
@@ -175,7 +260,7 @@ def _together(asked: Array, every: Integers) -> Integers:
     same = (wanted == wanted[:, :1]).all(axis=0)
     if same.all():
         return every
-    what, count, row, step = wanted
-    first = np.lexsort((row, count, what, step))[0]
+    what, count, row, after, place, step = wanted
+    first = np.lexsort((place, after, row, count, what, step))[0]
     found: Integers = np.flatnonzero((wanted == wanted[:, first : first + 1]).all(axis=0))
     return found

@@ -12,6 +12,14 @@ import numpy.typing as npt
 
 from pgm.beliefs.moments.compiled.called import Call, Calls, Lines
 from pgm.beliefs.moments.compiled.functions import function_of, loss_of, points_of
+from pgm.beliefs.moments.compiled.groups import (
+    Group,
+    GroupCall,
+    GroupLines,
+    Stored,
+    together,
+    widened,
+)
 from pgm.beliefs.moments.compiled.memory import address
 from pgm.beliefs.moments.steps import gate as gates
 from pgm.beliefs.moments.steps.open_sensor import OpenSensor
@@ -101,7 +109,7 @@ class Table:
             raise Uncompiled(f"{call.family.cpd!r}: {why}")
         self._account.call_back(call.family.cpd.child.name, why)
         self.calls.each.append(call)
-        places = self.by_runs(call.points[None]), self.by_runs(call.values[None])
+        places = self.by_runs(call.points[None]), self.by_runs(call.told)
         return told.Called(len(self.calls.each) - 1, *places, lines)
 
     def count(self, number: int) -> int:
@@ -130,8 +138,12 @@ def places(index: Index, size: int) -> tuple[int, ...]:
     return tuple(np.arange(size)[index].tolist())
 
 
-def unknown(plan: ChainPlan) -> str | None:
-    """Why machine code does not know a plan, but for functions that are not linearised yet."""
+def unknown(plan: ChainPlan, groups: Sequence[Group] = ()) -> str | None:
+    """Why machine code does not know a plan, but for functions that are not linearised yet.
+
+    The sightings of `groups` are swept as one vector.
+    """
+    vectors = [group.sensor for group in groups]
     for sensor in plan.read:
         if sensor.robust and sensor.weights.noise.graduated:
             return f"{sensor.family.cpd!r} has graduated noise"
@@ -141,15 +153,31 @@ def unknown(plan: ChainPlan) -> str | None:
                 return f"{sensor.family.cpd!r}: {why}"
         if sensor.exact:
             return f"{sensor.family.cpd!r} has a singular noise"
-        rule = sensor.family.lineariser
-        if getattr(rule, "fresh_per_run", False) and max(np.diff(sensor.bounds)) > 1:
-            return f"{sensor.family.cpd!r} draws points anew for each of several sightings"
-        if sensor.is_correlated:
+        if sensor.is_correlated and sensor not in vectors:
+            rule = sensor.family.lineariser
             return f"{sensor.family.cpd!r} has several sightings in a group, linearised by {rule!r}"
     for family in plan.families:
         if max(family.cpd.child.dimension, family.shape[3]) > MOST:
             return f"{family.cpd!r} has more than {MOST} components"
     return None
+
+
+def groups_of(
+    plan: ChainPlan, gate: gates.Asked | None, *, stored: bool, controlled: bool
+) -> list[Group]:
+    """The sensors whose sightings of a step have correlated errors, to be swept as one vector.
+
+    Of others the sightings are weighed, gated, or judged, one by one.
+    """
+    return [
+        Group(sensor)
+        for sensor in plan.read
+        if sensor.is_correlated
+        and not isinstance(sensor, OpenSensor)
+        and sensor.family.hidden
+        and not (sensor.robust or controlled or _gate(sensor, gate, stored=stored) is not None)
+        and max(np.diff(sensor.bounds)) * sensor.height <= MOST
+    ]
 
 
 def _open_unknown(sensor: OpenSensor) -> str | None:
@@ -201,7 +229,8 @@ def decisive(
             sensor.family.cpd,
             _gate(sensor, gate, stored=stored),
             _missing(sensor, gate, stored=stored),
-            _single(sensor, plan.steps),
+            _single(sensor.bounds, plan.steps),
+            _group(sensor),
             sensor.form if isinstance(sensor, OpenSensor) else None,
         )
         for sensor in plan.read
@@ -244,8 +273,14 @@ def _missing(sensor: Sensor, gate: gates.Asked | None, *, stored: bool) -> bool:
     return taken is not None and not taken.all()
 
 
-def _single(sensor: Sensor, steps: int) -> bool:
-    return sensor.bounds == list(range(steps + 2))
+def _group(sensor: Sensor) -> Hashable:
+    """The key of a sensor as one vector of the sightings of a step."""
+    counts = np.diff(sensor.bounds)
+    return (int(counts.max()), bool(counts.all())) if sensor.is_correlated else None
+
+
+def _single(bounds: Sequence[int], steps: int) -> bool:
+    return list(bounds) == list(range(steps + 2))
 
 
 def motion_of(
@@ -291,15 +326,17 @@ def sensor_of(
     if sensor.robust:
         flags = {"missing": missing, "found": stored, "controlled": controlled}
         loss = robust_noise_of(sensor, table, **flags)
-    # Where some of a step are robust, all sightings are taken in again, as they were linearised.
-    again = any(each.robust for each in plan.read)
-    held = max(1, *np.diff(sensor.bounds).tolist()) if again else 1
+    held = max(1, *np.diff(sensor.bounds).tolist())
+    if isinstance(sensor, OpenSensor):
+        held = sensor.form[0]  # the candidates of one sighting
     return told.Sensor(
         **row_of(family, places(sensor.parents, size), table, stored=stored, keep=keep, held=held),
         readings=table.of(sensor, attrgetter(readings)),
         moved=table.of(sensor, attrgetter("moved")) if kept else None,
         missing=missing,
-        bounds=None if _single(sensor, plan.steps) else table.at_of(sensor, attrgetter("edges")),
+        bounds=None
+        if _single(sensor.bounds, plan.steps)
+        else table.at_of(sensor, attrgetter("edges")),
         gate=None if probability is None else _gate_of(probability, sensor, table),
         loss=loss,
         candidates=_candidates_of(sensor, table) if isinstance(sensor, OpenSensor) else None,
@@ -326,6 +363,60 @@ def _candidates_of(sensor: OpenSensor, table: Table) -> told.Candidates:
         values=array("chosen.values") if rejects else None,
         point=(array("point.mean"), array("point.cov")),
     )
+
+
+def vector_of(
+    plan: ChainPlan, group: Group, table: Table, *, stored: bool, keep: bool
+) -> told.Sensor:
+    """A sensor whose sightings of a step are one vector, with its measurements."""
+
+    def array(name: str) -> told.Array:
+        return table.of(group, attrgetter(name))
+
+    sensor, whole = group.sensor, _single(group.edges.tolist(), plan.steps)
+    found: dict[str, Any]
+    if stored:
+        found = {name: array(f"known.{name}") for name in Stored._fields}
+    else:
+        own = np.flatnonzero(sensor.variable.angle_mask).tolist()
+        found = _group_curve(group, table)
+        found["angles"] = tuple(k * sensor.height + i for k in range(group.most) for i in own)
+        found["noise"], found["readings"] = array("own_noise"), array("readings")
+        if keep:
+            found["matrix"], found["offset"] = array("matrix"), array("offset")
+            found["kept"] = array("noise")
+            found["moved"] = array("moved") if own else None
+    return told.Sensor(
+        parents=places(sensor.parents, plan.layout.slice_size),
+        height=group.height,
+        missing=True,
+        bounds=None if whole else table.at_of(group, attrgetter("edges")),
+        **found,
+    )
+
+
+def _group_curve(group: Group, table: Table) -> dict[str, Any]:
+    """How the sightings of a step are linearised together, as of `_curve`."""
+    family, template = group.family, group.family.template
+    assert template is not None
+    rule, answers = points_of(family), family.compiled or family.trace_whole()
+    if isinstance(rule, str):
+        return {"called": _by_numpy(GroupLines(group), table, rule)}
+    assert rule is not None
+    points = widened(rule, group.most)
+    if not isinstance(answers, str):
+        function = function_of(template, answers.trace)
+        inputs = tuple(
+            table.of(group, _inputs(parent))
+            for parent, place in zip(template.given, template.places, strict=True)
+            if place is None
+        )
+        function = together(function, answers.trace.widths, group.most)
+        return {"function": function, "points": points, "inputs": inputs}
+    if template.size > _FEW:
+        return {"called": _by_numpy(GroupLines(group), table, answers)}
+    call = GroupCall(group, _most_points(family, rule))
+    return {"called": _by_values(call, rule, table, 1, answers), "points": points}
 
 
 def _gate_of(probability: float, sensor: Sensor, table: Table) -> told.Gate:
@@ -419,7 +510,7 @@ def row_of(
 ) -> dict[str, Any]:
     """The attributes of a CPD's `told.Row`, of whatever kind it is.
 
-    Of a function that is called, `held` rows are linearised before the first is done with.
+    Where its function is called, up to `held` rows of a step are linearised together.
     """
 
     def array(name: str) -> told.Array:
@@ -454,7 +545,7 @@ def _curve(family: Family, table: Table, held: int) -> dict[str, Any]:
     rule, template = points_of(family), family.template
     assert template is not None
     if isinstance(rule, str):
-        return {"called": _by_numpy(family, table, held, rule)}
+        return {"called": _by_numpy(Lines(family, held), table, rule)}
     answers = family.compiled or family.trace_whole()
     if not isinstance(answers, str):
         inputs = tuple(
@@ -466,32 +557,43 @@ def _curve(family: Family, table: Table, held: int) -> dict[str, Any]:
         return {"function": function, "points": rule, "inputs": inputs}
     few = template.size <= _FEW and (rule is not None or len(template.numerical) == template.size)
     if not few:
-        return {"called": _by_numpy(family, table, held, answers)}
-    return {"called": _by_values(family, rule, table, held, answers), "points": rule}
+        return {"called": _by_numpy(Lines(family, held), table, answers)}
+    call = Call(family, _most_points(family, rule), held)
+    return {"called": _by_values(call, rule, table, held, answers), "points": rule}
 
 
-def _by_numpy(family: Family, table: Table, held: int, why: str) -> told.Called:
+def _by_numpy(call: Lines, table: Table, why: str) -> told.Called:
     """A CPD that is linearised by NumPy, and why."""
-    call = Lines(family, held)
     cov, value, matrix = map(table.by_runs, (call.cov, call.value, call.matrix))
     error = None if call.error is None else table.by_runs(call.error)
-    lines = told.Lines(held, cov, value, matrix, error, table.array(np.ones((1, 1, 1))))
+    lines = told.Lines(cov, value, matrix, error, table.array(np.ones((1, 1, 1))))
     return table.called(call, lines, why)
 
 
 def _by_values(
-    family: Family, rule: told.Points | None, table: Table, held: int, why: str
+    call: Call, rule: told.Points | None, table: Table, held: int, why: str
 ) -> told.Called:
     """A CPD that is linearised by values of its function at points, and why."""
-    _, runs, height, size = family.shape
-    # Differences are of four points for each component, beside the mean.
-    count = max(4 * size + 1, 0 if rule is None else len(rule.points))
+    height, size, runs = call.told.shape[2], *call.points.shape[1:]
     own = (height,), (height, size), (height, height), (1,)
     cells = [table.by_runs(np.zeros((held, *each, runs))) for each in own]
     value, matrix, error, sure = cells
-    lines = told.Lines(held, None, value, matrix, None if rule is None else error, sure)
-    return table.called(Call(family, count), lines, why)
+    lines = told.Lines(None, value, matrix, None if rule is None else error, sure)
+    return table.called(call, lines, why)
+
+
+def _most_points(family: Family, rule: told.Points | None) -> int:
+    """At how many points a function is called at most, to be linearised by a rule.
+
+    Differences are of four points for each component, beside the mean, which stands before those of
+    a rule too.
+    """
+    return max(4 * family.shape[3], 0 if rule is None else len(rule.points)) + 1
 
 
 def _input(parent: Variable) -> Get:
     return lambda family: family.inputs[parent]
+
+
+def _inputs(parent: Variable) -> Get:
+    return lambda group: group.inputs(parent)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from pgm.beliefs.moments.compiled.called import Calls, Failed
+from pgm.beliefs.moments.compiled.groups import Group
 from pgm.beliefs.moments.compiled.judged import judge
 from pgm.beliefs.moments.compiled.memory import address
 from pgm.beliefs.moments.compiled.plans import (
@@ -20,12 +21,14 @@ from pgm.beliefs.moments.compiled.plans import (
     Uncompiled,
     decided,
     decisive,
+    groups_of,
     motion_of,
     places,
     sensor_of,
     undecided,
     unknown,
     untried,
+    vector_of,
 )
 from pgm.beliefs.moments.compiled.table import Filled, NamedTable
 from pgm.beliefs.moments.steps.chain import MomentChain
@@ -129,7 +132,8 @@ def forward(
     controlled = isinstance(asked.damping, LevenbergMarquardt) and asked.iterations > 1
     keep = keep or controlled  # since trials are made with what is kept
     try:
-        why = unknown(plan)
+        groups = groups_of(plan, asked.gate, stored=stored, controlled=controlled)
+        why = unknown(plan, groups)
         if why is not None:
             raise Uncompiled(why)
         key = decisive(plan, stored=stored, keep=keep, gate=asked.gate)
@@ -152,7 +156,7 @@ def forward(
 
         def tell(table: NamedTable) -> told.Forward:
             cpds = {"stored": stored, "keep": keep, "controlled": control}
-            chain = _told(plan, table, **cpds, gate=asked.gate)
+            chain = _told(plan, table, groups, **cpds, gate=asked.gate)
             if (control or chain.anchor) and is_long(chain, table.lanes):
                 raise Uncompiled(LONG)
             return chain
@@ -162,6 +166,7 @@ def forward(
             *(sensor.family for sensor in plan.read),
             *plan.read,
             record,
+            *groups,
         )
         out = (*known, *predicted)
         # A step control asks for costs at many points: functions that are called are left to NumPy.
@@ -176,6 +181,8 @@ def forward(
     if calls.failure is not None:
         raise calls.failure
     decided(plan, record)
+    for group in groups if keep and not stored else ():
+        group.keep()
     left = stretches(ended[sweeps.LEFT] != 0.0)
     count(plan, left, CLOSE if any(isinstance(s, OpenSensor) for s in plan.read) else FAR)
     if schedule is not None:
@@ -193,6 +200,7 @@ def forward(
 def _told(
     plan: ChainPlan,
     table: NamedTable,
+    groups: Sequence[Group],
     *,
     stored: bool,
     keep: bool,
@@ -207,8 +215,10 @@ def _told(
 
     cpds = {"stored": stored, "keep": keep}
     motions = tuple(motion_of(plan, link, table, **cpds) for link in plan.transition)
+    vectors = {group.sensor: vector_of(plan, group, table, **cpds) for group in groups}
     sensors = tuple(
-        sensor_of(plan, sensor, table, **cpds, gate=gate, controlled=controlled)
+        vectors.get(sensor)
+        or sensor_of(plan, sensor, table, **cpds, gate=gate, controlled=controlled)
         for sensor in plan.read
     )
     iterated = "residuals" in record

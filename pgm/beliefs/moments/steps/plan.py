@@ -197,6 +197,8 @@ class ChainPlan:
                 sensor.moved[where] = of.moved
             if sensor.robust:
                 sensor.weights.put(where, of.weights)
+            for step, between in sensor.cross.items():
+                between[runs] = of.cross.get(step, 0.0)
 
     @classmethod
     def make(

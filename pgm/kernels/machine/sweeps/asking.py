@@ -24,14 +24,15 @@ _FLOATS = ALIGNED // 8
 class Asking(NamedTuple):
     """A sweep of packs that wait, each with a frame of so many `floats`, one next to another.
 
-    ``begin(table, first, packs, frames)`` sweeps packs of runs, from run `first` on, until they
-    wait or have ended, and ``go_on(frames, numbers, count)`` those packs further whose numbers
-    stand in memory. Frames begin at a multiple of `waiting.ALIGNED` bytes, and stay where they are.
+    ``begin(floats, frames, table, first, packs)`` sweeps packs of runs, from run `first` on, until
+    they wait or have ended, and ``go_on(floats, frames, numbers, count)`` those packs further whose
+    numbers stand in memory. Frames begin at a multiple of `waiting.ALIGNED` bytes, and stay where
+    they are.
     """
 
     floats: int
-    begin: Callable[[int, int, int, int], None]
-    go_on: Callable[[int, int, int], None]
+    begin: Callable[[int, int, int, int, int], None]
+    go_on: Callable[[int, int, int, int], None]
 
 
 @lru_cache(maxsize=128)
@@ -57,15 +58,15 @@ def asking(chain: Forward, lanes: int, loops: bool | None = None) -> Asking:
     nothing = size.address(0)
     size.call(pack, size.arguments[0], 0, nothing, nothing)
 
-    begin = module.function("begin", (ADDRESS, WHOLE, WHOLE, ADDRESS, WHOLE))
-    table, first, packs, frames, floats = begin.arguments
+    begin = module.function("begin", (WHOLE, ADDRESS, ADDRESS, WHOLE, WHOLE))
+    floats, frames, table, first, packs = begin.arguments
     with begin.loop(packs) as k:
         # Behind what the function keeps is the room of its matrices.
         here = frames + k * floats
         begin.call(pack, table, first + k * lanes, here, here + (floats - room.size))
 
-    on = module.function("on", (ADDRESS, ADDRESS, WHOLE, WHOLE))
-    frames, numbers, count, floats = on.arguments
+    on = module.function("on", (WHOLE, ADDRESS, ADDRESS, WHOLE))
+    floats, frames, numbers, count = on.arguments
     with on.loop(count) as k:
         go_on(on, frames + on.wholes(numbers).load(k) * floats)
 
@@ -73,12 +74,4 @@ def asking(chain: Forward, lanes: int, loops: bool | None = None) -> Asking:
     found = ctypes.c_int64()
     machine.callable("size")(ctypes.addressof(found))
     each = -(-found.value // ALIGNED) * _FLOATS + room.size
-    first_call, later = machine.callable("begin"), machine.callable("on")
-
-    def begun(table: int, first: int, packs: int, frames: int) -> None:
-        first_call(table, first, packs, frames, each)
-
-    def further(frames: int, numbers: int, count: int) -> None:
-        later(frames, numbers, count, each)
-
-    return Asking(each, begun, further)
+    return Asking(each, machine.callable("begin"), machine.callable("on"))

@@ -16,6 +16,7 @@ from typing import Any
 from pgm.kernels import step
 from pgm.kernels.gaussian import NEARLY_SINGULAR
 from pgm.kernels.machine.emitter.wholes import Whole
+from pgm.kernels.machine.sweeps.called import Rows
 from pgm.kernels.machine.sweeps.lines import held
 from pgm.kernels.machine.sweeps.outliers import limit_of
 from pgm.kernels.machine.sweeps.reading import Point, Sighting, Taken, read, taken
@@ -62,7 +63,9 @@ def _choose(w: Writer, sensor: Sensor, at: Whole, point: Point) -> Any:
     assert of is not None
     ranking, sure = _Ranking(w), code.varying(True)
     with code.loop(code.whole(of.count)) as k, m.scratch():
-        sighting = Sighting.of(w, sensor, at, point, row=at * of.count + k)
+        first = at * of.count
+        rows = Rows(first + k, first, first + of.count)
+        sighting = Sighting.of(w, sensor, at, point, rows=rows)
         spread = step.predict(point.cov, sighting.matrix, sighting.noise)
         seen = step.innovation(sighting.left, spread)
         density, line = sighting.density(seen), sighting.line

@@ -2,86 +2,85 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from contextlib import AbstractContextManager, nullcontext
+from typing import NamedTuple
 
-from pgm.kernels import step
+from pgm.kernels.machine.emitter.code import Code
 from pgm.kernels.machine.emitter.wholes import Whole
-from pgm.kernels.machine.sweeps.told import Called, Row
+from pgm.kernels.machine.sweeps import differences
+from pgm.kernels.machine.sweeps.told import Called, Row, Sensor
 from pgm.kernels.machine.sweeps.writer import Writer
-from pgm.kernels.numbers import least, most, nearest_whole, sqrt, where
 from pgm.kernels.step import AnyMatrix
 
-# As of `differences`: the least step, as a part of a deviation, in itself, and beside a number; and
-# the multiples of a step at which a function is called.
-_PART, _STEP, _BESIDE = 1e-2, 1e-4, 1e-9
-_AROUND = 1.0, -1.0, 2.0, -2.0
-# As of `gaussian.lengths`: a deviation given another component counts tenfold, and to a thousandth.
-_TENFOLD, _LEAST = 10.0, 1e-3
+
+class Rows(NamedTuple):
+    """A row of a CPD, and those of its step, for which the program is asked at the first of them.
+
+    All are linearised at one belief. `first` is the step's first row, and `after` the one behind
+    its last; the answers of a row are put at its place among them.
+    """
+
+    at: Whole
+    first: Whole
+    after: Whole
+
+    @classmethod
+    def alone(cls, at: Whole) -> Rows:
+        """The only row of a step."""
+        return cls(at, at, at + 1)
+
+    @property
+    def place(self) -> Whole:
+        """The number of the row at hand among those of its step."""
+        return self.at.code.whole(0) if self.first is self.at else self.at - self.first
+
+    def begin(self, code: Code) -> AbstractContextManager[None]:
+        """The code inside runs at the first of the rows."""
+        return nullcontext() if self.first is self.at else code.when(self.at == self.first)
+
+    def ask(self, w: Writer, called: Called, count: int) -> None:
+        """Ask for all rows at the points that are put down."""
+        w.ask(called.number, count, self.first, self.after, w.code.whole(0))
+
+    def ask_alone(self, w: Writer, called: Called, count: int) -> None:
+        """Ask for the row at hand."""
+        w.ask(called.number, count, self.at, self.at + 1, self.place)
 
 
-def values_at(w: Writer, called: Called, at: Whole, points: AnyMatrix) -> AnyMatrix:
-    """The values of a function at points, row by row, in one call."""
-    w.keep(called.points, points)
+def rows_of(w: Writer, sensor: Sensor, at: Whole, row: Whole) -> Rows | None:
+    """The sightings of a step, one of which is at hand; None where no program is asked for them."""
+    if sensor.called is None or sensor.bounds is None:
+        return None
+    return Rows(row, *w.sightings(sensor, at))
+
+
+def values_at(w: Writer, called: Called, rows: Rows, points: AnyMatrix) -> AnyMatrix:
+    """The values of a function at points, row by row, in one call for all rows of a step."""
     count, height = points.shape[0], called.values.shape[1]
-    w.ask(called.number, count, at)
-    return w.matrices.matrix(w.at(called.values), count, height)
+    with rows.begin(w.code):
+        w.keep(called.points, points)
+        rows.ask(w, called, count)
+    return w.matrices.matrix(w.at(called.values, rows.place), count, height)
 
 
-def tangent(w: Writer, row: Row, at: Whole, mean: AnyMatrix, cov: AnyMatrix) -> AnyMatrix:
-    """The derivative of a function by differences of fourth order, which is put among its lines.
+def tangent(
+    w: Writer, row: Row, rows: Rows, mean: AnyMatrix, cov: AnyMatrix, *, alone: bool = False
+) -> AnyMatrix:
+    """The derivative of a function by differences, which is put among its lines.
 
-    So is the value. Steps are set by the covariance of the belief, as in `differences.jacobian`.
+    So is the value. `alone` says that the other rows of the step are not asked for.
     """
     called = row.called
     assert called is not None
-    size = mean.shape[0]
-    x = [mean[j, 0] for j in range(size)]
-    points, steps = [x], []
-    for j, (number, length) in enumerate(zip(x, _lengths(cov, size), strict=True)):
-        due = most(most(_PART * length, w.code.constant(_STEP)), _BESIDE * abs(number))
-        steps.append((number + due) - number)
-        for multiple in _AROUND:
-            points.append([*x[:j], number + multiple * steps[-1], *x[j + 1 :]])
-    _store(w.at(called.points), [number for point in points for number in point])
-    w.ask(called.number, len(points), at)
-    values, place = w.at(called.values), at % called.lines.rows
-    found = [
-        [values.load(k * row.height + i) for i in range(row.height)] for k in range(len(points))
-    ]
-    slope = []
-    for i in range(row.height):
-        for j, taken in enumerate(steps):
-            a, b, c, d = (found[4 * j + k][i] for k in range(1, 5))
-            near, far = a - b, c - d
-            if i in row.angles:
-                near, far = _wrapped(near), _wrapped(far)
-            slope.append((8.0 * near - far) / (12.0 * taken))
-    _store(w.at(called.lines.value, place), found[0])
-    _store(w.at(called.lines.matrix, place), slope)
-    return w.matrix(called.lines.matrix, place)
-
-
-def _store(cells: Any, numbers: Sequence[Any]) -> None:
-    for k, number in enumerate(numbers):
-        cells.store(k, number)
-
-
-def _lengths(cov: AnyMatrix, size: int) -> list[Any]:
-    """The length over which a function may vary along each component, as `gaussian.lengths`."""
-    stds = [sqrt(most(cov[i, i], 0.0)) for i in range(size)]
-    units = [where(std > 0.0, std, 1.0) for std in stds]
-    found = []
-    for i, std in enumerate(stds):
-        shared: Any = 0.0 * std
-        for j, unit in enumerate(units):
-            if i != j:
-                correlation = cov[i, j] / units[i] / unit
-                shared = most(shared, correlation * correlation)
-        left = _TENFOLD * sqrt(most(1.0 - shared, 0.0))
-        found.append(std * most(least(left, 1.0), _LEAST))
-    return found
-
-
-def _wrapped(angle: Any) -> Any:
-    return angle - step.TURN * nearest_whole(angle / step.TURN)
+    size, points = mean.shape[0], w.at(called.points)
+    count = differences.count(size)
+    with nullcontext() if alone else rows.begin(w.code):
+        if size:
+            w.keep(called.points, mean)
+            w.matrices.keep(points.moved(size), cov)
+            differences.surround(points, size)
+        (rows.ask_alone if alone else rows.ask)(w, called, count)
+    values, lines, place = w.at(called.values, rows.place), called.lines, rows.place
+    value, slope = w.at(lines.value, place), w.at(lines.matrix, place)
+    differences.slopes(points, values, value, slope, size, row.height, row.angles)
+    return w.matrix(lines.matrix, place)

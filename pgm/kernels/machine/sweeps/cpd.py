@@ -13,7 +13,7 @@ from pgm.kernels import step
 from pgm.kernels.machine.emitter.numbers import Number
 from pgm.kernels.machine.emitter.traces import Inputs
 from pgm.kernels.machine.emitter.wholes import Whole
-from pgm.kernels.machine.sweeps.called import tangent, values_at
+from pgm.kernels.machine.sweeps.called import Rows, tangent, values_at
 from pgm.kernels.machine.sweeps.lines import held
 from pgm.kernels.machine.sweeps.told import Points, Row, Sensor
 from pgm.kernels.machine.sweeps.writer import Writer
@@ -55,9 +55,9 @@ def inputs(w: Writer, row: Row, at: Whole) -> Inputs:
 
 
 def value_at(w: Writer, row: Row, at: Whole, mean: AnyMatrix) -> AnyMatrix:
-    """The value of a CPD's function at its row."""
+    """The value of a CPD's function at its row, the only one of a step where it is called."""
     if row.called is not None:
-        return values_at(w, row.called, at, mean.T).T
+        return values_at(w, row.called, Rows.alone(at), mean.T).T
     assert row.function is not None
     return w.matrices.value(row.function, mean, inputs(w, row, at))
 
@@ -69,14 +69,16 @@ def linearised(
     mean: AnyMatrix,
     cov: AnyMatrix,
     again: Number | None = None,
+    rows: Rows | None = None,
 ) -> Line:
     """A CPD linearised at a belief over its parents, a mean (n × 1) and a covariance (n × n).
 
-    `again` says that it has been, in this step and at this belief; None that it has not.
+    `again` says that it has been, in this step and at this belief; None that it has not. `rows` are
+    those of the step; None where it has one.
     """
     noise = w.symmetric(row.noise, at)
     if row.called is not None:
-        return _called(w, row, at, mean, cov, noise, again)
+        return _called(w, row, rows or Rows.alone(at), mean, cov, noise, again)
     if row.function is None:
         assert row.matrix is not None
         assert row.offset is not None
@@ -86,7 +88,7 @@ def linearised(
             offset = offset + w.matrix(shift) @ w.column(values, at)
         return Line(matrix, matrix @ mean + offset, noise, None, w.true)
     if row.points is not None and mean.shape[0]:
-        return _regressed(w, row, at, mean, cov, noise)
+        return _regressed(w, row, Rows.alone(at), mean, cov, noise)
     value, matrix = w.matrices.slope(row.function, mean, inputs(w, row, at))
     return Line(matrix, value, noise, None, w.true)
 
@@ -94,7 +96,7 @@ def linearised(
 def _called(
     w: Writer,
     row: Row,
-    at: Whole,
+    rows: Rows,
     mean: AnyMatrix,
     cov: AnyMatrix,
     noise: AnyMatrix,
@@ -102,21 +104,21 @@ def _called(
 ) -> Line:
     called = row.called
     assert called is not None
-    lines = called.lines
-    place = at % lines.rows
+    lines, place = called.lines, rows.place
     with nullcontext() if again is None else w.code.when(~again), w.matrices.scratch():
         if lines.cov is not None:
-            w.keep(called.points, mean)
-            w.keep(lines.cov, cov)
-            w.ask(called.number, 0, at)
+            with rows.begin(w.code):
+                w.keep(called.points, mean)
+                w.keep(lines.cov, cov)
+                rows.ask(w, called, 0)
         elif row.points is not None and mean.shape[0]:
-            line = _regressed(w, row, at, mean, cov, noise)
+            line = _regressed(w, row, rows, mean, cov, noise)
             w.keep(lines.value, line.value, place)
             w.keep(lines.matrix, line.matrix, place)
             w.keep(lines.error, line.error, place)
             w.at(lines.sure, place).store(0, line.sure.number())
         else:
-            tangent(w, row, at, mean, cov)
+            tangent(w, row, rows, mean, cov)
             w.at(lines.sure, place).store(0, 1.0)
     error = None if lines.error is None else w.symmetric(lines.error, place)
     matrix, value = w.matrix(lines.matrix, place), w.column(lines.value, place)
@@ -145,25 +147,29 @@ def on_branch(w: Writer, vector: AnyMatrix, value: AnyMatrix, angles: Sequence[i
 
 
 def _regressed(
-    w: Writer, row: Row, at: Whole, mean: AnyMatrix, cov: AnyMatrix, noise: AnyMatrix
+    w: Writer, row: Row, rows: Rows, mean: AnyMatrix, cov: AnyMatrix, noise: AnyMatrix
 ) -> Line:
     rule, m = row.points, w.matrices
     assert rule is not None
     root = cov.root()
-    moves = m.constant(rule.points) @ root.matrix.T
+    # The mean comes first: of angles, its value is the one about which the others are.
+    extra = 0 if rule.centred or not row.angles else 1
+    centre = ((0.0,) * mean.shape[0],) * extra
+    moves = m.constant((*centre, *rule.points)) @ root.matrix.T
     points = m.shifted(moves, mean)
     if row.called is not None:
-        values = values_at(w, row.called, at, points)
+        values = values_at(w, row.called, rows, points)
     else:
         assert row.function is not None
-        values = m.values(row.function, points, inputs(w, row, at))
-    if rule.centred or not row.angles:
-        reference = values.part((0,), range(row.height)).T
-    else:
-        reference = value_at(w, row, at, mean)
+        values = m.values(row.function, points, inputs(w, row, rows.at))
+    reference = values.part((0,), range(row.height)).T
+    if extra:
+        every = range(1, points.shape[0])
+        moves = moves.part(every, range(mean.shape[0]))
+        values = values.part(every, range(row.height))
     off = m.shifted(values, reference.scaled(-1.0))
     if row.angles:
-        off = _about(w, row, at, mean, cov, moves, off)
+        off = _about(w, row, rows, mean, cov, moves, off)
     found = step.regress(root, _constant(w, rule), off)
     error = _told_from_rounding(w, row, mean, reference, off, found)
     return Line(found.matrix, reference + found.value, noise, error, root.share > REGULAR)
@@ -180,7 +186,7 @@ def _constant(w: Writer, rule: Points) -> step.Rule:
 def _about(
     w: Writer,
     row: Row,
-    at: Whole,
+    rows: Rows,
     mean: AnyMatrix,
     cov: AnyMatrix,
     moves: AnyMatrix,
@@ -196,10 +202,10 @@ def _about(
     wrapped = {i: [held(w.code, x) for x in columns[i]] for i in row.angles}
     with w.code.when(w.code.some(some)):
         if row.called is not None:
-            slope = tangent(w, row, at, mean, cov)
+            slope = tangent(w, row, rows, mean, cov, alone=True)
         else:
             assert row.function is not None
-            slope = m.slope(row.function, mean, inputs(w, row, at))[1]
+            slope = m.slope(row.function, mean, inputs(w, row, rows.at))[1]
         for i in row.angles:
             lines = m.beside(moves @ slope.part((i,), range(mean.shape[0])).T)
             for variable, x, line in zip(wrapped[i], columns[i], lines, strict=True):

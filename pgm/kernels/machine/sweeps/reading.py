@@ -13,6 +13,7 @@ from pgm.kernels.arrays import LOG_2PI
 from pgm.kernels.gaussian import NEARLY_SINGULAR
 from pgm.kernels.machine.emitter.numbers import Number
 from pgm.kernels.machine.emitter.wholes import Whole
+from pgm.kernels.machine.sweeps.called import Rows, rows_of
 from pgm.kernels.machine.sweeps.control import Anchor, Control, Solve, tried
 from pgm.kernels.machine.sweeps.cpd import REGULAR, Line, keep, linearised, readings
 from pgm.kernels.machine.sweeps.matrices import Belief
@@ -257,7 +258,8 @@ def _once(
     for sensor in chain.sensors:
         fresh = fresh and sensor.bounds is None
         with w.each_sighting(sensor, at) as row:
-            sighting = shown.get(sensor) or Sighting.of(w, sensor, row, point, weighing)
+            rows = rows_of(w, sensor, at, row)
+            sighting = shown.get(sensor) or Sighting.of(w, sensor, row, point, weighing, rows)
             read(w, sensor, row, sighting, found, point, weighing, fresh=fresh)
         fresh = False
     if point.anchor is not None:
@@ -369,17 +371,17 @@ class Sighting(NamedTuple):
         at: Whole,
         point: Point,
         weighing: Weighing | None = None,
-        row: Whole | None = None,
+        rows: Rows | None = None,
     ) -> Sighting:
         """A sensor's sighting at a row, linearised at a point, its angles on the nearest branch.
 
-        The CPD is linearised at a `row` of its own, where it has several for a sighting.
+        `rows` tell the CPD's own row, and those that are linearised with it; see `linearised`.
         """
         m, parents = w.matrices, sensor.parents
         x = point.at.part(parents, (0,))
         again = None if weighing is None else weighing.again
-        about, of = point.about.part(parents, parents), at if row is None else row
-        line = linearised(w, sensor, of, x, about, again)
+        about, of = point.about.part(parents, parents), at if rows is None else rows.at
+        line = linearised(w, sensor, of, x, about, again, rows)
         keep(w, sensor, at, x, line)
         values = readings(w, sensor, at, line.value)
         left, matrix = values - line.value, m.widened(line.matrix, parents, point.at.shape[0])

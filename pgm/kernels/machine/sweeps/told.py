@@ -25,9 +25,9 @@ LAST, RUNS, ITERATIONS, SETTINGS, RESIDUALS, ENDED, LAG, FIRST = range(8)
 # Of an array: its address, and the distances in floats between rows, runs, and its own cells.
 ADDRESS, DOWN, ACROSS, CELL = range(4)
 # What a program is asked for: the number of a function, at how many points, or zero for a
-# linearisation, and the row; the step at hand, infinite at the end; and whether a run is right
-# so far.
-WHAT, COUNT, ROW, STEP, SURE = range(5)
+# linearisation, at which rows, of one step, and from which place on the answers are put; the step
+# at hand, infinite at the end; and whether a run is right so far.
+WHAT, COUNT, ROW, AFTER, PLACE, STEP, SURE, ASKED = range(8)
 
 
 @dataclass(frozen=True)
@@ -76,12 +76,10 @@ class Points:
 
 @dataclass(frozen=True)
 class Lines:
-    """Linearisations that are read from memory, of so many `rows` at a time.
+    """Linearisations that are read from memory, of all rows of a step.
 
     Attributes
     ----------
-    rows : int
-        A row's linearisation stands at its number modulo `rows`.
     cov : Array or None
         Where the program, which linearises, finds the belief's covariance (n, n), its mean being
         the first of the points; None where machine code linearises, by values at points.
@@ -93,7 +91,6 @@ class Lines:
         Whether all of it is right, (1,).
     """
 
-    rows: int
     cov: Array | None
     value: Array
     matrix: Array
@@ -110,7 +107,7 @@ class Called:
     number : int
         Of the function, among those of the chain that are called.
     points, values : Array
-        Where it is called, (N, n), and what it gives there, (N, d).
+        Where it is called, (N, n), and what it gives there at each row of a step, (N, d).
     lines : Lines
         Its linearisations.
     """
@@ -321,7 +318,7 @@ class Forward:
     anchor : tuple of Array
         Means and deviations by step, and weights, of an anchor; empty if there is none.
     asked : Array or None
-        For what a sweep waits whose functions are called, (5,): see `WHAT`.
+        For what a sweep waits whose functions are called, (`ASKED`,): see `WHAT`.
     """
 
     size: int

@@ -79,14 +79,18 @@ class Writer:
         """Where something is told of the runs at hand."""
         return Memory(self.code, self._ended + (self.run + self._count * what))
 
-    def ask(self, what: int, count: int, row: Whole) -> None:
-        """Wait until the program has called a function at a row, at so many points; see `told`."""
+    def ask(self, what: int, count: int, first: Whole, after: Whole, place: Whole) -> None:
+        """Wait until the program has called a function at some rows, at so many points.
+
+        They are of one step; see `told.WHAT`.
+        """
         assert self._waiting is not None
         assert self._asked is not None
         cells = self.at(self._asked)
         cells.store(told.WHAT, float(what))
         cells.store(told.COUNT, float(count))
-        cells.store(told.ROW, row.number())
+        for cell, whole in ((told.ROW, first), (told.AFTER, after), (told.PLACE, place)):
+            cells.store(cell, whole.number())
         self._waiting.wait()
 
     def reach(self, step: Number | float, sure: Number) -> None:
