@@ -262,9 +262,9 @@ def run(*programs):
 
 def test_results_are_there_without_an_import_of_their_own_and_load_no_scipy():
     asked = "print(pgm.results.Posterior.__name__, 'scipy' in sys.modules)"
-    assert run("import sys, pgm", asked).split() == ["Posterior", "False"]
-    program = "print(pgm.results.Comparison.__name__, pgm.results.Fit.__name__)"
-    assert run("import pgm", program).split() == ["Comparison", "Fit"]
+    more = "print(pgm.results.Comparison.__name__, pgm.results.Fit.__name__)"
+    found = run("import sys, pgm", asked, more).split()
+    assert found == ["Posterior", "False", "Comparison", "Fit"]
 
 
 def test_an_old_name_can_be_imported():

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from experiments import localisation, plaza
 from experiments.__main__ import app, main
@@ -33,14 +34,7 @@ BASELINES = {
 
 
 def test_the_list_has_a_line_for_each():
-    found = subprocess.run(
-        [sys.executable, "-m", "experiments", "list"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    lines = found.stdout.strip().splitlines()
+    lines = CliRunner().invoke(app, ["list"]).stdout.strip().splitlines()
     assert [line for line in lines if line.endswith(":")] == [f"{theme}:" for theme in THEMES]
     each = [line for line in lines if line.startswith("  ")]
     assert [line.split()[0] for line in each] == list(EXPERIMENTS)

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from crossed import slow_after
 
 import pgm
 from experiments import nonlinear_measurement
@@ -226,7 +227,8 @@ def grid_moments(case, name, run):
 
 
 @pytest.mark.parametrize(
-    ("name", "s"), [("near", 0.3), ("far", 0.6), ("two_ranges", 0.3), ("collinear", 0.6)]
+    ("name", "s"),
+    slow_after(2, [("near", 0.3), ("collinear", 0.6), ("far", 0.6), ("two_ranges", 0.3)]),
 )
 def test_the_truth_is_that_of_a_dense_grid(name, s):
     case = simulate(SENSORS[name], s, 4, 1)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from crossed import crossed
 from robots import DRIVE, LANDMARKS, P0, SENSORS, Q, controls, m, u, x
 
 import pgm
@@ -94,8 +95,7 @@ def test_one_run_and_a_hundred_take_equally_many_calls(kind, rule, jacobians):
     assert one["noise"] == 1
 
 
-@pytest.mark.parametrize("jacobians", [True, False])
-@pytest.mark.parametrize("rule", RULES)
+@crossed(("rule", "jacobians"), list(RULES), [True, False])
 def test_a_relinearisation_takes_equally_many_calls_for_any_number_of_steps(rule, jacobians):
     def added(steps):
         first, second = (counts(k, rule, jacobians, steps, runs=1) for k in ("2", "4"))

@@ -5,6 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from crossed import crossed
 
 import pgm
 from pgm.examples import squares, walk, x, z
@@ -224,8 +225,7 @@ def ranges(shift, std):
     return model, {FAR: heard[:, None], MARK: shift + marks}
 
 
-@pytest.mark.parametrize("compiled", [False, True])
-@pytest.mark.parametrize("shift", [0.0, 1e6, 1e8])
+@crossed(("shift", "compiled"), [0.0, 1e6, 1e8], [False, True])
 def test_rounding_of_far_coordinates_is_no_move(shift, compiled):
     """At 10⁸ m float64 has steps of 1.5e-8 m, which are 1e-5 deviations; nothing moves less.
 

@@ -8,6 +8,7 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
+from crossed import crossed
 from numpy.testing import assert_array_equal
 
 import pgm
@@ -83,9 +84,7 @@ SCHEDULES = {
 
 
 @pytest.mark.parametrize("compiled", CHOICES)
-@pytest.mark.parametrize("runs", [(), (3,), (2, 5)])
-@pytest.mark.parametrize("name", SCHEDULES)
-@pytest.mark.parametrize("noise", [None, pgm.Huber(1.5)])
+@crossed(("name", "runs", "noise"), list(SCHEDULES), [(), (3,), (2, 5)], [None, pgm.Huber(1.5)])
 def test_posteriors_are_those_of_ordinary_calls(name, runs, compiled, noise):
     graph = pgm.compile(robot(noise), STEPS, compiled=compiled)
     run = pgm.prepare(graph, evidence(0, runs), schedule=SCHEDULES[name])

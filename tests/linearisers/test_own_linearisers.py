@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from crossed import crossed
 from numpy.testing import assert_allclose
 from robots import x
 from zoo import MODELS, SIGHT, T, assert_same, at_step, of, of_run, recording
@@ -73,8 +74,7 @@ models = pytest.mark.parametrize(
 
 @own
 @models
-@pytest.mark.parametrize("iterations", [1, 20])
-@pytest.mark.parametrize("run", [1, slice(None)], ids=["one", "few"])
+@crossed(("iterations", "run"), [1, 20], {"one": 1, "few": slice(None)})
 def test_smoothing(make, name, iterations, run):
     """Its sightings one at a step, and several; of linearisations at all steps in one call."""
     evidence = of_run(recording(name), run)

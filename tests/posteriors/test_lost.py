@@ -4,6 +4,7 @@ import pickle
 
 import numpy as np
 import pytest
+from crossed import crossed
 from numpy.testing import assert_array_equal
 
 import pgm
@@ -179,15 +180,14 @@ def wandered(jump, clutter, steps=60, seed=2):
     return values, step
 
 
-@pytest.mark.parametrize("gate", [None, 0.99])
-@pytest.mark.parametrize(
-    "options",
+@crossed(
+    ("options", "gate"),
     [
         {"gate": 0.999},
         {"spurious": 0.1, "volume": 1.44e4},
         {"association": "joint", "gate": 0.999},
     ],
-    ids=str,
+    [None, 0.99],
 )
 def test_sightings_that_are_of_no_candidate_tell_of_a_kidnapped_robot(options, gate):
     """They are left out, so that neither innovations nor gates say anything."""

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from crossed import slow_after
 from gaussian.drawn_static import LINEARISERS, Judge, Reference, draw
 from gaussian.draws import Conditioned, conditional
 from textbooks import floats
@@ -22,7 +23,7 @@ def wrong(seed, which=None):
     ]
 
 
-@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize("seed", slow_after(20, range(60)))
 def test_drawn_networks_are_right_or_say_so(seed):
     two = {NAMES[seed % len(NAMES)], NAMES[(seed // 7 + 3 * seed + 1) % len(NAMES)]}
     assert not wrong(seed, {*two, "linear"})

@@ -4,6 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from crossed import crossed
 from gaussian.draws import (
     Conditioned,
     assert_moments,
@@ -85,8 +86,7 @@ def test_random_ranks_in_coordinates_that_round(shift):
         check(drawn, evidence, hidden, posterior, turns)
 
 
-@pytest.mark.parametrize("method", ORDERS)
-@pytest.mark.parametrize("seed", [10361, 10814, 11083])
+@crossed(("seed", "method"), [10361, 10814, 11083], ORDERS)
 def test_ranks_and_sepsets_that_are_hard_to_tell_from_rounding(seed, method):
     """A noise of rank 1 with a small component; sepsets that are certain but for rounding."""
     rng = np.random.default_rng(seed)

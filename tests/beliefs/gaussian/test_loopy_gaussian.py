@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from crossed import crossed, slow_after
 from dense import linear_joint
 from gaussian.loops import (
     bent,
@@ -75,8 +76,7 @@ MOST = {pgm.Flooding: 150, pgm.Sequential: 150, pgm.Residual: 40}
 
 
 @unsettled
-@kinds
-@dampings
+@crossed(("kind", "damping"), KINDS, [0.0, 0.7])
 def test_means_are_exact_wherever_messages_converge(kind, damping):
     """Each sweep is over graphs of its own; longer ones are below."""
     first = 1000 * KINDS.index(kind) + int(100 * damping)
@@ -130,9 +130,7 @@ def test_a_network_whose_messages_diverge():
     assert errors(damped, solve(net, evidence)) <= 1e-6
 
 
-@kinds
-@dampings
-@pytest.mark.parametrize("method", [pgm.JunctionTree(), pgm.Bethe()])
+@crossed(("kind", "damping", "method"), KINDS, [0.7, 0.0], [pgm.JunctionTree(), pgm.Bethe()])
 def test_on_trees_every_schedule_is_exact(kind, damping, method):
     """A tree of variables: its Bethe graph is a tree of clusters as well."""
     rng = np.random.default_rng(4)
@@ -321,7 +319,10 @@ def bent_case(seed):
 @unsettled
 @pytest.mark.parametrize(
     ("kind", "damping"),
-    [(pgm.Flooding, 0.0), (pgm.Flooding, 0.3), (pgm.Sequential, 0.0), (pgm.Sequential, 0.7)],
+    slow_after(
+        2,
+        [(pgm.Flooding, 0.3), (pgm.Sequential, 0.0), (pgm.Flooding, 0.0), (pgm.Sequential, 0.7)],
+    ),
 )
 def test_relinearised_means_are_a_map(kind, damping):
     """At them the cost is level, and a junction tree iterated from there stays."""
@@ -442,8 +443,7 @@ def copies(noise):
 
 
 @unsettled
-@kinds
-@pytest.mark.parametrize("noise", [0.0, 1e-12, 1e-6])
+@crossed(("kind", "noise"), KINDS, [0.0, 1e-12, 1e-6])
 def test_a_ring_of_copies_gives_no_false_certainty(kind, noise):
     """Information goes round and adds up: it settles slowly or never, and must not say it has."""
     (x, y, z, w), net = copies(noise)

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from crossed import crossed, slow_after
 from dense import linear_joint
 from gaussian.loops import bent, draw_evidence, random_network, steepest
 from scipy.optimize import least_squares
@@ -306,9 +307,12 @@ def test_random_points_are_shared_by_runs():
 # ---- iterating
 
 
-@graphs
-@rules
-def test_runs_stop_when_they_have_converged(graph, rule, twin):
+@crossed(
+    ("rule", "graph"),
+    {name: rule for name, (rule, _) in RULES.items()},
+    {"junction tree": pgm.compile, "hand": hand_made},
+)
+def test_runs_stop_when_they_have_converged(rule, graph):
     """And are left alone then: a batch is its single runs."""
     rng = np.random.default_rng(1)
     sample = NET.sample((2, 3), rng=rng)
@@ -361,7 +365,7 @@ def test_what_does_not_converge_says_so():
     np.testing.assert_allclose(near[x].mean, 0.0, atol=1e-6)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", slow_after(3, range(8)))
 def test_iterated_taylor_is_at_a_map(seed):
     """The cost is level there, and no optimiser that starts there goes elsewhere."""
     rng = np.random.default_rng(seed)
@@ -450,8 +454,7 @@ def misfit(turn, evidence, value):
     return np.concatenate(left)
 
 
-@pytest.mark.parametrize("turn", [0.3, 2.6])
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@crossed(("seed", "turn"), [0, 1, 2], [0.3, 2.6])
 def test_poses_and_landmarks_together(turn, seed):
     """Two hidden parents of each sighting; headings that turn several times."""
     net = mapping(turn)

@@ -4,6 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
+from crossed import slow_after
 from gaussian.draws import Conditioned, Drawn, assert_moments
 from numpy.testing import assert_allclose
 from textbooks import assert_log, rational
@@ -204,7 +205,7 @@ def extreme(seed):
     return cpds, evidence
 
 
-@pytest.mark.parametrize("chunk", range(4))
+@pytest.mark.parametrize("chunk", slow_after(1, range(4)))
 def test_numbers_of_any_size_leak_no_warnings(chunk):
     """An answer that is finite, or an error of the library's own."""
     rules = [pgm.Taylor(), pgm.Unscented(), pgm.Cubature(), pgm.MonteCarlo(20)]

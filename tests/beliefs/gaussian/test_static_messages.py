@@ -5,6 +5,7 @@ from operator import mul
 
 import numpy as np
 import pytest
+from crossed import slow_after
 from gaussian.draws import regular
 from numpy.testing import assert_allclose
 from textbooks import assert_log
@@ -103,7 +104,7 @@ def check(graph, evidence):
     return posterior
 
 
-@pytest.mark.parametrize("share", [0.0, 0.3, 0.8, 1.0])
+@pytest.mark.parametrize("share", slow_after(2, [0.0, 0.3, 0.8, 1.0]))
 def test_random_trees(share):
     for seed in range(8):
         drawn = regular(seed, 10, 2)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from crossed import crossed
 from robots import DRIVE, LANDMARKS, P0, SENSORS, drive_cpd, m, network, u, x
 
 import pgm
@@ -256,8 +257,7 @@ def test_given_jacobians_and_noise_that_depends_on_controls(graph, jacobians):
     assert_same(found, due, (x,), close=1e-9 if jacobians else 1e-7)
 
 
-@graphs
-@rules
+@crossed(("rule", "graph"), RULES, GRAPHS)
 def test_controls_with_noise_are_hidden(graph, rule):
     """A command is known, what the wheels make of it is not."""
     command = pgm.Variable("command", ("v", "omega"))
@@ -297,9 +297,7 @@ def wrapped(angle):
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
-@graphs
-@rules
-@pytest.mark.parametrize("turns", ["as read", "wrapped", "any"])
+@crossed(("turns", "rule", "graph"), ["as read", "wrapped", "any"], RULES, GRAPHS)
 def test_a_robot_that_turns_round_and_round(graph, rule, turns):
     """Nearly half a turn a step, bearings on both sides of the seam, in any count of turns."""
     model, evidence = robot(turn=2.4, seed=8)

@@ -4,6 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
+from crossed import crossed
 from numpy.testing import assert_allclose
 
 import pgm
@@ -50,8 +51,7 @@ def test_a_state_beyond_what_is_carried_is_told(case, infer):
     assert step is None or found.status.cut.step == step
 
 
-@pytest.mark.parametrize("case", LOST)
-@pytest.mark.parametrize("runs", [(), (2,)])
+@crossed(("case", "runs"), list(LOST), [(), (2,)])
 def test_online_a_state_beyond_what_is_carried_is_told(case, runs):
     """One sighting after another; of two runs the second is as it should be."""
     net, given, steps, step = LOST[case]
@@ -116,8 +116,7 @@ def test_what_may_be_cut_bounds_the_error():
         assert value > 6.0 or found.status.cut.share < 1e-6
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.01, 0.04])
-@pytest.mark.parametrize("cov", [0.0, 1.0])
+@crossed(("noise", "cov"), [0.0, 0.01, 0.04], [0.0, 1.0])
 def test_evidence_of_the_model_is_not_doubted(cov, noise):
     net = line(cov=cov, noise=noise)
     drawn = net.sample({}, steps=200, rng=5)

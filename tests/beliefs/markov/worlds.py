@@ -1,7 +1,7 @@
 """Discrete dynamic networks as plain arrays, and their joint by enumeration of all paths."""
 
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import product
 
 import numpy as np
@@ -19,7 +19,7 @@ def drawn(rng, *shape, zeros=False):
     return table
 
 
-@dataclass
+@dataclass(eq=False)
 class World:
     """A model, evidence of one run, and the factors of its joint.
 
@@ -59,6 +59,7 @@ class World:
             )
         return {name: np.array(own).T for name, own in found.items()}, np.array(prior), measured
 
+    @cache  # noqa: B019  # worlds are few
     def marginal(self, *variables, until=None):
         """The joint of variables at steps, given the measurements up to a step, and its sum."""
         states, prior, measured = self.paths

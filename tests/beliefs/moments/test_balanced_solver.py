@@ -4,6 +4,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from crossed import crossed
 from robots import DRIVE, SENSORS, T, drive_cpd, m, network, u, x
 from textbooks import assert_log, assert_same
 
@@ -230,8 +231,7 @@ SCHEDULES = [pgm.Filtering(), pgm.Smoothing()]
 
 
 @pytest.mark.filterwarnings("ignore:.*too small beside its mean:pgm.PrecisionWarning")
-@pytest.mark.parametrize("schedule", SCHEDULES, ids=str)
-@pytest.mark.parametrize("place", [0.0, 1e3, 1e9])
+@crossed(("place", "schedule"), [0.0, 1e3, 1e9], SCHEDULES)
 def test_large_coordinates_cost_no_digits(schedule, place):
     """The prior knows nothing of where the readings are; at 10⁹ a last place is 10⁻⁵ deviations."""
     rng = np.random.default_rng(0)

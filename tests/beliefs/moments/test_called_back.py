@@ -6,6 +6,7 @@ import traceback
 
 import numpy as np
 import pytest
+from crossed import crossed
 from robots import DRIVE, drive_cpd
 from scipy.special import erf
 from test_compiled import assert_posterior, both
@@ -104,8 +105,7 @@ def evidence(runs):
     return of_run(found, 0)
 
 
-@pytest.mark.parametrize("runs", [1, 3, 11])
-@pytest.mark.parametrize("name", CALLED)
+@crossed(("name", "runs"), list(CALLED), [1, 3, 11])
 def test_compiled_equals_plain(alone, name, runs):
     found = both(pgm.smooth, CALLED[name], evidence(runs))
     assert_posterior(*found)
@@ -113,8 +113,7 @@ def test_compiled_equals_plain(alone, name, runs):
     assert found[0].status.compilation.startswith("compiled, ")
 
 
-@pytest.mark.parametrize("rule", [pgm.Unscented(), pgm.Cubature()])
-@pytest.mark.parametrize("runs", [1, 11])
+@crossed(("runs", "rule"), [1, 11], [pgm.Unscented(), pgm.Cubature()])
 def test_points_of_compiled_rules(alone, rule, runs):
     assert_posterior(*both(pgm.smooth, CALLED["both"], evidence(runs), lineariser=rule))
 
@@ -136,8 +135,7 @@ def test_angles_that_differ_by_more_than_half_a_turn(alone):
         assert_posterior(found, pgm.smooth(model, evidence(11), lineariser=rule, compiled=False))
 
 
-@pytest.mark.parametrize("size", [7, 14])
-@pytest.mark.parametrize("rule", [pgm.Taylor(), pgm.Cubature(), pgm.MonteCarlo(60)], ids=repr)
+@crossed(("rule", "size"), [pgm.Taylor(), pgm.Cubature(), pgm.MonteCarlo(60)], [7, 14])
 def test_many_components(alone, size, rule):
     """Matrices are in memory, for packs of runs too, and their room outlasts a call."""
     states = pgm.Variable("states", components=tuple(f"c{k}" for k in range(size)))
@@ -170,8 +168,7 @@ SCHEDULES = [
 ]
 
 
-@pytest.mark.parametrize("schedule", SCHEDULES, ids=repr)
-@pytest.mark.parametrize("name", ["both", "robust", "own lineariser"])
+@crossed(("name", "schedule"), ["both", "robust", "own lineariser"], SCHEDULES)
 def test_schedules(name, schedule):
     for runs in (1, 19):
         found = []
@@ -184,8 +181,11 @@ def test_schedules(name, schedule):
         assert " called back: " in found[0].status.compilation
 
 
-@pytest.mark.parametrize("compiled", [pgm.Compiled(threads=2), pgm.Compiled(threads=3)])
-@pytest.mark.parametrize("name", ["both", "fresh points", "robust"])
+@crossed(
+    ("name", "compiled"),
+    ["both", "fresh points", "robust"],
+    [pgm.Compiled(threads=2), pgm.Compiled(threads=3)],
+)
 def test_threads(alone, name, compiled):
     given = evidence(43)
     found = pgm.smooth(CALLED[name], given, compiled=compiled)
@@ -270,8 +270,7 @@ def timed(runs):
     return evidence(runs) | {clock: times}
 
 
-@pytest.mark.parametrize("runs", [1, 3, 8, 11])
-@pytest.mark.parametrize("error", [ValueError("out of range"), pgm.PgmError("no map")], ids=repr)
+@crossed(("error", "runs"), [ValueError("out of range"), pgm.PgmError("no map")], [1, 3, 8, 11])
 def test_errors_are_as_without_machine_code(runs, error):
     told = []
     model = failing(error)

@@ -5,6 +5,7 @@ import warnings
 
 import numpy as np
 import pytest
+from crossed import crossed
 
 import pgm
 from pgm.linearisers import Points
@@ -131,8 +132,11 @@ def test_digits_that_a_motion_lost_a_linear_sensor_does_not_forget(compiled):
         assert found.status.digits < 5.0
 
 
-@pytest.mark.parametrize("way", ["filter", "compiled", "online"])
-@pytest.mark.parametrize("rule", [pgm.Unscented(), pgm.Cubature(), pgm.Taylor()], ids=repr)
+@crossed(
+    ("rule", "way"),
+    [pgm.Unscented(), pgm.Cubature(), pgm.Taylor()],
+    ["filter", "compiled", "online"],
+)
 def test_rules_of_wide_points_are_right(seen, way, rule):
     due, _ = asked(way, 0.0 * FAR, seen, rule)
     found, said = asked(way, FAR, seen, rule)
@@ -241,8 +245,7 @@ def scales(seed, size=1.0, alpha=1e-4):
 
 
 @pytest.mark.filterwarnings("ignore::pgm.PrecisionWarning")
-@pytest.mark.parametrize("compiled", [False, True])
-@pytest.mark.parametrize("size", [1.0, 1e5])
+@crossed(("size", "compiled"), [1.0, 1e5], [False, True])
 @pytest.mark.parametrize(("alpha", "least"), [(1e-4, 0), (1e-3, 6), (1.0, 8)])
 def test_consistent_readings_are_no_contradiction(alpha, least, size, compiled):
     """What is left of them is the rounding of a regression, which other rules do not have."""

@@ -5,6 +5,7 @@ import pickle
 import numpy as np
 import pytest
 from carts import drawn
+from crossed import combinations, crossed, slow_after
 from numpy.testing import assert_allclose, assert_array_equal
 from plain import evidence_of, linear_network
 from robots import SENSORS, drive_cpd, network, sighted, u, x
@@ -17,8 +18,10 @@ import pgm
 pytest.importorskip("llvmlite", reason="sweeps are compiled by llvmlite")
 
 COMPILED = ["taylor", "unscented", "negative weights", "cubature", "hermite"]
-CHECKED = [(name, rule) for name in MODELS for rule in ("taylor", "unscented")]
-CHECKED += [("everything", rule) for rule in RULES if rule not in ("taylor", "unscented")]
+CHECKED = combinations(list(MODELS), ["taylor", "unscented"])
+CHECKED += slow_after(
+    3, [("everything", rule) for rule in RULES if rule not in ("taylor", "unscented")]
+)
 
 
 def assert_log(found, due, tolerance):
@@ -56,8 +59,7 @@ def test_runs_of_all_kinds(name, rule):
     assert_posterior(*found)
 
 
-@pytest.mark.parametrize("lead", [(), (3,), (9,)])
-@pytest.mark.parametrize("shared", [None, 0, 1])
+@crossed(("shared", "lead"), [None, 0, 1], [(), (3,), (9,)])
 def test_functions_of_several_inputs(lead, shared):
     """Inputs of each run, and those that all runs share, lie otherwise in memory."""
     s, v = (pgm.Variable(name, components=("a", "b")) for name in "sv")
@@ -83,9 +85,12 @@ def test_functions_of_several_inputs(lead, shared):
         assert_posterior(*both(pgm.smooth, model, evidence, **options))
 
 
-@pytest.mark.parametrize("runs", [1, 9])
-@pytest.mark.parametrize("shape", [np.eye(2), np.diag([1.0, 1e5]), [[1.0, 0.999], [0.999, 1.0]]])
-@pytest.mark.parametrize("variance", [1e-4, 1e-6, 1e-7, 1e-8])
+@crossed(
+    ("variance", "shape", "runs"),
+    [1e-4, 1e-6, 1e-7, 1e-8],
+    [np.eye(2), np.diag([1.0, 1e5]), [[1.0, 0.999], [0.999, 1.0]]],
+    [1, 9],
+)
 def test_readings_of_all_sharpness(variance, shape, runs):
     """Some are sharper than either order of sums leaves digits for: they are left to one."""
     model = network(SENSORS["range_bearing"].cpd(cov=variance * np.asarray(shape)))
@@ -104,8 +109,7 @@ ODD = {
 }
 
 
-@pytest.mark.parametrize("rule", ["taylor", "unscented"])
-@pytest.mark.parametrize("parts", ODD.values(), ids=ODD)
+@crossed(("parts", "rule"), ODD, ["taylor", "unscented"])
 def test_odd_numbers_are_answered_or_refused_alike(parts, rule):
     told = []
     for choice in (True, False):
@@ -122,17 +126,19 @@ def test_odd_numbers_are_answered_or_refused_alike(parts, rule):
             assert_allclose(found, due, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("rule", COMPILED)
-@pytest.mark.parametrize("run", [None, 1], ids=["batch", "one"])
-@pytest.mark.parametrize("name", ["plain", "noise by control", "a start for each run"])
+@crossed(
+    ("name", "run", "rule"),
+    ["plain", "noise by control", "a start for each run"],
+    {"batch": None, "one": 1},
+    COMPILED,
+)
 def test_ordinary_runs_are_not_left_to_the_general_kernels(alone, name, rule, run):
     evidence = recording(name) if run is None else of_run(recording(name), run)
     found = both(pgm.smooth, model_of(name, run), evidence, lineariser=RULES[rule])
     assert_posterior(*found)
 
 
-@pytest.mark.parametrize("name", ["plain", "everything", "a start for each run"])
-@pytest.mark.parametrize("threads", [1, 2])
+@crossed(("threads", "name"), [1, 2], ["plain", "everything", "a start for each run"])
 def test_many_runs_and_threads(name, threads):
     which = np.arange(40) % 3
     model, evidence = model_of(name, which), of_run(recording(name), which)
@@ -141,8 +147,11 @@ def test_many_runs_and_threads(name, threads):
     assert_posterior(found, due, smooth=False)
 
 
-@pytest.mark.parametrize("options", [{}, {"damping": 0.3}, {"lineariser": pgm.Unscented()}])
-@pytest.mark.parametrize("name", ["plain", "grouped", "everything"])
+@crossed(
+    ("name", "options"),
+    ["plain", "grouped", "everything"],
+    [{}, {"damping": 0.3}, {"lineariser": pgm.Unscented()}],
+)
 def test_iterated_updates(name, options):
     found = both(pgm.filter, MODELS[name], recording(name), iterations=20, **options)
     assert_posterior(*found, smooth=False)
@@ -167,8 +176,7 @@ def test_long_iterated_smoothing(alone):
     assert_posterior(*found)
 
 
-@pytest.mark.parametrize("nonlinear", [False, True])
-@pytest.mark.parametrize("lag", [0, 2])
+@crossed(("lag", "nonlinear"), [0, 2], [False, True])
 def test_a_fixed_lag_with_hidden_controls(nonlinear, lag):
     model, evidence, steps, _ = drawn(3, nonlinear)
     found, due = both(pgm.smooth, model, evidence, steps=steps, lag=lag)
@@ -253,17 +261,16 @@ def bent(values):
     return network(SENSORS["range_bearing"].cpd(), transition=drive)
 
 
-@pytest.mark.parametrize(
-    "values",
-    [
-        lambda s: s / np.where(s > 0.5, 0.0, 1.0),
-        lambda s: np.sqrt(s - 0.4),
-        lambda s: np.exp(400 * s),
-        lambda s: s * 1e200,
-    ],
-    ids=["infinite", "not a number", "overflow", "large"],
+@crossed(
+    ("runs", "values"),
+    [None, 3],
+    {
+        "infinite": lambda s: s / np.where(s > 0.5, 0.0, 1.0),
+        "not a number": lambda s: np.sqrt(s - 0.4),
+        "overflow": lambda s: np.exp(400 * s),
+        "large": lambda s: s * 1e200,
+    },
 )
-@pytest.mark.parametrize("runs", [None, 3])
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_what_is_refused_is_refused_alike(values, runs):
     told = []

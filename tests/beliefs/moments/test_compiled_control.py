@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from carts import drawn
+from crossed import crossed
 from robots import SENSORS, network, sighted
 from test_compiled import assert_posterior, both
 from zoo import RULES, model_of, of_run, recording
@@ -57,9 +58,7 @@ def readings(runs, steps=6, *, outliers=False):
     return found
 
 
-@pytest.mark.parametrize("runs", [(), (9,)])
-@pytest.mark.parametrize("rule", ["taylor", "unscented"])
-@pytest.mark.parametrize("iterations", [2, 12])
+@crossed(("iterations", "rule", "runs"), [2, 12], ["taylor", "unscented"], [(), (9,)])
 def test_steps_that_raise_the_cost_are_held_back(runs, rule, iterations):
     options = {"lineariser": RULES[rule], "iterations": iterations}
     found, due = both(pgm.filter, steep(), readings(runs), damping=CONTROL, **options)
@@ -69,8 +68,7 @@ def test_steps_that_raise_the_cost_are_held_back(runs, rule, iterations):
     assert np.nanmax(abs(free[X].mean - found[X].mean)) > 1e-3
 
 
-@pytest.mark.parametrize("control", [(0.5, 2.0, 3), (1e-6, 1e4, 1), (1e13, 3.0, 2)])
-@pytest.mark.parametrize("runs", [(), (9,)])
+@crossed(("runs", "control"), [(), (9,)], [(0.5, 2.0, 3), (1e-6, 1e4, 1), (1e13, 3.0, 2)])
 def test_weights_and_tries(control, runs):
     options = {"iterations": 8, "damping": pgm.LevenbergMarquardt(*control)}
     found = both(pgm.filter, steep(), readings(runs), **options)
@@ -78,8 +76,7 @@ def test_weights_and_tries(control, runs):
     assert found[0].status.compilation.startswith("compiled")
 
 
-@pytest.mark.parametrize("runs", [(), (9,)])
-@pytest.mark.parametrize("noise", [pgm.Huber(2.0), pgm.StudentT(4.0), pgm.Cauchy(2.0)])
+@crossed(("noise", "runs"), [pgm.Huber(2.0), pgm.StudentT(4.0), pgm.Cauchy(2.0)], [(), (9,)])
 def test_robust_noise(noise, runs):
     evidence = readings(runs, outliers=True)
     options = {"iterations": 6, "damping": CONTROL}
@@ -105,8 +102,7 @@ def test_gates(runs):
     assert found.status.compilation.startswith("compiled")
 
 
-@pytest.mark.parametrize("rule", ["taylor", "unscented"])
-@pytest.mark.parametrize("name", ["plain", "a certain start"])
+@crossed(("name", "rule"), ["plain", "a certain start"], ["taylor", "unscented"])
 def test_angles(name, rule):
     model, evidence = model_of(name, WHICH), of_run(recording(name), WHICH)
     options = {"lineariser": RULES[rule], "iterations": 20, "damping": CONTROL}

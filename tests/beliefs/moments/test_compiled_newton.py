@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from carts import drawn
+from crossed import crossed
 from numpy.testing import assert_allclose
 from robots import DRIVE, P0, SENSORS, Q, network, sighted, u, x
 from scipy.optimize import least_squares
@@ -51,15 +52,15 @@ def assert_same(found, due):
     assert_allclose(ours, theirs, rtol=1e-7, atol=1e-8)
 
 
-@pytest.mark.parametrize("run", [None, 1], ids=["batch", "one"])
-@pytest.mark.parametrize("name", ORDINARY)
+@crossed(("name", "run"), ORDINARY, {"batch": None, "one": 1})
 def test_models_of_all_kinds(alone, name, run):
     evidence = recording(name) if run is None else of_run(recording(name), run)
     assert_same(*both(pgm.smooth, loose(name, run), evidence, iterations=20))
 
 
-@pytest.mark.parametrize(
-    "options",
+@crossed(
+    ("given", "options"),
+    {"filtered": False, "start": True},
     [
         {"iterations": 2, "tolerance": 0},
         {"iterations": 40},
@@ -67,7 +68,6 @@ def test_models_of_all_kinds(alone, name, run):
         {"iterations": 40, "tolerance": 0.03},
     ],
 )
-@pytest.mark.parametrize("given", [False, True], ids=["filtered", "start"])
 def test_schedules_and_starts(alone, options, given):
     evidence = recording("plain")
     filtered = pgm.smooth(MODELS["plain"], evidence, compiled=False)[x].mean

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from crossed import crossed
 from numpy.testing import assert_allclose
 from test_compiled import assert_posterior, both
 
@@ -42,8 +43,7 @@ def readings(runs):
     return {Z: values}
 
 
-@pytest.mark.parametrize("rule", [pgm.Unscented(), pgm.GaussHermite(3)])
-@pytest.mark.parametrize("runs", [(), (9,)])
+@crossed(("runs", "rule"), [(), (9,)], [pgm.Unscented(), pgm.GaussHermite(3)])
 def test_an_angle_that_is_the_same_everywhere(rule, runs):
     def still(state):
         return np.concatenate([state[..., :1], np.full(state[..., :1].shape, 3.0)], axis=-1)
@@ -62,10 +62,13 @@ def test_a_control_without_hidden_parents_for_packs_of_runs(size):
     assert_posterior(*both(pgm.smooth, model, evidence))
 
 
-@pytest.mark.parametrize("noise", [None, pgm.Huber(1.345), pgm.StudentT(1.0)], ids=repr)
-@pytest.mark.parametrize("runs", [(), (9,)])
-@pytest.mark.parametrize("iterations", [1, 3])
-@pytest.mark.parametrize("infer", [pgm.filter, pgm.smooth])
+@crossed(
+    ("infer", "iterations", "runs", "noise"),
+    [pgm.filter, pgm.smooth],
+    [1, 3],
+    [(), (9,)],
+    [None, pgm.Huber(1.345), pgm.StudentT(1.0)],
+)
 @pytest.mark.filterwarnings("ignore::pgm.ConvergenceWarning")
 def test_what_a_gate_rejects_has_an_innovation(infer, iterations, runs, noise):
     model = walk(sight(noise=noise))
@@ -76,10 +79,13 @@ def test_what_a_gate_rejects_has_an_innovation(infer, iterations, runs, noise):
     assert_allclose(one.cov, other.cov, rtol=1e-7)
 
 
-@pytest.mark.parametrize("rule", [pgm.Taylor(), pgm.MonteCarlo(40)], ids=repr)
-@pytest.mark.parametrize("runs", [(), (9,)])
-@pytest.mark.parametrize("infer", [pgm.filter, pgm.smooth])
-@pytest.mark.parametrize("iterations", [1, 3])
+@crossed(
+    ("iterations", "infer", "runs", "rule"),
+    [1, 3],
+    [pgm.filter, pgm.smooth],
+    [(), (9,)],
+    [pgm.Taylor(), pgm.MonteCarlo(40)],
+)
 @pytest.mark.filterwarnings("ignore::pgm.ConvergenceWarning")
 def test_called_sightings_of_a_step_beside_a_robust_sensor(infer, iterations, runs, rule):
     """Each has the linearisation at its own landmark when weights are found."""

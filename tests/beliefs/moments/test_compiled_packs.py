@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from crossed import combinations, crossed, slow_after
 from robots import SENSORS, network, sighted, u, x
-from test_compiled import CHECKED, assert_posterior, both
-from zoo import RULES, model_of, of_run, recording
+from test_compiled import assert_posterior, both
+from zoo import MODELS, RULES, model_of, of_run, recording
 
 import pgm
 from pgm.beliefs.moments.passes import forward
@@ -13,15 +14,28 @@ from pgm.beliefs.moments.passes import forward
 WHICH = np.arange(11) % 3
 
 
-@pytest.mark.parametrize(("name", "rule"), CHECKED)
+OTHER_RULES = [rule for rule in RULES if rule not in ("taylor", "unscented")]
+
+
+@pytest.mark.parametrize(
+    ("name", "rule"),
+    [
+        # the rules in turn otherwise than where runs are few
+        *combinations(list(MODELS), ["unscented", "taylor"]),
+        *slow_after(0, [("everything", rule) for rule in OTHER_RULES]),
+    ],
+)
 def test_runs_of_all_kinds(name, rule):
     model, evidence = model_of(name, WHICH), of_run(recording(name), WHICH)
     found = both(pgm.smooth, model, evidence, lineariser=RULES[rule])
     assert_posterior(*found)
 
 
-@pytest.mark.parametrize("options", [{}, {"damping": 0.3}, {"lineariser": pgm.Unscented()}])
-@pytest.mark.parametrize("name", ["plain", "everything"])
+@crossed(
+    ("name", "options"),
+    ["plain", "everything"],
+    [{}, {"damping": 0.3}, {"lineariser": pgm.Unscented()}],
+)
 def test_runs_of_a_pack_settle_by_themselves(name, options):
     model, evidence = model_of(name, WHICH), of_run(recording(name), WHICH)
     found = both(pgm.filter, model, evidence, iterations=20, tolerance=1e-3, **options)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from carts import drawn
+from crossed import crossed
 from numpy.testing import assert_allclose
 from test_compiled import assert_posterior, both
 from test_compiled_control import CONTROL, X, Z, readings, steep
@@ -29,9 +30,7 @@ def assert_same(model, evidence, told="compiled", **options):
     return found, due
 
 
-@pytest.mark.parametrize("damping", DAMPING)
-@pytest.mark.parametrize("rule", ["taylor", "unscented"])
-@pytest.mark.parametrize("name", NAMES)
+@crossed(("name", "rule", "damping"), NAMES, ["taylor", "unscented"], list(DAMPING))
 def test_models_of_all_kinds(name, rule, damping):
     """One of them has a start so sure that points have no root: it is left to NumPy."""
     assert name in MODELS
@@ -40,17 +39,13 @@ def test_models_of_all_kinds(name, rule, damping):
     assert_same(model, evidence, told="", **options)
 
 
-@pytest.mark.parametrize("runs", [(), (9,)])
-@pytest.mark.parametrize("damping", DAMPING)
-@pytest.mark.parametrize("rule", ["taylor", "unscented", "hermite"])
+@crossed(("rule", "damping", "runs"), ["taylor", "unscented", "hermite"], list(DAMPING), [(), (9,)])
 def test_bent_sensors(rule, damping, runs):
     options = {"iterations": 5, "lineariser": RULES[rule], "damping": DAMPING[damping]}
     assert_same(steep(), readings(runs), **options)
 
 
-@pytest.mark.parametrize("runs", [(), (9,)])
-@pytest.mark.parametrize("damping", ["free", "controlled"])
-@pytest.mark.parametrize("rule", ["taylor", "unscented"])
+@crossed(("rule", "damping", "runs"), ["taylor", "unscented"], ["free", "controlled"], [(), (9,)])
 def test_robust_noise(rule, damping, runs):
     evidence = readings(runs, outliers=True)
     options = {"iterations": 5, "lineariser": RULES[rule], "damping": DAMPING[damping]}
@@ -65,9 +60,7 @@ def test_gates(damping):
     assert str(found.rejected[Z]) == str(due.rejected[Z])
 
 
-@pytest.mark.parametrize("damping", DAMPING)
-@pytest.mark.parametrize("rule", ["taylor", "unscented"])
-@pytest.mark.parametrize("runs", [2, 9])
+@crossed(("runs", "rule", "damping"), [2, 9], ["taylor", "unscented"], list(DAMPING))
 def test_hidden_controls_and_several_states(rule, runs, damping):
     model, evidence, steps, _ = drawn(3, True, runs=runs)
     options = {"lineariser": RULES[rule], "damping": DAMPING[damping], "iterations": 8}

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from carts import drawn
+from crossed import crossed
 from numpy.testing import assert_allclose, assert_array_equal
 from test_compiled import assert_log, both
 from test_compiled_control import X, Y, Z, readings, steep
@@ -36,9 +37,7 @@ def assert_lagged(found, due, tolerance=1e-9, told="compiled"):
     assert found.status.compilation.startswith(told)
 
 
-@pytest.mark.parametrize("many", [False, True])
-@pytest.mark.parametrize("rule", ["taylor", "unscented"])
-@pytest.mark.parametrize("name", NAMES)
+@crossed(("name", "rule", "many"), NAMES, ["taylor", "unscented"], [False, True])
 def test_models_of_all_kinds(name, rule, many):
     model, evidence = model_of(name, 1), of_run(recording(name), 1)
     if many:
@@ -47,9 +46,7 @@ def test_models_of_all_kinds(name, rule, many):
     assert_lagged(*both(pgm.smooth, model, evidence, **options), told="")
 
 
-@pytest.mark.parametrize("runs", [(), (9,)])
-@pytest.mark.parametrize("lag", [0, 1, 2, 9])
-@pytest.mark.parametrize("damping", [0.0, 0.4])
+@crossed(("damping", "lag", "runs"), [0.0, 0.4], [0, 1, 2, 9], [(), (9,)])
 def test_lags(lag, runs, damping):
     options = {"lag": lag, "iterations": 5, "damping": damping}
     assert_lagged(*both(pgm.smooth, steep(), readings(runs), **options))
@@ -61,9 +58,12 @@ def test_runs_of_a_pack_settle_by_themselves(tolerance):
     assert_lagged(*both(pgm.smooth, steep(), readings((11,)), **options))
 
 
-@pytest.mark.parametrize("runs", [(), (9,)])
-@pytest.mark.parametrize("rule", ["taylor", "unscented"])
-@pytest.mark.parametrize("noise", [pgm.Huber(2.0), pgm.StudentT(4.0)])
+@crossed(
+    ("noise", "rule", "runs"),
+    [pgm.Huber(2.0), pgm.StudentT(4.0)],
+    ["taylor", "unscented"],
+    [(), (9,)],
+)
 def test_robust_noise(noise, rule, runs):
     evidence = readings(runs, outliers=True)
     options = {"lag": 3, "iterations": 4, "lineariser": RULES[rule]}
@@ -82,9 +82,7 @@ def test_gates(runs):
         assert str(found.rejected[sensor]) == str(due.rejected[sensor])
 
 
-@pytest.mark.parametrize("rule", ["taylor", "unscented"])
-@pytest.mark.parametrize("runs", [2, 9])
-@pytest.mark.parametrize("seed", range(3))
+@crossed(("seed", "runs", "rule"), range(3), [2, 9], ["taylor", "unscented"])
 def test_hidden_controls_and_several_states(seed, runs, rule):
     """Sensors that are seldom read leave windows with nothing to linearise."""
     model, evidence, steps, _ = drawn(seed, True, runs=runs)

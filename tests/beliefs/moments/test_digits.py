@@ -4,6 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
+from crossed import crossed
 from drawn_chains import draw
 from judged_chains import Judge
 from precise import Reference, floats
@@ -111,8 +112,7 @@ def asked(way, model, evidence):
     return belief[x], belief.log_evidence, least
 
 
-@pytest.mark.parametrize("way", [*WAYS, "online"])
-@pytest.mark.parametrize("prior", [1e9, 1e12, 1e14, 1e15, 1e17, 1e20, 1e40, 1e100])
+@crossed(("prior", "way"), [1e9, 1e12, 1e14, 1e15, 1e17, 1e20, 1e40, 1e100], [*WAYS, "online"])
 def test_a_prior_that_is_too_wide_is_told(way, prior):
     """The belief is right to 1e-6 deviations, or the warning comes."""
     values = record()

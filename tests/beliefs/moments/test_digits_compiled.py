@@ -5,6 +5,7 @@ from importlib.util import find_spec
 import mpmath
 import numpy as np
 import pytest
+from crossed import crossed, slow_after
 from drawn_chains import draw
 
 import pgm
@@ -152,9 +153,8 @@ def drawn(seed, steps, height, runs=(), missing=0.0):
 SCHEDULES = [pgm.Filtering(), pgm.Smoothing(), pgm.FixedLag(3)]
 
 
-@pytest.mark.parametrize("schedule", SCHEDULES)
-@pytest.mark.parametrize(
-    ("n", "height", "units", "flat_", "runs", "missing"),
+@crossed(
+    ("case", "schedule"),
     [
         (1, 1, 1.0, False, (), 0.0),
         (3, 1, 1.0, False, (), 0.0),
@@ -163,10 +163,11 @@ SCHEDULES = [pgm.Filtering(), pgm.Smoothing(), pgm.FixedLag(3)]
         (2, 2, 1e3, True, (11,), 0.2),
         (4, 2, 1e3, False, (9,), 0.1),
     ],
+    SCHEDULES,
 )
-def test_machine_code_is_numpys_pass(passes, schedule, n, height, units, flat_, runs, missing):
+def test_machine_code_is_numpys_pass(passes, case, schedule):
     """Flat priors, missing components, packs of runs; to the last bit of each pair."""
-    steps = 12
+    steps, (n, height, units, flat_, runs, missing) = 12, case
     _, z, model = network(matrices(n, n, units=units, height=height), flat_=flat_)
     graph = pgm.compile(model, steps=steps, compiled=True)
     found = pgm.infer(graph, {z: drawn(1, steps, height, runs, missing)}, schedule=schedule)
@@ -174,7 +175,7 @@ def test_machine_code_is_numpys_pass(passes, schedule, n, height, units, flat_, 
     assert assert_alike(passes)
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", slow_after(8, range(40)))
 def test_drawn_chains_are_swept_alike(passes, seed):
     """Singular, sharp, exact and repeated sensors, controls and units, right, refused or told."""
     case = draw(seed, 10)
@@ -297,11 +298,12 @@ def robot(sharp):
     return x, model, {u: np.tile([1.0, 0.2], (60, 1)), z: pgm.sightings(step=steps, given=given)}
 
 
-@pytest.mark.parametrize("runs", [(), 9])
-@pytest.mark.parametrize(
-    "schedule", [pgm.Filtering(), pgm.Smoothing(), pgm.Smoothing(iterations=3), pgm.FixedLag(4)]
+@crossed(
+    ("sharp", "schedule", "runs"),
+    [1.0, 1e-7],
+    [pgm.Filtering(), pgm.Smoothing(), pgm.Smoothing(iterations=3), pgm.FixedLag(4)],
+    [(), 9],
 )
-@pytest.mark.parametrize("sharp", [1.0, 1e-7])
 def test_functions_are_linearised_as_by_numpy(passes, monkeypatch, schedule, sharp, runs):
     """Angles that turn, and bearings on their branch; alike but for what a function rounds."""
     monkeypatch.setattr(run, "_suffices", lambda _: False)

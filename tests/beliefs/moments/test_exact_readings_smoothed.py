@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from crossed import slow_after
 from drawn_chains import draw
 from precise import Reference, floats
 from scipy.linalg import block_diag
@@ -118,7 +119,7 @@ def has_determined_states(case):
     return bool(singular) and "exact sensor" in case.traits
 
 
-@pytest.mark.parametrize("first", range(1000, 1060, 20))
+@pytest.mark.parametrize("first", slow_after(1, range(1000, 1060, 20)))
 def test_what_is_determined_has_no_variance(first):
     """None is negative, and a belief can be handed back as a prior."""
     cases = [draw(seed, 8) for seed in range(first, first + 20)]

@@ -11,6 +11,7 @@ from multiprocessing import get_context, parent_process
 
 import numpy as np
 import pytest
+from crossed import crossed, slow_after
 from numpy.testing import assert_allclose, assert_array_equal
 from robots import LANDMARKS, P0, SENSORS, controls, drive_along, drive_cpd, m, network, u, x
 
@@ -113,9 +114,9 @@ def same(one, other):
     )
 
 
-@pytest.mark.parametrize("rule", [pgm.Taylor(), pgm.MonteCarlo(40)])
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("run", [pgm.filter, pgm.smooth])
+@crossed(
+    ("run", "kind", "rule"), [pgm.filter, pgm.smooth], KINDS, [pgm.Taylor(), pgm.MonteCarlo(40)]
+)
 def test_workers_change_nothing(run, kind, rule, workers):
     model, evidence = network(SIGHT.cpd()), recording()
     whole = run(model, evidence, lineariser=rule)
@@ -330,9 +331,7 @@ def starting(far):
     return pgm.GaussianCPD(x, mean, P0)
 
 
-@pytest.mark.parametrize("asked", [{}, {"keep": [x]}])
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("function", [lost_early, raising])
+@crossed(("function", "kind", "asked"), [lost_early, raising], KINDS, [{}, {"keep": [x]}])
 def test_errors_are_those_of_one_process(function, kind, asked, workers):
     """Run 3 fails later than 17, but in a part that is done earlier."""
     driven = recording()
@@ -382,7 +381,8 @@ def dying(x, m):
 
 
 @pytest.mark.parametrize(
-    ("start", "asked"), [("fork", {}), ("fork", {"keep": [x]}), ("spawn", {"keep": [x]})]
+    ("start", "asked"),
+    slow_after(2, [("fork", {}), ("fork", {"keep": [x]}), ("spawn", {"keep": [x]})]),
 )
 def test_a_worker_that_dies(start, asked):
     model = network(SIGHT.cpd(function=dying), prior=starting({12: 900.0}))
@@ -619,8 +619,7 @@ def test_networks_without_time_take_none():
 # Sets of evidence
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("runs", [(), (1,), (40,), (8, 5)])
+@crossed(("runs", "kind"), [(), (1,), (40,), (8, 5)], KINDS)
 def test_the_most_probable_states_are_those_of_one_process(runs, kind, workers):
     graph = pgm.compile(discrete.asia())
     rng = np.random.default_rng(2)

@@ -8,6 +8,7 @@ import naive
 import numpy as np
 import pytest
 from carts import drawn, fix, lagged, place, push, speed, two_states
+from crossed import crossed
 from numpy.testing import assert_array_equal
 from robots import SENSORS, network, sighted, x
 from textbooks import assert_belief, assert_covs, assert_log, assert_means
@@ -35,8 +36,7 @@ def until(evidence, last):
     }
 
 
-@pytest.mark.parametrize("lag", [0, 1, 2, 3, 7, 12])
-@pytest.mark.parametrize("seed", range(3))
+@crossed(("seed", "lag"), range(3), [0, 1, 2, 3, 7, 12])
 def test_beliefs_are_those_of_the_joint_given_the_readings_up_to_the_lag(seed, lag):
     model, evidence, steps, due = drawn(seed)
     found = lagged(model, evidence, lag, steps)
@@ -87,8 +87,7 @@ def test_a_long_chain_of_one_run_and_of_many():
             assert_belief(found[place.at(t)], due.mean, due.cov, 1e-11)
 
 
-@pytest.mark.parametrize("name", MODELS)
-@pytest.mark.parametrize("rule", ["taylor", "unscented"])
+@crossed(("rule", "name"), ["taylor", "unscented"], list(MODELS))
 def test_linearised_once_it_is_the_textbook_s_smoother_of_the_readings_so_far(name, rule):
     run, lag = 1, 2
     model, evidence = model_of(name, run), of_run(recording(name), run)

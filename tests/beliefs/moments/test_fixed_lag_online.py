@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from crossed import combinations
 from numpy.testing import assert_array_equal
 from robots import LANDMARKS, SENSORS, drive_cpd, m, network, u, x
 from textbooks import assert_belief, assert_covs, assert_log, assert_means, refusal
@@ -66,8 +67,7 @@ def test_a_lag_online_is_that_of_the_record(name, run):
 
 @pytest.mark.parametrize(
     ("name", "rule"),
-    [(name, "taylor") for name in MODELS]
-    + [(name, rule) for name in FEW for rule in ("unscented", "bare function")],
+    [(name, "taylor") for name in MODELS] + combinations(FEW, ["unscented", "bare function"]),
 )
 @pytest.mark.filterwarnings("ignore::pgm.ConvergenceWarning")  # some windows settle
 def test_windows_online_are_those_of_the_record(name, rule):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from carts import drawn, fix, lagged, place, push, speed
+from crossed import crossed, slow_after
 from numpy.testing import assert_allclose
 from robots import DRIVE, P0, SENSORS, Q, m, network, sighted, u, x
 from textbooks import assert_belief, assert_covs, assert_log, assert_means, wrapped
@@ -127,8 +128,7 @@ def textbook(evidence, lag, iterations, steps):
     return newest, [oldest[k] for k in range(steps + 1)]
 
 
-@pytest.mark.parametrize("iterations", [2, 5])
-@pytest.mark.parametrize("lag", [1, 3, 12])
+@crossed(("lag", "iterations"), [1, 3, 12], [2, 5])
 def test_windows_are_the_textbook_s(lag, iterations):
     """With a lag of one, the dynamically iterated extended Kalman filter."""
     evidence = sighted()
@@ -169,12 +169,15 @@ def test_the_dynamically_iterated_filter_linearises_the_motion_where_the_reading
 
 @pytest.mark.parametrize(
     ("name", "rule"),
-    [
-        ("plain", "taylor"),
-        ("wrapping drive", "cubature"),
-        ("grouped", "cubature"),
-        ("everything", "taylor"),
-    ],
+    slow_after(
+        2,
+        [
+            ("plain", "taylor"),
+            ("wrapping drive", "cubature"),
+            ("grouped", "cubature"),
+            ("everything", "taylor"),
+        ],
+    ),
 )
 def test_windows_that_cover_the_record_end_where_the_iterated_smoother_does(name, rule):
     evidence = recording(name)

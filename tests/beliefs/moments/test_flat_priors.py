@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from crossed import crossed
 from precise import Reference, floats
 from scipy.optimize import least_squares
 from textbooks import refusal
@@ -135,8 +136,7 @@ def balanced(model, evidence, schedule):
     return pgm.infer(tree, evidence, schedule=schedule)
 
 
-@pytest.mark.parametrize("missing", [False, True], ids=["whole", "gaps"])
-@pytest.mark.parametrize("name", MODELS)
+@crossed(("name", "missing"), list(MODELS), {"whole": False, "gaps": True})
 def test_the_limit_of_wide_priors(name, missing):
     """Predictions, the filter, the smoother, log-evidence; chain and balanced tree."""
     make, flat = MODELS[name]

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from crossed import crossed
 from numpy.testing import assert_allclose, assert_array_equal
 from robots import DRIVE, LANDMARKS, P0, SENSORS, Q, controls, drive_along, m, network, u, x
 from scipy.stats import chi2
@@ -104,21 +105,20 @@ def test_a_filter_leaves_out_as_the_textbook_does(gate):
     assert np.isnan(found.rejected[z].square[0, 3])
 
 
-@pytest.mark.parametrize("runs", [RUNS, 30])
-@pytest.mark.parametrize(
-    "run",
-    [
-        lambda e, **k: pgm.filter(MODEL, e, **k),
-        lambda e, **k: pgm.filter(MODEL, e, iterations=4, tolerance=0, **k),
-        lambda e, **k: pgm.smooth(MODEL, e, **k),
-        lambda e, **k: pgm.smooth(
+@crossed(
+    ("run", "runs"),
+    {
+        "filter": lambda e, **k: pgm.filter(MODEL, e, **k),
+        "iterated": lambda e, **k: pgm.filter(MODEL, e, iterations=4, tolerance=0, **k),
+        "smoother": lambda e, **k: pgm.smooth(MODEL, e, **k),
+        "iterated smoother": lambda e, **k: pgm.smooth(
             MODEL, e, iterations=4, tolerance=0, lineariser=pgm.Unscented(), **k
         ),
-        lambda e, **k: pgm.smooth(MODEL, e, lag=3, **k),
-        lambda e, **k: pgm.smooth(MODEL, e, lag=3, iterations=3, tolerance=0, **k),
-        lambda e, **k: pgm.smooth(MODEL, e, start={x: np.zeros((T + 1, 3))}, **k),
-    ],
-    ids=["filter", "iterated", "smoother", "iterated smoother", "lag", "windows", "start"],
+        "lag": lambda e, **k: pgm.smooth(MODEL, e, lag=3, **k),
+        "windows": lambda e, **k: pgm.smooth(MODEL, e, lag=3, iterations=3, tolerance=0, **k),
+        "start": lambda e, **k: pgm.smooth(MODEL, e, start={x: np.zeros((T + 1, 3))}, **k),
+    },
+    [RUNS, 30],
 )
 def test_what_is_rejected_is_as_good_as_missing(run, runs):
     evidence = drawn(runs)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from crossed import crossed
 from precise import Reference
 
 import pgm
@@ -66,8 +67,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("name", CASES)
-@pytest.mark.parametrize("infer", [pgm.smooth, pgm.filter])
+@crossed(("infer", "name"), [pgm.smooth, pgm.filter], list(CASES))
 def test_joints_near_and_far_are_those_of_300_digits(name, infer):
     model, v, seen = CASES[name]
     rows = readings()[[k - 1 for k in seen]]

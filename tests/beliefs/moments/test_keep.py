@@ -4,6 +4,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from crossed import crossed
 from numpy.testing import assert_allclose, assert_array_equal
 from robots import LANDMARKS, P0, SENSORS, controls, drive_along, drive_cpd, m, network, u, x
 
@@ -84,8 +85,7 @@ def test_parts_give_what_the_whole_gives(run, rule, noticed):
     assert noticed == [(0, 5), (5, 10), (10, 15), (15, 20), (20, 23)]
 
 
-@pytest.mark.parametrize("damping", [0.0, 0.3, pgm.LevenbergMarquardt()])
-@pytest.mark.parametrize("run", [pgm.filter, pgm.smooth])
+@crossed(("run", "damping"), [pgm.filter, pgm.smooth], [0.0, 0.3, pgm.LevenbergMarquardt()])
 def test_a_part_that_is_done_earlier_keeps_its_record(run, damping):
     model, evidence = network(SIGHT.cpd()), recording()
     asked = {"iterations": 30, "tolerance": 1e-6, "damping": damping}

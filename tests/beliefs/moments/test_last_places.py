@@ -6,6 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from crossed import crossed
 
 import pgm
 from pgm.beliefs.moments.passes.forward import Filtered
@@ -114,9 +115,12 @@ def asked(way, model, values):
     return means, digits, said
 
 
-@pytest.mark.parametrize("linear", [True, False], ids=["linear", "nonlinear"])
-@pytest.mark.parametrize("std", [1e-4, 8e-5, 1e-6, 1e-7])
-@pytest.mark.parametrize("way", [*OFFLINE, *ONLINE])
+@crossed(
+    ("way", "std", "linear"),
+    [*OFFLINE, *ONLINE],
+    [1e-4, 8e-5, 1e-6, 1e-7],
+    {"linear": True, "nonlinear": False},
+)
 def test_digits_are_no_more_than_a_mean_has(way, std, linear):
     """Against Kalman's and Rauch's formulas in fractions; the warning names what is small."""
     if way == "balanced" and not linear:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from crossed import slow_after
 from textbooks import assert_belief, assert_log, exact_linear
 
 import pgm
@@ -239,7 +240,7 @@ def test_a_joint_after_filtering_knows_what_its_latest_step_knows():
     assert_belief(filtered.joint(*scope), *due[scope], 1e-10)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", slow_after(5, range(12)))
 def test_random_networks(seed):
     """Sizes, ranks and sightings drawn; small numbers keep the rationals short."""
     rng = np.random.default_rng(seed)
@@ -282,7 +283,7 @@ def test_random_networks(seed):
 HARD = [1282, 1063, 252, 153, 276, 672, 883, 1062]
 
 
-@pytest.mark.parametrize("seed", [*range(40), *HARD])
+@pytest.mark.parametrize("seed", slow_after(20, [*HARD, *range(40)]))
 def test_random_networks_of_any_rank(seed):
     """Prior, motion and sensor of any rank, 0 included; all readings are 0, which is possible."""
     rng = np.random.default_rng(seed)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from crossed import crossed
 from robots import LANDMARKS, P0, controls, drive_along, drive_cpd, m, u, x
 from textbooks import assert_log, assert_same
 
@@ -103,8 +104,7 @@ RUNS_OF = {
 }
 
 
-@pytest.mark.parametrize("runs", [RUNS, 1])
-@pytest.mark.parametrize("method", RUNS_OF)
+@crossed(("method", "runs"), list(RUNS_OF), [RUNS, 1])
 def test_taylor(drive, method, runs):
     *rest, values = drive
     values = values if runs > 1 else values[0]
@@ -115,8 +115,7 @@ def test_taylor(drive, method, runs):
     compare(run(vector(grouped=True), whole, pgm.Taylor()), due)
 
 
-@pytest.mark.parametrize("runs", [RUNS, 1])
-@pytest.mark.parametrize("method", RUNS_OF)
+@crossed(("method", "runs"), list(RUNS_OF), [RUNS, 1])
 def test_sigma_points_of_what_is_never_read_whole(drive, method, runs):
     *rest, values = drive
     values = never_both(values if runs > 1 else values[0])

@@ -4,6 +4,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from crossed import crossed
 from dense import unrolled
 from textbooks import assert_covs, assert_log, assert_means
 
@@ -158,9 +159,7 @@ FILTERS = {
 }
 
 
-@pytest.mark.parametrize("runs", [RUNS, 40])
-@pytest.mark.parametrize("method", FILTERS)
-@pytest.mark.parametrize("name", SENSORS)
+@crossed(("name", "method", "runs"), list(SENSORS), list(FILTERS), [RUNS, 40])
 def test_filtered_together_alone_and_online(name, method, runs):
     sensor, options = SENSORS[name], dict(FILTERS[method])
     model = network(sensor)

@@ -8,6 +8,7 @@ import pickle
 
 import numpy as np
 import pytest
+from crossed import crossed
 from precise import Reference, floats
 
 import pgm
@@ -58,8 +59,7 @@ WAYS = {
 }
 
 
-@pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("runs", [1, 3])
+@crossed(("runs", "way"), [1, 3], list(WAYS))
 def test_smoothed_beliefs_are_right(case, way, runs):
     """Of one run and of many, to 1e-7 deviations and 1e-7 of variances."""
     model, z, values, due = case

@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from crossed import crossed
 from scipy.optimize import least_squares
 
 import pgm
@@ -374,8 +375,7 @@ def test_sightings_of_nobody_knows_what_are_associated_and_weighed():
     assert guessed.weights[Z].min() < 0.2
 
 
-@pytest.mark.parametrize("noise", EVERY, ids=repr)
-@pytest.mark.parametrize("wrong", [1e9, -3.4e38])
+@crossed(("wrong", "noise"), [1e9, -3.4e38], EVERY)
 def test_a_reading_however_far_out_says_no_more_than_one_less_far(noise, wrong):
     """As files write what they do not know."""
     far, outer = VALUES[:, None].copy(), VALUES[:, None].copy()

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from crossed import slow_after
 from scipy.optimize import least_squares
 
 import pgm
@@ -132,7 +133,7 @@ class Drawn:
 
 
 @METHODS
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", slow_after(3, range(8)))
 def test_costs_never_rise_from_a_start(method, seed):
     drawn = Drawn(seed)
     if method is not None and drawn.exact and not drawn.noise.any():

@@ -7,6 +7,7 @@ The reference is a filter in 300 digits whose prior variances κ grow, 10⁶⁰ 
 import mpmath
 import numpy as np
 import pytest
+from crossed import crossed
 from numpy.testing import assert_allclose, assert_array_equal
 from precise import Reference, floats, precise, zeros
 
@@ -153,8 +154,7 @@ def assert_limit(found, rejected, evidence, unit, run=()):
 LET_IN = 1.0 - 1e-14
 
 
-@pytest.mark.parametrize("unit", [1.0, 1e8, 1e-8])
-@pytest.mark.parametrize("infer", [pgm.filter, pgm.smooth])
+@crossed(("infer", "unit"), [pgm.filter, pgm.smooth], [1.0, 1e8, 1e-8])
 def test_what_is_foretold_is_the_limit_of_wide_priors(infer, unit):
     evidence = read(unit=unit)
     found = infer(receiver(INF, unit), evidence, steps=STEPS, gate=LET_IN)
@@ -231,9 +231,10 @@ def test_lost_along_a_known_direction():
     assert_array_equal(flat.lost.at, wide.lost.at)
 
 
-@pytest.mark.parametrize("lineariser", [pgm.Taylor(), pgm.Unscented()], ids=repr)
-@pytest.mark.parametrize(
-    "schedule", [pgm.Filtering(), pgm.Smoothing(), pgm.Smoothing(60)], ids=repr
+@crossed(
+    ("schedule", "lineariser"),
+    [pgm.Filtering(), pgm.Smoothing(), pgm.Smoothing(60)],
+    [pgm.Taylor(), pgm.Unscented()],
 )
 def test_weights_of_robust_noise(schedule, lineariser):
     """Place and offset are never told apart; expected squares are those of their sum."""

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import naive
 import numpy as np
 import pytest
+from crossed import crossed
 from numpy.testing import assert_allclose
 from plain import evidence_of, linear_network
 from textbooks import assert_belief, assert_log, exact_linear
@@ -99,8 +100,7 @@ def test_a_filter_of_many_runs(name, rule):
 
 
 @models
-@pytest.mark.parametrize("rule", ["taylor", "unscented", "fresh"])
-@pytest.mark.parametrize("run", [None, 1], ids=["batch", "one"])
+@crossed(("run", "rule"), {"batch": None, "one": 1}, ["taylor", "unscented", "fresh"])
 def test_online_is_the_filter(name, rule, run):
     model = model_of(name, run)
     evidence = recording(name) if run is None else of_run(recording(name), run)

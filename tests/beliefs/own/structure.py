@@ -35,6 +35,12 @@ def parsed(source):
 
 
 @cache
+def nodes(source):
+    """All nodes of a source, found once for all checks."""
+    return tuple(ast.walk(parsed(source)))
+
+
+@cache
 def modules():
     """The names and sources of all modules."""
     found = []
@@ -120,35 +126,37 @@ def asked_kinds(module, source):
     for name, found in names.items():
         if of_one_family(found):
             yield f"{module} imports {name}, of one family"
-    for node in ast.walk(tree):
-        text = ast.unparse(node) if isinstance(node, ast.expr) else ""
+    for node in nodes(source):
         if isinstance(node, ast.Attribute) and of_one_family(value(node, names)):
-            yield f"{module} names {text}, of one family"
+            yield f"{module} names {ast.unparse(node)}, of one family"
         elif isinstance(node, ast.Constant) and type(node.value) is str:
             if re.fullmatch(r"pgm\.beliefs\.(?!own\b)\w+\.family", node.value):
-                yield f"{module} names the module {text} of one family"
+                yield f"{module} names the module {node.value!r} of one family"
         elif isinstance(node, ast.Compare) and isinstance(node.ops[0], EQUAL):
             if module not in MAY_COMPARE and attributes(node) & NAMES:
-                yield f"{module} compares a name: {text}"
+                yield f"{module} compares a name: {ast.unparse(node)}"
             elif called & set(texts(node)):
-                yield f"{module} compares with what a family is called: {text}"
+                yield f"{module} compares with what a family is called: {ast.unparse(node)}"
             elif any(of_one_kind(value(n, names)) for n in ast.walk(node)):
-                yield f"{module} compares a class: {text}"
+                yield f"{module} compares a class: {ast.unparse(node)}"
         elif isinstance(node, ast.MatchValue) and called & set(texts(node)):
             yield f"{module} matches what a family is called: {ast.unparse(node)}"
         elif isinstance(node, ast.MatchClass) and of_one_kind(value(node.cls, names)):
             yield f"{module} matches a class: {ast.unparse(node)}"
         elif isinstance(node, ast.Call) and getattr(node.func, "id", "") in ASKING:
             kinds = [n for n in ast.walk(node.args[1]) if of_one_kind(value(n, names))]
-            yield from (f"{module} asks for a class: {text}" for _ in kinds)
+            yield from (f"{module} asks for a class: {ast.unparse(node)}" for _ in kinds)
 
 
+@cache
 def classes():
     """The classes of the package, by module and name, with the names that each defines."""
-    for module, source in modules():
-        for node in ast.walk(parsed(source)):
-            if isinstance(node, ast.ClassDef):
-                yield (module, node.name), defined(node)
+    return [
+        ((module, node.name), defined(node))
+        for module, source in modules()
+        for node in nodes(source)
+        if isinstance(node, ast.ClassDef)
+    ]
 
 
 def defined(node):
@@ -166,7 +174,7 @@ def defined(node):
 
 def overloads(source):
     """The lines of a module that name `typing.overload`, in whatever spelling."""
-    for node in ast.walk(parsed(source)):
+    for node in nodes(source):
         if (isinstance(node, ast.ImportFrom) and any(a.name == "overload" for a in node.names)) or (
             isinstance(node, ast.Attribute) and node.attr == "overload"
         ):
@@ -175,7 +183,7 @@ def overloads(source):
 
 def sums_of_products(source):
     """The functions of a module that multiply arrays and sum the product, by name."""
-    for function in ast.walk(parsed(source)):
+    for function in nodes(source):
         if isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef):
             products = {
                 target.id
@@ -218,13 +226,11 @@ def is_sum(node, products):
 
 def said(source):
     """The strings of a module, docstrings apart, as patterns: what is filled in is anything."""
-    tree = parsed(source)
-    told = {id(n.value) for n in ast.walk(tree) if isinstance(n, ast.Expr)}
-    inside = {
-        id(part) for n in ast.walk(tree) if isinstance(n, ast.JoinedStr) for part in ast.walk(n)
-    } - {id(n) for n in ast.walk(tree) if isinstance(n, ast.JoinedStr)}
-    for node in ast.walk(tree):
-        if id(node) in told | inside:
+    told = {id(n.value) for n in nodes(source) if isinstance(n, ast.Expr)}
+    joined = [n for n in nodes(source) if isinstance(n, ast.JoinedStr)]
+    inside = {id(part) for n in joined for part in ast.walk(n)} - {id(n) for n in joined}
+    for node in nodes(source):
+        if id(node) in told or id(node) in inside:
             continue
         if isinstance(node, ast.Constant) and type(node.value) is str:
             yield node.value

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from crossed import slow_after
 from robots import LANDMARKS, SENSORS, controls, drive_along, drive_cpd, m, network, u, x
 from textbooks import wrap
 
@@ -197,7 +198,7 @@ def range_bearing(heading):
     return model, drawn.evidence, when, which
 
 
-@pytest.mark.parametrize("heading", [0.0, 3.0])
+@pytest.mark.parametrize("heading", slow_after(1, [3.0, 0.0]))
 def test_range_and_bearing(heading):
     """At a heading of 3 rad the angles cross ±π."""
     model, evidence, when, which = range_bearing(heading)
@@ -261,7 +262,7 @@ def test_a_heading_with_noise_of_many_turns(wraps):
     np.testing.assert_allclose(found.log_weights, found.gaussian_log_evidence, atol=1e-9)
 
 
-@pytest.mark.parametrize("known_start", [False, True])
+@pytest.mark.parametrize("known_start", slow_after(1, [False, True]))
 def test_a_pose_without_noise_driven_by_a_hidden_control(known_start):
     """The pose's process noise is that of the controls: rank 2 of 3, on a curved surface."""
     command = pgm.Variable("command", components=u.components)

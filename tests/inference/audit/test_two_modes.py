@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from crossed import crossed
 from scipy.integrate import quad
 
 import pgm
@@ -40,8 +41,7 @@ def one_mode(net, lineariser):
     )
 
 
-@pytest.mark.parametrize("lineariser", [pgm.Taylor(), pgm.Cubature()], ids=repr)
-@pytest.mark.parametrize("variance", [0.1, 0.01])
+@crossed(("lineariser", "variance"), [pgm.Taylor(), pgm.Cubature()], [0.1, 0.01])
 def test_a_product_whose_other_mode_was_lost(variance, lineariser):
     net, evidence, second = product(variance)
     posterior = one_mode(net, lineariser)

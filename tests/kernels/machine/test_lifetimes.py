@@ -3,8 +3,6 @@
 import ctypes
 import gc
 import os
-import subprocess
-import sys
 import threading
 import weakref
 
@@ -50,11 +48,6 @@ def test_a_callable_passed_to_c_keeps_its_machine_code():
         ctypes.cast(function, ctypes.c_void_p).value
     )
     assert again(1.0) == pytest.approx(value(2.0, 1.0), rel=1e-15)
-
-
-def test_importing_pgm_loads_no_llvm():
-    program = "import sys, pgm; sys.exit('llvmlite' in sys.modules)"
-    subprocess.run([sys.executable, "-c", program], check=True)
 
 
 def forked(child):

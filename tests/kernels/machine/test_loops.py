@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from crossed import slow_after
 from numpy.testing import assert_allclose
 
 import pgm
@@ -20,7 +21,10 @@ from pgm.kernels.machine.loops.transfers import read, write
 from pgm.kernels.machine.sweeps import chain as sweeps
 from pgm.kernels.numbers import Matrix
 
-SIZES = [(1, 1), (2, 1), (3, 2), (4, 4), (5, 3), (7, 9), (8, 8), (13, 5), (24, 12), (60, 33)]
+SIZES = slow_after(
+    6,
+    [(1, 1), (3, 2), (5, 3), (7, 9), (13, 5), (60, 33), (2, 1), (4, 4), (8, 8), (24, 12)],
+)
 LANES = (1, 8)
 
 
@@ -222,12 +226,24 @@ def curved(n, d, runs):
 RULES = {"taylor": pgm.Taylor(), "unscented": pgm.Unscented(), "cubature": pgm.Cubature()}
 
 
+def sweeps_of(kind, rule, sizes):
+    """Cases of that many components, the first of them quick."""
+    slow = [pytest.param(kind, rule, size, marks=pytest.mark.slow) for size in sizes[1:]]
+    return [(kind, rule, sizes[0]), *slow]
+
+
 @pytest.mark.parametrize("runs", [(), (11,)], ids=["one", "packs"])
-@pytest.mark.parametrize("n", [6, 12, 24, 50])
-@pytest.mark.parametrize(("kind", "rule"), [(linear, "taylor")] + [(curved, r) for r in RULES])
+@pytest.mark.parametrize(
+    ("kind", "rule", "n"),
+    [
+        *sweeps_of(linear, "taylor", [24, 6, 12, 50]),
+        *sweeps_of(curved, "taylor", [12, 6, 24, 50]),
+        # of more components they have more points than are compiled
+        *sweeps_of(curved, "unscented", [6, 12, 24]),
+        *sweeps_of(curved, "cubature", [6, 12, 24]),
+    ],
+)
 def test_sweeps_are_those_of_numpy(monkeypatch, kind, rule, n, runs):
-    if rule != "taylor" and n > 24:
-        pytest.skip("more points than are compiled")
     monkeypatch.setattr(sweeps, "is_long", lambda chain, lanes: True)
     sweeps.made.cache_clear()
     model, x, evidence = kind(n, n // 3, runs)

@@ -1,6 +1,3 @@
-import subprocess
-import sys
-
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -334,11 +331,6 @@ def test_the_number_of_axes_must_be_that_of_components():
 
 
 # --- the package
-
-
-def test_pgm_does_not_import_matplotlib():
-    code = "import sys, pgm; assert 'matplotlib' not in sys.modules"
-    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 # --- what several beliefs on one axes share

@@ -3,6 +3,7 @@
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from crossed import crossed
 from matplotlib.patches import Ellipse, FancyArrowPatch, Rectangle
 
 import pgm
@@ -45,8 +46,7 @@ def test_levels_go_by_depth_and_leaves_by_time(robot, steps):
         assert across == sorted(level, key=lambda k: (graph.segment(k), k))
 
 
-@pytest.mark.parametrize("steps", [0, 1, 2, 6, 16])
-@pytest.mark.parametrize("messages", [False, True])
+@crossed(("steps", "messages"), [0, 1, 2, 6, 16], [False, True])
 def test_nothing_lies_on_anything(model, steps, messages):
     graph = tree(model, steps)
     ax = pgm.plot.cluster_graph(graph, messages=messages)

@@ -3,6 +3,7 @@ from itertools import combinations
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from crossed import slow_after
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Ellipse, Rectangle
 
@@ -462,7 +463,7 @@ def test_any_residuals_have_colours(any_graph, numbers):
     assert len([name for name in named if name]) >= 2
 
 
-@pytest.mark.parametrize("size", [None, (4.0, 3.0), (9.0, 3.0)])
+@pytest.mark.parametrize("size", slow_after(1, [(None,), ((4.0, 3.0),), ((9.0, 3.0),)]))
 def test_texts_stand_out_from_every_shade_and_the_bar_from_the_clusters(any_graph, size):
     v = pgm.variables([f"v{k}" for k in range(31)])
     scopes = [v[: k + 1] for k in range(30)]

@@ -6,6 +6,7 @@ import re
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from crossed import slow_after
 from matplotlib.text import Text
 
 import pgm
@@ -50,7 +51,7 @@ def bare(text):
     return re.sub(r"[\s_]", "", text)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", slow_after(2, NAMES))
 def test_names_are_shown_word_for_word(name):
     texts = []
     for ax in drawn(name):

@@ -3,6 +3,7 @@ from itertools import combinations, pairwise
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from crossed import crossed
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Ellipse, FancyArrowPatch
 
@@ -89,8 +90,7 @@ def ends(line, nodes):
     )
 
 
-@pytest.mark.parametrize("name", NETWORKS)
-@pytest.mark.parametrize("size", [None, (12.0, 2.5)])
+@crossed(("name", "size"), list(NETWORKS), [None, (12.0, 2.5)])
 def test_all_is_there_in_order_and_nothing_lies_on_anything(name, size):
     parents = NETWORKS[name]
     ax = None if size is None else plt.subplots(figsize=size)[1]

@@ -138,8 +138,6 @@ STATIC = {
     "children": [[], *([0] for _ in range(40))],
     "parents": [[]] * 30 + [list(range(30))],
     "random 40": random_parents(40),
-    "random 100": random_parents(100),
-    "tree 100": random_tree(100),
     "square": square(6),
     "loose": [[]] * 12,
 }
@@ -150,7 +148,6 @@ DYNAMIC = {
     "hub of 12": (hub(12), 1),
     "sensors 20": (sensors(20), 1),
     "tracker": (tracker(), 3),
-    "tracker long": (tracker(), 20),
 }
 NETWORKS = {
     **{
@@ -223,7 +220,6 @@ def _sighted():
 GRAPHS = {
     "chain 4": _drawn(_chain(4)),
     "chain 4 messages": _drawn(_chain(4), messages=True),
-    "chain 60": _drawn(_chain(60)),
     "chain part": _drawn(_chain(1000), steps=3, sizes=True),
     "chain around": _drawn(_chain(1000), around=500, messages=True),
     "chain 20 sensors": _drawn(_chain(4, lambda: sensors(20))),
@@ -234,16 +230,20 @@ GRAPHS = {
     "junction tree 12": _drawn(_tree(random_parents(12)), messages=True),
     "junction tree 40": _drawn(_tree(random_parents(40)), sizes=True, colour="size"),
     "discrete": _drawn(lambda: pgm.compile(discrete()), sizes=True, colour="size"),
-    "tree 80": _drawn(_tree(random_tree(80))),
     "tree around": _drawn(_tree(random_tree(150)), around=70),
     "bethe 4": _drawn(lambda: _bethe(square(2)), messages=True),
-    "bethe 40": _drawn(lambda: _bethe(random_parents(40)), messages=True),
     "ltrip 25": _drawn(lambda: pgm.compile(static(square(5)), method=pgm.LTRIP())),
     "residuals": lambda: _flooded(5),
     "residuals of rounding": lambda: _flooded(300),
     "star": _drawn(lambda: _bethe([[], *([0] for _ in range(30))])),
 }
 LARGE = {
+    "chain 60": _drawn(_chain(60)),
+    "tree 80": _drawn(_tree(random_tree(80))),
+    "bethe 40": _drawn(lambda: _bethe(random_parents(40)), messages=True),
+    "static random 100": lambda: pgm.plot.network(static(random_parents(100))),
+    "static tree 100": lambda: pgm.plot.network(static(random_tree(100))),
+    "dynamic tracker long": lambda: pgm.plot.network(tracker(), steps=20),
     "bethe 80": _drawn(lambda: _bethe(random_parents(80))),
     "balanced 60": _drawn(_balanced(60)),
     "static random 200": lambda: pgm.plot.network(static(random_parents(200))),
