@@ -2,6 +2,7 @@
 
 import math
 import random
+from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from types import SimpleNamespace
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 import pgm
+from models import motion
 from pgm.tracing import Tracer
 from pgm.tracing.reads import reads_of
 
@@ -46,6 +48,46 @@ class Motion:
     def move(self, a):
         return a + self.rate
 
+    def __call__(self, a):
+        return self.move(a)
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    angle: float
+    motion: Motion
+
+    def by(self, a):
+        return self.motion.move(np.cos(self.angle) * a)
+
+
+class Listing(Motion):
+    def __init__(self):
+        self.others = [0.5]
+
+
+class Adding(Motion):
+    def __add__(self, other):
+        return other + box[0]
+
+
+class Computing(Motion):
+    @property
+    def rate(self):
+        return box[0]
+
+
+def by_module(a):
+    return motion.velocity(a, a)
+
+
+def storing(a):
+    moving.rate = 0.5
+    return a + moving.rate
+
+
+moving = Motion()
+
 
 def imports(a):
     from time import time
@@ -72,9 +114,12 @@ marked.rate = 0.5
         lambda a: a + globals()["rate"],
         lambda a: wild(a),
         lambda a: [wild(b) for b in a],
-        Motion().move,
         closed(box),
-        closed(Motion()),
+        closed(Adding()),
+        Listing().move,
+        Adding().move,
+        Computing(),
+        storing,
         closed(np.zeros(1000)),
         closed(np.zeros(2, dtype=object)),
         partial(plain, scale=2.0),
@@ -106,6 +151,44 @@ def test_a_change_is_seen(change, monkeypatch):
     reads = reads_of(plain)
     assert reads.stand()
     change(monkeypatch)
+    assert not reads.stand()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda patch, turn: patch.setattr(turn.motion, "rate", 0.25, raising=False),
+        lambda patch, turn: patch.setattr(Motion, "rate", 0.25),
+        lambda patch, turn: patch.setattr(Motion, "move", lambda self, a: a),
+        lambda patch, turn: patch.setattr(Turn, "by", lambda self, a: a),
+        lambda patch, turn: patch.setattr(Motion.move, "__code__", (lambda self, a: a).__code__),
+        lambda patch, turn: patch.setattr(turn.motion, "move", np.sin, raising=False),
+        lambda patch, turn: patch.setattr(turn.motion, "__class__", Adding),
+        lambda patch, turn: object.__setattr__(turn, "angle", 0.25),
+    ],
+)
+def test_a_change_of_an_object_or_its_class_is_seen(change, monkeypatch):
+    turn = Turn(0.5, Motion())
+    assert reads_of(turn.by).stand()
+    reads = reads_of(lambda a: turn.by(a))
+    assert reads.stand()
+    change(monkeypatch, turn)
+    assert not reads.stand()
+
+
+def test_a_change_in_a_module_is_seen(monkeypatch):
+    reads = reads_of(by_module)
+    assert reads.stand()
+    monkeypatch.setattr(motion, "forward", 1.0, raising=False)
+    assert reads.stand()
+    monkeypatch.setattr(motion.planar, "move", lambda *_: 0.0)
+    assert not reads.stand()
+
+
+def test_objects_that_are_called_are_known(monkeypatch):
+    reads = reads_of(Motion())
+    assert reads.stand()
+    monkeypatch.setattr(Motion, "__call__", lambda self, a: a)
     assert not reads.stand()
 
 
