@@ -129,13 +129,11 @@ class Answers:
         """Judge the trace at points (k, width) of each argument, where machine code evaluated it.
 
         `std` (k, size) are the deviations of beliefs over the stacked hidden parents; None where no
-        derivative was used.
+        derivative was used, and the points are those whose values are judged.
         """
         if not self._open or self.fault is not None:
             return
         flat = np.concatenate(arguments, axis=-1)
-        if std is None:
-            flat = flat[:: self.thin]
         for first in range(0, len(flat), _BATCH):
             rows = slice(first, first + _BATCH)
             self._swept.append((flat[rows], None if std is None else std[rows, self.places]))
@@ -347,8 +345,10 @@ class Judge:
         if large and alone is not None:
             own = alone.trace or alone.traced()
         if large and not (isinstance(own, str) or own.cast):
-            slopes = _ENTRIES // max(len(found.program.slope), 1)
-            found.every = math.ceil(count / min(max(slopes, EVEN), _SLOPES))
+            most = _VALUES
+            if found.program.slope and not found.program.smooth:  # whose slopes are looked at
+                most = min(max(_ENTRIES // len(found.program.slope), EVEN), _SLOPES)
+            found.every = math.ceil(count / most)
             found.thin = math.ceil(count / found.every / _VALUES)
         self.answers.append(found)
         return found

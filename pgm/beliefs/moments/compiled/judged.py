@@ -268,6 +268,10 @@ def _judge(family: Family, belief: _Slice | _Pair, *, alone: bool) -> None:
     if regressed:
         assert isinstance(rule, StatisticalRegression)
         points = rule.points(template.size, template.child.name, 0).points
+        # Of very many points, of which a belief has several, some are judged.
+        rows = slice(None, None, answers.thin * len(points) if answers.thin > 1 else None)
+        x, spread = x[rows], spread[rows]
+        known = [None if a is None else a[rows] for a in known]
         x = x[:, None] + np.nan_to_num(times_transposed(points, roots.root(spread)))
         known = [None if a is None else a.repeat(x.shape[1], 0) for a in known]
         x = x.reshape(-1, template.size)
