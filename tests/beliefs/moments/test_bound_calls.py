@@ -9,6 +9,7 @@ import pytest
 import pgm
 from pgm.beliefs.moments.digits import certificate, last_places
 from pgm.beliefs.moments.solvers.bound import Bound
+from pgm.beliefs.moments.steps import sensor
 
 pytestmark = pytest.mark.skipif(find_spec("llvmlite") is None, reason="llvmlite is not installed")
 
@@ -102,6 +103,26 @@ def test_a_bound_call_of_numpy_alone(bound):
     due = pgm.smooth(robot(), evidence(98), compiled=False)
     np.testing.assert_allclose(found[x].mean, due[x].mean, rtol=0, atol=1e-10)
     np.testing.assert_allclose(found[x].cov, due[x].cov, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_readings_are_those_of_the_call_wherever_they_lie(name, monkeypatch):
+    """Readings with missing ones are a new array each time; kept, no other takes its place."""
+    model, call, kept = robot(), CALLS[name], []
+    marked = sensor._marked
+
+    def keeping(*given):
+        kept.append(marked(*given))
+        return kept[-1]
+
+    monkeypatch.setattr(sensor, "_marked", keeping)
+    for seed in range(OFTEN):
+        call(model, evidence(seed, 0.3), compiled=True)
+    assert is_bound(model)
+    given = evidence(99, 0.3)
+    found, due = call(model, given, compiled=True), call(robot(), given, compiled=True)
+    np.testing.assert_array_equal(found[x].mean, due[x].mean)
+    np.testing.assert_array_equal(found.log_evidence, due.log_evidence)
 
 
 def test_posteriors_of_bound_calls_share_nothing(bound):

@@ -168,6 +168,7 @@ class Bound:
         varying = []
         for owner, each in named:
             array = each.get(owners[owner])
+            numbers[each.place] = address(array)  # one that is made when asked for lies elsewhere
             if array is each.get(others[owner]):
                 self._kept.append(array)
             elif not any(np.may_share_memory(array, block) for block in mine[1]):
@@ -264,14 +265,14 @@ class Bound:
         table = NamedTable(plan, 1, owners, record)
         cpds = {"stored": False, "keep": True, "controlled": False}
         self._ahead = sweeps.made(sweep.told_ahead(plan, table, (), **cpds, gate=None), 1)
-        return self._whole(table, record["ended"]), _owned(table)
+        return self._whole(table, record["ended"]), _owned(table, 0)
 
     def _tabled_back(self, plan: ChainPlan, owners: list[Any]) -> tuple[list[int], Owned]:
         """The table of the sweep back, and the names of its arrays."""
         *_, moved, record, ahead = owners
         table = NamedTable(plan, 1, owners, record)
         self._behind = sweeps.made(sweep.told_back(plan, table, ahead, moved, record), 1)
-        return self._whole(table, record["ended back"]), _owned(table)
+        return self._whole(table, record["ended back"]), _owned(table, self._before)
 
     def _whole(self, table: NamedTable, ended: Array) -> list[int]:
         """The numbers of a table, which begins with those that are of the sweep as a whole."""
@@ -299,8 +300,10 @@ class Bound:
         return ChainOutcome(*parts, beliefs, Reverse(states, None, beliefs, True))
 
 
-def _owned(table: NamedTable) -> Owned:
-    return [(each.owner, each) for each in table.form.named]
+def _owned(table: NamedTable, first: int) -> Owned:
+    """The names of a table's arrays, whose numbers begin at `first`."""
+    named = table.form.named
+    return [(each.owner, each._replace(place=first + each.place)) for each in named]
 
 
 def bound_to(
