@@ -54,6 +54,10 @@ _IDLE = frozenset(
         *("__eq__", "__hash__", "__setattr__", "__delattr__"),
     }
 )
+# Names in NumPy of what is no function of its arguments: it draws, or reads files or settings.
+_CHANGING = frozenset(
+    {"random", "load", "loadtxt", "genfromtxt", "fromfile", "memmap", "geterr", "getbufsize"}
+)
 # Instructions that read what no name tells, or change what is read.
 _REFUSED = "IMPORT", "BUILD_CLASS", "MATCH_CLASS", "STORE_ATTR", "DELETE_ATTR"
 # The flag of a class that a program has made, and kinds of attributes that those of C have.
@@ -82,6 +86,7 @@ class Reads:
         self._names: list[tuple[_Names, str, object]] = []
         self._arrays: list[tuple[Any, tuple[object, ...]]] = []
         self._objects: list[tuple[object, type, tuple[type, ...]]] = []
+        self._dicts: list[tuple[object, object]] = []
         self._listed: list[tuple[Mapping[str, object], tuple[str, ...]]] = []
         # Names of attributes that are met, and what may have them.
         self._attributes: set[str] = set()
@@ -96,6 +101,7 @@ class Reads:
         return (
             all(_held(cell) is value for cell, value in self._cells)
             and all(type(x) is kind and kind.__mro__ is mro for x, kind, mro in self._objects)
+            and all(getattr(x, "__dict__", None) is held for x, held in self._dicts)
             and all(tuple(held) == listed for held, listed in self._listed)
             and all(names.get(name, _NOTHING) is value for names, name, value in self._names)
             and all(_numbers(array) == numbers for array, numbers in self._arrays)
@@ -112,7 +118,7 @@ class Reads:
         if kind in (tuple, frozenset):
             for each in value:
                 self._add(each)
-        elif kind is partial and not value.keywords:
+        elif kind is partial and not value.keywords and not vars(value):
             self._add(value.func)
             self._add(value.args)
         elif kind is np.ndarray and value.size <= _LARGEST and value.dtype.kind in "biuf":
@@ -125,6 +131,8 @@ class Reads:
         elif kind is ModuleType:
             if "__getattr__" in vars(value):
                 raise _Unknown
+            self._objects.append((value, kind, kind.__mro__))
+            self._look_up(vars(value), ["__getattr__"])
             self._hold(vars(value))
         else:
             self._add_object(value)
@@ -136,8 +144,9 @@ class Reads:
         if type(kind) is not type or not all(map(_is_written, own)):
             raise _Unknown
         self._objects.append((value, kind, kind.__mro__))
+        self._dicts.append((value, getattr(value, "__dict__", None)))
         held = getattr(value, "__dict__", {})
-        self._listed.append((held, tuple(held)))
+        self._listed += [(names, tuple(names)) for names in (held, *map(vars, own))]
         self._look_up(held, tuple(held))
         self._meet("__call__")
         for each in map(vars, own):
@@ -153,6 +162,8 @@ class Reads:
 
     def _meet(self, name: str) -> None:
         """The name of an attribute that is read of something."""
+        if name in _CHANGING or (name[:2] == name[-2:] == "__" and name != "__call__"):
+            raise _Unknown  # as of obj.__dict__, or obj.__class__, which is not looked up by name
         if name not in self._attributes:
             self._attributes.add(name)
             for names in list(self._holders):
@@ -237,7 +248,7 @@ def _numbers(array: Any) -> tuple[object, ...]:
 def _is_of_library(value: Any) -> bool:
     """Whether an object is a part of a library, and reads nothing of a program's own."""
     if isinstance(value, ModuleType):
-        return value.__name__.partition(".")[0] in _LIBRARIES
+        return _is_library(value.__name__)
     if isinstance(value, np.ufunc):  # others may be made of a function of Python
         return value is getattr(np, value.__name__, None)
     kind = type(value)
@@ -245,9 +256,15 @@ def _is_of_library(value: Any) -> bool:
         if kind is BuiltinFunctionType and not isinstance(value.__self__, ModuleType | None):
             return False  # a method of something
         return value in _BUILTINS or _root(value) == "numpy"
-    if kind is FunctionType:
-        return _root(value) in _LIBRARIES and value.__closure__ is None
+    if kind is FunctionType:  # by where it is written: others may have the name of its module
+        return _is_library(value.__globals__.get("__name__", "")) and value.__closure__ is None
     return kind.__name__ == "_ArrayFunctionDispatcher" and _root(kind) == "numpy"
+
+
+def _is_library(name: str) -> bool:
+    """Whether a module of this name is part of a library, and what it has is its own."""
+    root, *rest = str(name).split(".")
+    return root in _LIBRARIES and _CHANGING.isdisjoint(rest)
 
 
 def _root(value: Any) -> str:

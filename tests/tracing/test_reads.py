@@ -5,7 +5,7 @@ import random
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -100,6 +100,16 @@ def marked(a):
 
 
 marked.rate = 0.5
+held = partial(plain)
+held.rate = 0.5
+
+
+class Renewing:
+    def __init__(self, a):
+        self.moved = a + rate
+
+    def move(self, a):
+        return self.__class__(a).moved
 
 
 @pytest.mark.parametrize(
@@ -111,6 +121,12 @@ marked.rate = 0.5
         lambda a: a + np.random.default_rng(0).normal() * names.rate,
         lambda a: a + Motion.rate,
         lambda a: a + eval("rate"),
+        lambda a: a + np.random.normal(),
+        lambda a: a + np.load("rate.npy"),
+        lambda a: a + motion.__dict__["rate"],
+        lambda a: a + inner.__defaults__[0],
+        lambda a: held(a) * held.rate,
+        Renewing(0.0).move,
         lambda a: a + globals()["rate"],
         lambda a: wild(a),
         lambda a: [wild(b) for b in a],
@@ -165,6 +181,8 @@ def test_a_change_is_seen(change, monkeypatch):
         lambda patch, turn: patch.setattr(turn.motion, "move", np.sin, raising=False),
         lambda patch, turn: patch.setattr(turn.motion, "__class__", Adding),
         lambda patch, turn: object.__setattr__(turn, "angle", 0.25),
+        lambda patch, turn: patch.setattr(turn.motion, "__dict__", {"rate": 0.25}),
+        lambda patch, turn: patch.setattr(Motion, "__bool__", lambda self: False, raising=False),
     ],
 )
 def test_a_change_of_an_object_or_its_class_is_seen(change, monkeypatch):
@@ -182,6 +200,24 @@ def test_a_change_in_a_module_is_seen(monkeypatch):
     monkeypatch.setattr(motion, "forward", 1.0, raising=False)
     assert reads.stand()
     monkeypatch.setattr(motion.planar, "move", lambda *_: 0.0)
+    assert not reads.stand()
+
+
+def test_a_module_that_begins_to_compute_its_attributes_is_seen(monkeypatch):
+    computing = type("computing", (ModuleType,), {"planar": property(lambda self: box[0])})
+    for name, value in (("__getattr__", box.index), ("__class__", computing)):
+        reads = reads_of(by_module)
+        assert reads.stand()
+        with monkeypatch.context() as patch:
+            patch.setattr(motion, name, value, raising=False)
+            assert not reads.stand()
+
+
+def test_a_function_that_has_the_name_of_a_library_is_known_for_itself(monkeypatch):
+    monkeypatch.setattr(inner, "__module__", "numpy")
+    reads = reads_of(lambda a: inner(a))
+    assert reads.stand()
+    monkeypatch.setitem(globals(), "rate", 0.25)
     assert not reads.stand()
 
 
