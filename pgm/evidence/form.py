@@ -89,6 +89,11 @@ class Form:
         every = [(reading.cpd.child, reading.order) for reading in self.bound.readings]
         return frozenset(child for child, order in every if (order[1:] > order[:-1]).all())
 
+    @cached_property
+    def _span(self) -> Integers:
+        """The steps 1..T, at which plain arrays have values."""
+        return np.arange(1, self.bound.steps + 1)
+
     def _checked(self, key: Key, value: Any) -> Rows:
         """Values of the shape that is due, (..., rows, d); of a constant (..., d)."""
         due, constant = self.shapes[key]
@@ -136,13 +141,14 @@ class Form:
             count = self.bound.steps if reading is None else len(reading.step)
             found = complete(variable, found)[..., None, :]
             return by_row(np.broadcast_to(found, (*found.shape[:-2], count, found.shape[-1])), lead)
-        found = complete(variable, found)
-        if reading is not None and reading.cpd.child in self.steps:
-            if not isinstance(key, tuple):
+        if reading is None or not isinstance(key, tuple):
+            found = complete(variable, found, self._span)
+            if reading is not None and reading.cpd.child in self.steps:
                 found = found[..., reading.step - 1, :]
-            elif reading.cpd.child not in self._sorted:
-                found = found[..., reading.order, :]
-        return by_row(found, lead)
+            return by_row(found, lead)
+        if reading.cpd.child not in self._sorted:
+            found = found[..., reading.order, :]
+        return by_row(complete(variable, found, reading.step), lead)
 
     def _other(self, given: Mapping[Key, Any]) -> EvidenceError:
         """The error for evidence of other variables."""

@@ -141,6 +141,19 @@ def test_evidence_of_another_form_is_refused():
     assert_same(run(given), pgm.infer(graph, given))
 
 
+@pytest.mark.parametrize("where", [U, M])
+def test_an_input_that_is_missing_is_refused_by_its_step(where):
+    run = pgm.prepare(pgm.compile(robot(), STEPS), evidence(0))
+    given = evidence(1)
+    (given[U] if where == U else given[Z].given[M])[2] = np.nan
+    told = []
+    for call in (run, lambda given: pgm.smooth(robot(), given)):
+        with pytest.raises(pgm.EvidenceError, match=r"first at step 3") as refused:
+            call(given)
+        told.append((str(refused.value), refused.value.step))
+    assert told[0] == told[1]
+
+
 def test_what_cannot_be_prepared_is_refused():
     net = pgm.BayesianNetwork([pgm.GaussianCPD(X, [0, 0, 0], 1.0)])
     with pytest.raises(pgm.GraphError, match="prepare takes a graph of a dynamic network"):
