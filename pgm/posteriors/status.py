@@ -244,10 +244,10 @@ class Status(Shown, Immutable):
         lost = ""
         if self.digits is not None and (least := self.digits.min(initial=np.inf)) < ENOUGH_DIGITS:
             lost = f", {max(least, 0.0):.1f} digits left"
-        left = self.compilation.startswith(("not compiled", "compiled,"))
+        swept = self.compilation.startswith(("not compiled", "compiled"))
         if told := self._told:
             return f"Status({told})"
-        return f"Status({self._went()}{lost}{f'; {self.compilation}' if left else ''})"
+        return f"Status({self._went()}{lost}{f'; {self.compilation}' if swept else ''})"
 
     def _summary(self) -> Summary:
         if self._figures is not None and len(self._figures.phrases) > self._figures.on_a_line:
