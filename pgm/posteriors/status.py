@@ -178,16 +178,6 @@ class Status(Shown, Immutable):
         record = np.array(residuals, dtype=np.float64).reshape(count, *lead)
         return cls(count + 1, record, converged.reshape(lead))
 
-    def with_digits(self, digits: Array, cause: str = FAR_APART) -> Status:
-        """The same status with measured digits (*runs); fewer than six give a `PrecisionWarning`.
-
-        `cause` are the words of the warning on why digits are few, and what helps. By default they
-        say that standard deviations of the model lie too far apart for float64.
-        """
-        found = self._measured(digits, cause)
-        found._warn()
-        return found
-
     def _measured(self, digits: Array, cause: str) -> Status:
         """The same status with digits (*runs), without a warning.
 

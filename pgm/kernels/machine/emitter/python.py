@@ -223,5 +223,5 @@ def _exception(name: str) -> int:
 
 
 def _c_int(whole: Whole) -> Whole:
-    """What a function has given as an int of 32 bits, as a whole number without sign."""
+    """The int of 32 bits that a function has returned, as a whole number without sign."""
     return whole % 2**32

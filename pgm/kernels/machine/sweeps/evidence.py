@@ -20,7 +20,7 @@ CONSTANTS, ARRAYS, SIGHTINGS, VALUES, TIME, GIVEN, VARIABLES = range(7)
 
 @dataclass(frozen=True)
 class Evidence:
-    """What is given of a variable: a row (d,), or the sightings of a sensor, (M, d).
+    """Evidence of a variable: a row (d,), or the sightings of a sensor, (M, d).
 
     Attributes
     ----------
