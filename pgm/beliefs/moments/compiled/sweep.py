@@ -34,7 +34,7 @@ from pgm.beliefs.moments.steps.chain import MomentChain
 from pgm.beliefs.moments.steps.gate import Asked
 from pgm.beliefs.moments.steps.open_sensor import OpenSensor
 from pgm.beliefs.moments.steps.plan import ChainPlan
-from pgm.compile.machine import Compiled
+from pgm.compile.machine import LONG, Compiled
 from pgm.kernels.arrays import Array, Mask, address, vacant
 from pgm.kernels.machine.sweeps import chain as sweeps
 from pgm.kernels.machine.sweeps import told
@@ -52,7 +52,6 @@ _STEP, _LONG = 100, 250_000
 # Why runs are left to the general kernels, going forward and back.
 FAR = "readings are too sharp, a covariance is singular, or numbers are too far apart"
 CLOSE = f"two candidates are as likely or on the edge of a gate, {FAR}"
-LONG = "step control, and windows of a lag, are compiled for slices of few components"
 _SINGULAR = "a covariance is singular on the way back"
 # Sweeps of so many forms of plans are kept by a network's layout.
 _TOLD = 64
