@@ -126,7 +126,11 @@ class BoundEvidence:
         """Whether other evidence is laid out in the same way: all but its values is equal."""
         if self.steps != other.steps or self.lead != other.lead:
             return False
-        if self.first_run != other.first_run or len(self.readings) != len(other.readings):
+        if self.first_run != other.first_run:
+            return False
+        if len(self.transition) != len(other.transition):
+            return False
+        if len(self.readings) != len(other.readings):
             return False
         return all(map(_same_shapes, self.transition, other.transition)) and all(
             one.alike(another) for one, another in zip(self.readings, other.readings, strict=True)

@@ -136,18 +136,6 @@ def room(lead: tuple[int, ...], shape: tuple[int, ...]) -> Array:
     return memory.transpose(*range(own, memory.ndim), *range(own))
 
 
-def contiguous(matrix: Array) -> Array:
-    """The matrices (..., m, n) made contiguous: in C order, or by runs if they lie by runs.
-
-    By runs they are copied, with all leading axes in one row in memory for each entry (i, j).
-    """
-    if not by_runs(matrix):
-        return np.ascontiguousarray(matrix)
-    copy = room(matrix.shape[:-2], matrix.shape[-2:])
-    copy[...] = matrix
-    return copy
-
-
 def multiply(a: Array, b: Array) -> Array:
     """The products A B, (..., m, n), of stacked matrices A (..., m, k) and B (..., k, n).
 

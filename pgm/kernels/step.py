@@ -7,8 +7,9 @@ sums. What counts as rounding, and where to go on with more care, is decided by 
 each result tells the *share* of its root, the least part of a diagonal entry that is left to a
 pivot.
 
-The Kalman filter is `predict` and `update`; the smoother of Rauch, Tung and Striebel goes back by
-`back`, or by `reverse` and `push`.
+The Kalman filter is `push`, of which `predict` is the covariance, and `update`. The smoother of
+Rauch, Tung and Striebel turns each motion round by `reverse`, and goes back by `push`: the belief
+of a step is that of the next one, pushed through the reversed motion.
 """
 
 from __future__ import annotations
@@ -22,9 +23,7 @@ from pgm.kernels.numbers import (
     Number,
     inner,
     is_zero,
-    most,
     nearest_whole,
-    sqrt,
     where,
 )
 
@@ -220,11 +219,6 @@ def nearest(reading: Number, value: Number) -> Number:
     """An angle's reading on the branch nearest to a value: moved by whole turns, if it is far."""
     off = reading - value
     return where(abs(off) > math.pi, reading - TURN * nearest_whole(off / TURN), reading)
-
-
-def spread(terms: Sequence[Number], cov: Matrix) -> Number:
-    """The bound Σ |f_j| σ_j of a standard deviation of f x, by the deviations σ of x alone."""
-    return inner([abs(f) for f in terms], [sqrt(most(v, 0.0)) for v in cov.diagonal])
 
 
 class Rule(NamedTuple):

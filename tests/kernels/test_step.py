@@ -471,19 +471,6 @@ def test_the_nearest_branch_of_an_angle(kind):
     assert_due(kind, found, due, condition=20.0)
 
 
-@ONE_BY_ONE
-@SEEDS
-def test_the_bound_of_a_spread(kind, seed):
-    _, cov, matrix, _, _ = drawn(seed, 3, 1)
-    found = kind.run(lambda p, f: step.spread(f.rows[0], p), kind.matrix(cov), kind.matrix(matrix))
-
-    def due(k):
-        terms = zip(exact(matrix, k), [mp.sqrt(exact(cov, k)[i, i]) for i in range(3)], strict=True)
-        return mp.matrix([[sum(abs(f) * s for f, s in terms)]])
-
-    assert_due(kind, found, due)
-
-
 RULES = [Unscented(), Cubature(), GaussHermite(3)]
 
 

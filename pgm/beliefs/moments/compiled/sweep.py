@@ -341,7 +341,7 @@ def _run(
     calls: Calls | None = None,
     iterations: int = 1,
 ) -> Array:
-    """Run a sweep on all runs of a plan; what it tells of each, (`sweeps.TOLD`, runs).
+    """Run a sweep on all runs of a plan; returns what it tells of each, (`chain.TOLD`, runs).
 
     `key` is what decides its code, and `tell` tells that, if no such plan was told before. `out`
     are the arrays that it fills.
@@ -370,9 +370,9 @@ def lanes_of(plan: ChainPlan) -> int:
 
 
 def run(plan: ChainPlan, sweep: sweeps.Sweep, numbers: Integers64, out: Sequence[Array]) -> Array:
-    """Run a sweep of a table of numbers on all runs of a plan; what it tells of each.
+    """Run a sweep of a table of numbers on all runs of a plan; returns what it tells of each.
 
-    That is (`sweeps.TOLD`, runs). `out` are the arrays that it fills.
+    The result is (`chain.TOLD`, runs). `out` are the arrays that it fills.
     """
     choice, lanes = plan.layout.compiled, lanes_of(plan)
     ended = np.zeros((sweeps.TOLD, plan.runs))

@@ -243,7 +243,7 @@ class Bound:
         return owners
 
     def _ended(self, blocks: Sequence[Array]) -> list[Array]:
-        """What each of the sweeps tells of its end."""
+        """The arrays in which each of the sweeps tells of its end."""
         return [each.of(blocks) for each in self._room.ended]
 
     def _moments(self, blocks: Sequence[Array]) -> tuple[Pair, Pair]:
@@ -370,7 +370,7 @@ def _require_plain(plan: ChainPlan, *, back: bool) -> None:
 
 
 def _check(family: Family, points: Standing, first: int) -> _Check:
-    """What is needed to clear a family's trace at points whose places follow others."""
+    """The clearing of a family's trace at points whose places follow others."""
     answers = family.compiled
     assert answers is not None
     clearing = answers.slopes.clearing(answers.trace, differentiated=True)

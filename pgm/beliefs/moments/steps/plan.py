@@ -336,7 +336,7 @@ class Blank:
 
     @classmethod
     def of(cls, plan: ChainPlan, bound: BoundEvidence, lineariser: Lineariser) -> Blank:
-        """What a plan, just laid out, has in common with those for other evidence of its form."""
+        """The blank of a plan, just laid out: its part that other evidence of its form shares."""
 
         def links(every: list[Link]) -> list[Link]:
             return [link.with_family(link.family.emptied()) for link in every]

@@ -1,4 +1,4 @@
-"""What sweeps are written with: arrays by rows and runs, and the matrices in them."""
+"""Writers of sweeps: arrays by rows and runs, and the matrices in them."""
 
 from __future__ import annotations
 
