@@ -22,7 +22,7 @@ from pgm.beliefs.moments.compiled.plans import Integers64, Uncompiled
 from pgm.beliefs.moments.compiled.table import Named, NamedTable, lies
 from pgm.beliefs.moments.digits.certificate import MODERATE
 from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
-from pgm.beliefs.moments.passes.backward import Beliefs, Reverse, transition
+from pgm.beliefs.moments.passes.backward import Beliefs, transition
 from pgm.beliefs.moments.passes.forward import Forward
 from pgm.beliefs.moments.steps.account import Account
 from pgm.beliefs.moments.steps.plan import Blank, ChainPlan
@@ -31,7 +31,6 @@ from pgm.evidence import BoundEvidence
 from pgm.kernels.arrays import Array, address, vacant
 from pgm.kernels.machine.sweeps import chain as sweeps
 from pgm.kernels.machine.sweeps import told
-from pgm.kernels.moments import Conditional
 from pgm.linearisation.family import Family
 from pgm.posteriors.belief_kind import SMOOTHED
 from pgm.schedules.schedule import Filtering, Schedule, Smoothing
@@ -66,7 +65,7 @@ class _Room:
 
     def __init__(self, plan: ChainPlan, *, back: bool) -> None:
         self._sizes = [0, 0, 0]
-        size, front = plan.layout.slice_size, plan.layout.state_size
+        size = plan.layout.slice_size
         steps = plan.steps + 1
         belief = (steps, (size,)), (steps, (size, size))
         self.shown = [self._take(*each, block) for block, each in enumerate(belief, 1)]
@@ -74,8 +73,6 @@ class _Room:
         self.known = [self._take(*each) for each in belief] if back else self.shown
         self.density = self._take(steps, ())
         self.ended = [self._take(sweeps.TOLD, ()) for _ in range(1 + back)]
-        own = (front, size), (front,), (front, front)
-        self.reversed = [self._take(plan.steps, each) for each in own] if back else []
         # By the number of a family its slopes and offsets, by that of a sensor its moved readings.
         self.lines = {
             k: (
@@ -242,9 +239,7 @@ class Bound:
         record |= zip(("ended", "ended back"), self._ended(blocks), strict=False)
         owners = [*self._of_plan(plan), record, self._forward(blocks)]
         if self._back:
-            states, beliefs = self._reversed(blocks)
-            record |= zip(sweep.REVERSED, states, strict=True)
-            record |= zip(sweep.SMOOTHED, (beliefs.mean, beliefs.cov), strict=True)
+            record |= zip(sweep.SMOOTHED, self._shown(blocks), strict=True)
         return owners
 
     def _ended(self, blocks: Sequence[Array]) -> list[Array]:
@@ -284,9 +279,10 @@ class Bound:
         density = self._room.density.of(blocks)
         return Forward(mean, cov, *known, density, closest, far=False)
 
-    def _reversed(self, blocks: Sequence[Array]) -> tuple[Conditional, Beliefs]:
-        states = Conditional(*(each.of(blocks) for each in self._room.reversed))
-        return states, Beliefs(*(each.of(blocks) for each in self._room.shown))
+    def _shown(self, blocks: Sequence[Array]) -> Pair:
+        """The means and covariances that users ask for first."""
+        mean, cov = (each.of(blocks) for each in self._room.shown)
+        return mean, cov
 
     def _posterior(
         self, graph: DynamicGraph, plan: ChainPlan, blocks: Sequence[Array], closest: float
@@ -295,8 +291,7 @@ class Bound:
         parts = graph, self._status, self._kind, plan, swept
         if not self._back:
             return ChainOutcome(*parts, None, None)
-        states, beliefs = self._reversed(blocks)
-        return ChainOutcome(*parts, beliefs, Reverse(states, None, beliefs, True))
+        return ChainOutcome(*parts, Beliefs(*self._shown(blocks), kept=True), None)
 
 
 def _owned(table: NamedTable) -> Owned:

@@ -318,8 +318,7 @@ def _suffices(posterior: ChainOutcome) -> bool:
 
 def _is_kept(posterior: ChainOutcome) -> bool:
     """Whether the sweep back has told that its beliefs have the digits that are promised."""
-    reverse = posterior._reverse_given
-    return reverse is not None and reverse.kept and reverse.beliefs is posterior._smoothed
+    return posterior._smoothed is not None and posterior._smoothed.kept
 
 
 def _carefully(solver: Solver, plan: ChainPlan, given: Array | None) -> ChainOutcome:

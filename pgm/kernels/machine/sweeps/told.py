@@ -458,7 +458,7 @@ class Backward:
     known, predicted, motion : tuple of Array
         What a forward sweep has left, and the transition's matrix and noise.
     reversed : tuple of Array
-        The gain, offset and covariance of p(states | next slice).
+        The gain, offset and covariance of p(states | next slice); empty if they are not wanted.
     smoothed : tuple of Array
         The moments given all measurements; empty if they are not wanted.
     controls : tuple of Array
@@ -470,7 +470,7 @@ class Backward:
     known: tuple[Array, Array]
     predicted: tuple[Array, Array]
     motion: tuple[Array, Array]
-    reversed: tuple[Array, Array, Array]
+    reversed: tuple[Array, ...] = ()
     smoothed: tuple[Array, ...] = ()
     controls: tuple[Array, ...] = ()
 
