@@ -65,6 +65,12 @@ def address(array: npt.NDArray[Any]) -> int:
     return found
 
 
+def is_finite(array: Array) -> bool:
+    """Whether all numbers are finite."""
+    # A few bytes are searched in a quarter of the time that `all` takes.
+    return b"\0" not in np.isfinite(array).tobytes()
+
+
 def components_last(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
     """A view of an array with its first `own` axes, those of components, moved behind the batch.
 

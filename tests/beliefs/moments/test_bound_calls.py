@@ -1,5 +1,6 @@
 """Calls that were bound equal those that go the general way, and see all that these see."""
 
+import pickle
 from concurrent.futures import ThreadPoolExecutor
 from importlib.util import find_spec
 
@@ -95,6 +96,29 @@ def test_a_bound_call_equals_one_that_goes_the_general_way(name, missing, bound)
     np.testing.assert_array_equal(found.joint(*pair).cov, due.joint(*pair).cov)
     assert repr(found.status) == repr(due.status)
     assert found.status.compilation == due.status.compilation == "compiled"
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_a_bound_posterior_goes_to_another_process(name, bound):
+    """With what nobody has asked for yet."""
+    found = CALLS[name](bound, evidence(97), compiled=True)
+    sent = pickle.loads(pickle.dumps(found))
+    np.testing.assert_array_equal(sent[x].mean, found[x].mean)
+    np.testing.assert_array_equal(sent.predicted[x].cov, found.predicted[x].cov)
+    np.testing.assert_array_equal(sent.log_evidence, found.log_evidence)
+    pair = x.at(2), x.at(3)
+    np.testing.assert_array_equal(sent.joint(*pair).cov, found.joint(*pair).cov)
+    assert repr(sent) == repr(found)
+
+
+def test_readings_that_the_sweep_moves_to_other_branches_are_told_as_they_were(bound):
+    given = evidence(96)
+    turned = np.add(given[z].values, [0.0, 2.0 * np.pi])
+    other = {**given, z: pgm.sightings(turned, step=given[z].step, given=given[z].given)}
+    one, another = (pgm.smooth(bound, each, compiled=True) for each in (given, other))
+    np.testing.assert_allclose(one[x].mean, another[x].mean, rtol=0, atol=1e-10)
+    due = pgm.smooth(robot(), given, compiled=True).innovations[z]
+    np.testing.assert_array_equal(one.innovations[z].residual, due.residual)
 
 
 def test_a_bound_call_of_numpy_alone(bound):
