@@ -38,6 +38,8 @@ def is_marked(thing):
     for each in reversed(inspect.getmro(thing) if inspect.isclass(thing) else ()):
         own |= {k: v for k, v in vars(each).items() if k in ("__new__", "__init__")}
     made = getattr(own.get("__new__"), "__func__", None) or own.get("__init__")
+    if hasattr(thing, "__signature__"):  # that of a function which looks for misfits itself
+        return True
     return hasattr(made if inspect.isclass(thing) else thing, "__wrapped__")
 
 
@@ -90,6 +92,19 @@ TYPED = {
         lambda: pgm.smooth(MODEL, {}, pgm.Taylor()),
         "2 arguments by place (model, evidence), and 3 were given",
         "lineariser=, steps=",
+    ),
+    "one too many sightings": (
+        lambda: pgm.sightings([[1.0]], [0], {}, 1, gate=2),
+        "sightings has no argument gate=; it takes no more",
+    ),
+    "sightings at too many places": (
+        lambda: pgm.sightings([[1.0]], None, None, None),
+        "sightings takes 3 arguments by place (values, step, given), and 4 were given",
+    ),
+    "parents of sightings": (lambda: pgm.sightings([[1.0]], parents={}), "given=?"),
+    "sightings, nothing like it": (
+        lambda: pgm.sightings([[1.0]], bogus=1),
+        "has no argument bogus=; it takes step=, given=",
     ),
     "one too many": (lambda: pgm.GaussianCPD(x, 0.0, 1.0, 2.0), "3 arguments by place"),
     "one too few": (lambda: pgm.GaussianCPD(x, 0.0), "GaussianCPD lacks cov="),

@@ -59,6 +59,8 @@ class Compiled(InCode):
 
 # Points of these rules are the same at all steps.
 RULES = Unscented, Cubature, GaussHermite
+# Components of a slice from which on these surely leave machine code; of packs some two fewer do.
+_MANY = 9
 # The most points of a rule: NumPy takes no longer where there are more.
 POINTS = 128
 # Angles and components without noise are told to kernels by the bits of a number.
@@ -67,6 +69,7 @@ MOST = 60
 CONTROL = "Levenberg–Marquardt (damping=) judges the windows of a lag"
 # Why a CPD does whose sightings are one vector in sweeps that linearise going forward.
 GROUPED = "its sightings are grouped, and gated, weighed or linearised again"
+LONG = "step control, and windows of a lag, are compiled for slices of few components"
 COMPILED = "compiled"
 # Before the reason why machine code calls a function rather than having it itself.
 CALLED = "called back: "
@@ -135,7 +138,7 @@ class Compilation(Told[CPD]):
     'left to NumPy: Levenberg–Marquardt (damping=) judges the windows of a lag'
     """
 
-    __slots__ = ()
+    __slots__ = ("_size",)
 
     def under(self, schedule: Any) -> str:
         """Whether sweeps of a schedule are compiled, or why some of them are not.
@@ -154,6 +157,8 @@ class Compilation(Told[CPD]):
         several = getattr(schedule, "iterations", 1) > 1
         lagging = bool(getattr(schedule, "lag", 0))
         why = [CONTROL] if control and several and lagging else []
+        if several and (control or lagging) and self._size >= _MANY:
+            why.append(LONG)
         # The windows of a lag, and the control of steps, do not wait for functions that are called.
         waits = not (several and (control or lagging))
         called = {cpd: words for cpd, words in self.items() if waits and words.startswith(CALLED)}
@@ -169,7 +174,9 @@ class Compilation(Told[CPD]):
             why += [f"{cpd!r}: {GROUPED}" for cpd in self if _is_grouped(cpd)]
         if why:
             return f"left to NumPy: {'; '.join(why)}"
-        return COMPILED + "".join(f", {cpd.child.name} {words}" for cpd, words in called.items())
+        later = "; later linearisations by NumPy" if called and several and smooths else ""
+        called_back = (f", {cpd.child.name} {words}" for cpd, words in called.items())
+        return f"{COMPILED}{''.join(called_back)}{later}"
 
     def __init__(
         self, of: str, templates: Mapping[CPD, FunctionTemplate | None], sensors: Collection[CPD]
@@ -181,6 +188,8 @@ class Compilation(Told[CPD]):
             "Levenberg–Marquardt of the windows of a lag leaves machine code as well: "
             "posterior.status.compilation tells of a call",
         )
+        hidden = {cpd.child.template: cpd.child.dimension for cpd in found if cpd not in sensors}
+        self._size = sum(hidden.values())
 
 
 def _told(cpd: CPD, template: FunctionTemplate | None, sensor: bool) -> str:

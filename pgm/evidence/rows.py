@@ -13,7 +13,7 @@ from pgm.errors import EvidenceError
 from pgm.evidence.values import Constant, Soft
 from pgm.factors.axes import MISSING, as_indices
 from pgm.factors.scope import Place, in_row, in_run, listed, unknown_name
-from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.kernels.arrays import Array, Integers, Mask, is_finite
 from pgm.resources import APIECE, in_threads
 from pgm.variables import Discrete, Variable
 
@@ -68,9 +68,9 @@ def require_finite(
     advice: str = "finite numbers were due",
 ) -> Array:
     """Refuse NaN and infinity in evidence that must be complete, (..., rows, d)."""
-    finite = np.isfinite(array)
-    if finite.all():
+    if is_finite(array):
         return array
+    finite = np.isfinite(array)
     _refuse(
         variable,
         ~finite.all(axis=-1),
@@ -88,6 +88,8 @@ def taken_readings(
 
     NaN is a component not taken; infinity is refused.
     """
+    if array.size < APIECE and is_finite(array):
+        return None
     finite = np.empty(array.shape, dtype=bool)
 
     def look(first: int, last: int) -> None:

@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Never
 
 import numpy as np
 import numpy.typing as npt
 
-from pgm.arguments import public
+from pgm.arguments import public, public_in_loops, unfit
 from pgm.boundary import as_floats, is_number
 from pgm.cpds import CPD
 from pgm.display import InCode, Shown, Summary, as_numbers, brief, table
 from pgm.errors import EvidenceError
 from pgm.factors.scope import listed
-from pgm.immutable import Immutable
+from pgm.immutable import Immutable, unlocked
 from pgm.kernels.arrays import Array, Mask
 from pgm.variables import Discrete, Variable
 
@@ -78,8 +78,7 @@ class Sightings(Shown, Immutable):
         return Summary(self._title, [*which, table(columns)])
 
 
-_new, _slots = object.__new__, vars(Sightings)
-_put_values, _put_step, _put_given = (_slots[name].__set__ for name in ("values", "step", "_given"))
+_Unlocked = unlocked(Sightings)
 
 # By variable: a plain array, a constant, or sightings; of a discrete one states, or soft weights.
 Evidence = Mapping[Variable, Any]
@@ -131,11 +130,13 @@ def soft(weights: npt.ArrayLike) -> Soft:
     return Soft(weights)
 
 
-@public
+@public_in_loops
 def sightings(
     values: npt.ArrayLike | None = None,
     step: npt.ArrayLike | None = None,
     given: Mapping[Variable, npt.ArrayLike | Constant] | None = None,
+    *more: Never,
+    **others: Never,
 ) -> Sightings:
     """Measurements of one sensor at any steps, any number of them at one step.
 
@@ -155,15 +156,19 @@ def sightings(
     >>> m = Variable("m", components=("east", "north"))
     >>> seen = sightings([[2.0, 0.1], [3.0, -0.2]], step=[4, 4], given={m: [[0, 1], [5, 1]]})
     """
-    if not (given is None or type(given) is dict or isinstance(given, Mapping)):
-        raise EvidenceError(
-            f"sightings: given maps parents to their values, given={{m: landmarks}}; found "
-            f"{type(given).__name__}"
-        )
-    found: Sightings = _new(Sightings)  # quicker than `Sightings(...)`
-    _put_values(found, values)
-    _put_step(found, step)
-    _put_given(found, {**given} if given else {})
+    if more or others:
+        raise unfit(sightings, (values, step, given), more, others)
+    if type(given) is not dict:  # which is looked for first, as it is quicker
+        if not (given is None or isinstance(given, Mapping)):
+            raise EvidenceError(
+                f"sightings: given maps parents to their values, given={{m: landmarks}}; found "
+                f"{type(given).__name__}"
+            )
+        given = dict(given or {})
+    # In two thirds of the time of `Sightings(...)`.
+    found: Sightings = _Unlocked()
+    found.values, found.step, found._given = values, step, given.copy()
+    found.__class__ = Sightings
     return found
 
 

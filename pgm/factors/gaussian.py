@@ -44,7 +44,7 @@ from pgm.factors.scope import (
     names,
     positions,
 )
-from pgm.immutable import Immutable, unlocked
+from pgm.immutable import Immutable
 from pgm.kernels import moments, normal_density, roots
 from pgm.kernels.angles import difference, wrap
 from pgm.kernels.arrays import Array, Integers, block, deviation, frozen
@@ -203,14 +203,6 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
         put(self, "mean", mean)
         put(self, "cov", cov)
         put(self, "steps", steps)
-
-    @classmethod
-    def _sealed(cls, scope: Scope, mean: Array, cov: Array) -> Gaussian:
-        """A Gaussian of arrays that are already checked and read-only; nothing is copied."""
-        gaussian: Gaussian = _new(_Unlocked)
-        gaussian.scope, gaussian.mean, gaussian.cov, gaussian.steps = scope, mean, cov, None
-        gaussian.__class__ = cls
-        return gaussian
 
     @classmethod
     def _make(
@@ -396,6 +388,3 @@ def as_gaussian(value: object) -> Gaussian:
     if not isinstance(value, Gaussian):
         raise ModelError(f"a Gaussian was due, like posterior[x], not {type(value).__name__}")
     return value
-
-
-_new, _Unlocked = object.__new__, unlocked(Gaussian)

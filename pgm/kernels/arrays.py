@@ -65,6 +65,12 @@ def address(array: npt.NDArray[Any]) -> int:
     return found
 
 
+def is_finite(array: Array) -> bool:
+    """Whether all numbers are finite."""
+    # A few bytes are searched in a quarter of the time that `all` takes.
+    return b"\0" not in np.isfinite(array).tobytes()
+
+
 def components_last(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
     """A view of an array with its first `own` axes, those of components, moved behind the batch.
 
@@ -134,18 +140,6 @@ def room(lead: tuple[int, ...], shape: tuple[int, ...]) -> Array:
     own = len(shape)
     memory = np.empty((*shape, *lead))
     return memory.transpose(*range(own, memory.ndim), *range(own))
-
-
-def contiguous(matrix: Array) -> Array:
-    """The matrices (..., m, n) made contiguous: in C order, or by runs if they lie by runs.
-
-    By runs they are copied, with all leading axes in one row in memory for each entry (i, j).
-    """
-    if not by_runs(matrix):
-        return np.ascontiguousarray(matrix)
-    copy = room(matrix.shape[:-2], matrix.shape[-2:])
-    copy[...] = matrix
-    return copy
 
 
 def multiply(a: Array, b: Array) -> Array:

@@ -40,7 +40,7 @@ _LARGE = 6
 
 
 class _ArrayMatrix:
-    """What the kinds have in common; `symmetric` tells that a matrix is known to be so."""
+    """The base of the kinds; `symmetric` tells that a matrix is known to be so."""
 
     __slots__ = ("array", "symmetric")
 

@@ -255,7 +255,16 @@ class Root:
     @property
     def inverse(self) -> Matrix:
         """The matrix A⁻¹."""
-        size = range(len(self.lower))
-        eye = Matrix([1.0 if i == j else 0.0 for j in size] for i in size)
-        white = self.solve(eye).T
+        white = self._inverse.T
         return white.times(white)
+
+    @property
+    def precisions(self) -> list[Number]:
+        """The diagonal of A⁻¹: one over each component's variance given all others."""
+        return [inner(column, column) for column in self._inverse.columns]
+
+    @property
+    def _inverse(self) -> Matrix:
+        """The matrix L⁻¹."""
+        size = range(len(self.lower))
+        return self.solve(Matrix([1.0 if i == j else 0.0 for j in size] for i in size))

@@ -7,8 +7,9 @@ sums. What counts as rounding, and where to go on with more care, is decided by 
 each result tells the *share* of its root, the least part of a diagonal entry that is left to a
 pivot.
 
-The Kalman filter is `predict` and `update`; the smoother of Rauch, Tung and Striebel goes back by
-`back`, or by `reverse` and `push`.
+The Kalman filter is `push`, of which `predict` is the covariance, and `update`. The smoother of
+Rauch, Tung and Striebel turns each motion round by `reverse`, and goes back by `push`: the belief
+of a step is that of the next one, pushed through the reversed motion.
 """
 
 from __future__ import annotations
@@ -22,9 +23,7 @@ from pgm.kernels.numbers import (
     Number,
     inner,
     is_zero,
-    most,
     nearest_whole,
-    sqrt,
     where,
 )
 
@@ -129,19 +128,45 @@ def lessened(
     return Updated(mean + part @ white, cov - part.times(part), square, root.volume, root.share)
 
 
-def gain_back(cov: AnyMatrix, matrix: AnyMatrix, later: AnyMatrix) -> tuple[AnyMatrix, Number]:
-    """The gain G = P Fᵀ Q⁻¹ of the smoother, Q = `later` being F P Fᵀ + N; and the share of Q."""
+def gain_back(cov: AnyMatrix, matrix: AnyMatrix, later: AnyMatrix) -> tuple[AnyMatrix, Any]:
+    """The gain G = P Fᵀ Q⁻¹ of the smoother, Q = `later` being F P Fᵀ + N; and the root of Q."""
     root = later.root()
-    return gain(root, matrix @ cov), root.share
+    return gain(root, matrix @ cov), root
+
+
+class Back(NamedTuple):
+    """A belief given all measurements, and the root of Q, the next one's predicted covariance."""
+
+    mean: AnyMatrix
+    cov: AnyMatrix
+    root: Any
+
+
+def back(
+    mean: AnyMatrix,
+    cov: AnyMatrix,
+    matrix: AnyMatrix,
+    noise: AnyMatrix,
+    predicted: tuple[AnyMatrix, AnyMatrix],
+    later: tuple[AnyMatrix, AnyMatrix],
+) -> Back:
+    """The smoother's step back from y = F x + b + e, of which N(q, Q) was predicted.
+
+    Of y's mean s and covariance S given all measurements it is m + G (s − q), and the `squares`
+    (I − G F) P (I − G F)ᵀ + G (N + S) Gᵀ.
+    """
+    gain, root = gain_back(cov, matrix, predicted[1])
+    known = mean + gain @ (later[0] - predicted[0])
+    return Back(known, squares(cov, gain, matrix, noise + later[1]), root)
 
 
 class Reversed(NamedTuple):
-    """A motion reversed: x = G y + offset + e, e ~ N(0, cov); and the share of the root of Q."""
+    """A motion reversed: x = G y + offset + e, e ~ N(0, cov); and the root of Q."""
 
     gain: AnyMatrix
     offset: AnyMatrix
     cov: AnyMatrix
-    share: Number
+    root: Any
 
 
 def reverse(
@@ -153,8 +178,8 @@ def reverse(
     later_cov: AnyMatrix,
 ) -> Reversed:
     """The motion y = F x + b + e reversed: p(x | y), from x ~ N(m, P) and y's own prediction."""
-    gain, share = gain_back(cov, matrix, later_cov)
-    return Reversed(gain, mean - gain @ later_mean, squares(cov, gain, matrix, noise), share)
+    gain, root = gain_back(cov, matrix, later_cov)
+    return Reversed(gain, mean - gain @ later_mean, squares(cov, gain, matrix, noise), root)
 
 
 def extend(
@@ -194,11 +219,6 @@ def nearest(reading: Number, value: Number) -> Number:
     """An angle's reading on the branch nearest to a value: moved by whole turns, if it is far."""
     off = reading - value
     return where(abs(off) > math.pi, reading - TURN * nearest_whole(off / TURN), reading)
-
-
-def spread(terms: Sequence[Number], cov: Matrix) -> Number:
-    """The bound Σ |f_j| σ_j of a standard deviation of f x, by the deviations σ of x alone."""
-    return inner([abs(f) for f in terms], [sqrt(most(v, 0.0)) for v in cov.diagonal])
 
 
 class Rule(NamedTuple):
@@ -265,14 +285,13 @@ def open_share(cov: Matrix) -> Number:
     return least_share
 
 
-def inflation(cov: Matrix) -> Number:
+def inflation(cov: AnyMatrix, root: Any) -> Number:
     """The sum of the variance inflation factors of a covariance P, tr C⁻¹ of its correlations C.
 
-    The factor of a component is its variance divided by its variance given all others.
+    The factor of a component is its variance divided by its variance given all others; `root` is
+    that of P.
     """
-    size = range(cov.shape[0])
-    inverse = cov.root().solve(Matrix([[1.0 if i == j else 0.0 for j in size] for i in size]))
-    return inner(cov.diagonal, [inner(column, column) for column in inverse.columns])
+    return inner(cov.diagonal, root.precisions)
 
 
 def weighed_square(

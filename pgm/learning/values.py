@@ -159,7 +159,6 @@ class Table(InCode):
 
 
 PARTS = (Covariance, Coefficients, Offset, Parameter, Table)
-Part = Covariance | Coefficients | Offset | Parameter | Table
 Learn = Mapping[Variable, Any]
 
 

@@ -33,20 +33,8 @@ def located(layout: SliceLayout, variable: Variable, last: int) -> tuple[Variabl
     and a step where it does not stand.
     """
     template = require_variable(variable).template
-    if template in layout.model.inputs:
-        raise EvidenceError(
-            f"{variable!r} is an input, which no CPD explains: it has the values that are given "
-            f"for it as evidence, and no belief; beliefs are over {list(layout.slice)}",
-            variable=variable,
-        )
-    if template in layout.model.sensors:
-        raise EvidenceError(_of_measurement(layout, variable), variable=variable)
     if variable.lag or template not in layout.slice:
-        raise EvidenceError(
-            f"{variable!r} is not among the hidden variables, {list(layout.slice)}"
-            f"{namesake(variable, layout.model.variables)}",
-            variable=variable,
-        )
+        raise _not_hidden(layout, variable)
     first = 0 if template in layout.states else 1
     if variable.step is not None and not first <= variable.step <= last:
         raise EvidenceError(
@@ -55,6 +43,24 @@ def located(layout: SliceLayout, variable: Variable, last: int) -> tuple[Variabl
             step=variable.step,
         )
     return template, first
+
+
+def _not_hidden(layout: SliceLayout, variable: Variable) -> EvidenceError:
+    """The error for an input, a measurement, and a variable that is not hidden."""
+    template = variable.template
+    if template in layout.model.inputs:
+        return EvidenceError(
+            f"{variable!r} is an input, which no CPD explains: it has the values that are given "
+            f"for it as evidence, and no belief; beliefs are over {list(layout.slice)}",
+            variable=variable,
+        )
+    if template in layout.model.sensors:
+        return EvidenceError(_of_measurement(layout, variable), variable=variable)
+    return EvidenceError(
+        f"{variable!r} is not among the hidden variables, {list(layout.slice)}"
+        f"{namesake(variable, layout.model.variables)}",
+        variable=variable,
+    )
 
 
 def _of_measurement(layout: SliceLayout, variable: Variable) -> str:

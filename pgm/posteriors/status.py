@@ -178,16 +178,6 @@ class Status(Shown, Immutable):
         record = np.array(residuals, dtype=np.float64).reshape(count, *lead)
         return cls(count + 1, record, converged.reshape(lead))
 
-    def with_digits(self, digits: Array, cause: str = FAR_APART) -> Status:
-        """The same status with measured digits (*runs); fewer than six give a `PrecisionWarning`.
-
-        `cause` are the words of the warning on why digits are few, and what helps. By default they
-        say that standard deviations of the model lie too far apart for float64.
-        """
-        found = self._measured(digits, cause)
-        found._warn()
-        return found
-
     def _measured(self, digits: Array, cause: str) -> Status:
         """The same status with digits (*runs), without a warning.
 
@@ -244,10 +234,10 @@ class Status(Shown, Immutable):
         lost = ""
         if self.digits is not None and (least := self.digits.min(initial=np.inf)) < ENOUGH_DIGITS:
             lost = f", {max(least, 0.0):.1f} digits left"
-        left = self.compilation.startswith(("not compiled", "compiled,"))
+        swept = self.compilation.startswith(("not compiled", "compiled"))
         if told := self._told:
             return f"Status({told})"
-        return f"Status({self._went()}{lost}{f'; {self.compilation}' if left else ''})"
+        return f"Status({self._went()}{lost}{f'; {self.compilation}' if swept else ''})"
 
     def _summary(self) -> Summary:
         if self._figures is not None and len(self._figures.phrases) > self._figures.on_a_line:

@@ -48,6 +48,8 @@ if TYPE_CHECKING:
 
 # Longer traces and larger derivatives are judged by NumPy alone, whose time they take up.
 _OPERATIONS, _ENTRIES = 400, 40
+# For how many numbers of points the extent of memory is kept.
+_EXTENTS = 16
 _TURN = 2.0 * math.pi
 # A unit in the last place of x is between these shares of it.
 _UNIT = 2.0**-53, 2.0**-52
@@ -88,6 +90,26 @@ class Standing(NamedTuple):
         return cls(len(flat), places, False, (flat, std, order))
 
 
+class _Extent(NamedTuple):
+    """The memory for clearing a number of points.
+
+    rows: At how many points the function is asked.
+    even: How many of the points, at even distances, differences are taken about.
+    numbers: How many floats there are in all.
+    begins: How many bytes after the points that are asked begin the values, the slopes, the moves
+        and the deviations.
+    shares: The address of the shares of a deviation by which points lie beside others.
+    kept: What owns these.
+    """
+
+    rows: int
+    even: int
+    numbers: int
+    begins: tuple[int, ...]
+    shares: int
+    kept: Array
+
+
 class Clearing:
     """A trace with its derivative, of which points are cleared.
 
@@ -113,6 +135,7 @@ class Clearing:
         directions = np.eye(size)
         if size > 1:
             directions = np.concatenate([directions, [slopes.shares]])
+        self._extents: dict[int, _Extent] = {}
         self._constants = np.array(SCALES), np.array(together), directions
 
     @property
@@ -123,34 +146,51 @@ class Clearing:
 
     def clears(self, points: Standing) -> bool:
         """Whether all is surely right at points."""
-        count, size = points.number, len(self.columns)
+        places = np.array(points.places, dtype=np.int64)
+        return self.clears_at(points.number, address(places), squared=points.squared)
+
+    def clears_at(self, count: int, places: int, *, squared: bool) -> bool:
+        """Whether all is surely right at points of which the `places` stand at an address."""
+        extent = self._extents.get(count)
+        if extent is None:
+            if len(self._extents) >= _EXTENTS:
+                self._extents.clear()
+            extent = self._extents[count] = self._extent(count)
+        # Memory of its own, as the function may keep a view of what it is asked.
+        room = np.empty(extent.numbers)
+        asked = np.ndarray((extent.rows, self.widths), float, room)
+        begin = address(room)
+        told, slope, moves, spread = [begin + far for far in extent.begins]
+        before, after = self._code
+        own = begin, told, slope, moves, spread, places, extent.shares
+        if before(*own, *self._fixed, count, extent.even, squared):
+            return False
+        due = self.slopes.function(asked)
+        if due is None or due.shape != (extent.rows, len(self.trace.value)):
+            return False
+        due = np.ascontiguousarray(due)
+        return not after(told, slope, moves, address(due), self._fixed[0], count, extent.even)
+
+    def _extent(self, count: int) -> _Extent:
+        """The memory that so many points take."""
+        size = len(self.columns)
         even = min(EVEN, count) if self.differs else 0
         every = count * (1 + self.beside)
         rows = every + len(SCALES) * even * self.moves * 4
-        # An array of its own, of which the function may keep a view.
-        asked, places = np.empty((rows, self.widths)), np.array(points.places, dtype=np.int64)
         lengths = (
+            rows * self.widths,
             every * len(self.trace.value),
             count * size * len(self.program.value) * self.differs,
             len(SCALES) * even * self.moves * size,
             count * size * self.beside,
         )
-        room = np.empty(sum(lengths) + 1)
-        begin = address(room)
-        told, slope, moves, spread = (begin + 8 * first for first in accumulate((0, *lengths[:-1])))
-        shared = _shares(count, size)
-        before, after = self._code
-        own = address(asked), told, slope, moves, spread, address(places), shared[1]
-        if before(*own, *self._fixed, count, even, points.squared):
-            return False
-        due = self.slopes.function(asked)
-        if due is None or due.shape != (rows, len(self.trace.value)):
-            return False
-        due = np.ascontiguousarray(due)
-        return not after(told, slope, moves, address(due), self._fixed[0], count, even)
+        begins = tuple(8 * first for first in accumulate(lengths[:-1]))
+        kept, beside = _shares(count, size)
+        return _Extent(rows, even, sum(lengths) + 1, begins, beside, kept)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {k: value for k, value in self.__dict__.items() if k not in ("_code", "_fixed")}
+        own = {k: value for k, value in self.__dict__.items() if k not in ("_code", "_fixed")}
+        return own | {"_extents": {}}  # which has addresses
 
     @cached_property
     def _fixed(self) -> tuple[int, ...]:

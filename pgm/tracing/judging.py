@@ -121,9 +121,9 @@ class Answers:
                 self._look_back()
         return value, slope
 
-    def sample(self, points: Integers) -> Integers:
-        """The points of a call that are looked at: all, or some of very many."""
-        return points[self.every // 2 :: self.every]
+    def sample(self, count: int) -> Integers:
+        """The numbers of the points of a call that are looked at: all, or some of very many."""
+        return np.arange(self.every // 2, count, self.every)
 
     def judge(self, arguments: Sequence[Array], std: Array | None) -> None:
         """Judge the trace at points (k, width) of each argument, where machine code evaluated it.

@@ -1,4 +1,4 @@
-"""What a function reads beside its arguments, and whether all of it is as it was.
+"""Surroundings of functions: all that one reads beside its arguments, and whether it changed.
 
 A trace is what a function did once. The function does the same as long as its code is the same, and
 so is what this reads: cells of closures, defaults, globals, and attributes of modules, objects and
@@ -75,7 +75,7 @@ class _Unknown(Exception):
 
 
 class Reads:
-    """What a function reads, as it is now; see `reads_of`."""
+    """The surroundings that a function reads, as they are now; see `reads_of`."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         # All that was looked at, which keeps it: no other object takes its place.
@@ -156,12 +156,12 @@ class Reads:
             self._look_up(_Slots(value, each), slots)
 
     def _hold(self, names: _Names) -> None:
-        """What may have attributes, by name."""
+        """Look up all attributes met so far in a thing that may have them, by name."""
         self._holders.append(names)
         self._look_up(names, tuple(self._attributes))
 
     def _meet(self, name: str) -> None:
-        """The name of an attribute that is read of something."""
+        """Look up an attribute of this name in all that may have it."""
         if name in _CHANGING or (name[:2] == name[-2:] == "__" and name != "__call__"):
             raise _Unknown  # as of obj.__dict__, or obj.__class__, which is not looked up by name
         if name not in self._attributes:
@@ -201,19 +201,19 @@ class Reads:
 
 
 class _Names(Protocol):
-    """What has something under names."""
+    """Values under names, as a namespace or the slots of an object."""
 
     def get(self, name: str, default: object, /) -> object: ...
 
 
 class _Slots(NamedTuple):
-    """What an object has in the slots of one of its classes, by name."""
+    """The values in the slots that one of its classes gives an object, by name."""
 
     value: object
     own: Mapping[str, Any]
 
     def get(self, name: str, default: object, /) -> object:
-        """What is there; the default in an empty slot."""
+        """The value in a slot; the default in an empty one."""
         try:
             return self.own[name].__get__(self.value)
         except AttributeError:
@@ -221,7 +221,7 @@ class _Slots(NamedTuple):
 
 
 def reads_of(function: Callable[..., Any]) -> Reads | None:
-    """What a function reads; None where something of it may change unseen."""
+    """The surroundings of a function; None where something in them may change unseen."""
     try:
         return Reads(function)
     except _Unknown:

@@ -148,7 +148,7 @@ class Slopes:
         self._least: list[float] = (OF_NOISE * noise).tolist()
 
     def clearing(self, trace: Program, *, differentiated: bool) -> Clearing | None:
-        """What clears points in machine code; None where the trace is too long for that."""
+        """The machine code that clears points; None where the trace is too long for that."""
         found = self._clearing.get(differentiated)
         if found is None:
             found = Clearing(trace, self, differentiated=differentiated)

@@ -1,5 +1,8 @@
 """Evidence laid out by step: the rows of the user's arrays, in memory of its own."""
 
+import pickle
+from types import MappingProxyType
+
 import numpy as np
 import pytest
 
@@ -69,3 +72,25 @@ def test_sightings_show_what_they_are():
     title, *rows = repr(bare).splitlines()
     assert title == "Sightings([[1.0], [2.0]], given [])"
     assert [row.split() for row in rows] == [["step", "value"], ["0", "1"], ["1", "2"]]
+
+
+def test_sightings_are_not_changed_afterwards():
+    mark = pgm.Variable("mark")
+    places = np.zeros((1, 1))
+    given = {mark: places}
+    for mapping in (given, MappingProxyType(given)):
+        seen = pgm.sightings([[1.0]], given=mapping)
+        given.clear()
+        assert dict(seen.given) == {mark: places}
+        given[mark] = places
+        for name in ("values", "step", "given", "other"):
+            with pytest.raises(AttributeError, match=rf"Sightings is immutable.* change {name}"):
+                setattr(seen, name, None)
+        with pytest.raises(TypeError):
+            seen.given[mark] = None
+        again = pickle.loads(pickle.dumps(seen))
+        assert type(again) is type(seen)
+        assert (again.values, again.step, dict(again.given)) == ([[1.0]], None, {mark: places})
+    assert dict(pgm.sightings([[1.0]]).given) == {}
+    with pytest.raises(pgm.EvidenceError, match="given maps parents"):
+        pgm.sightings([[1.0]], given=[mark])

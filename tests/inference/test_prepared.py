@@ -126,6 +126,8 @@ def test_evidence_of_another_form_is_refused():
         | {Z: pgm.sightings(z.values, [9, 0, 3, 4, 12], z.given)},
         "lacks g": {U: given[U], Z: z},
         "has q beside": given | {pgm.Variable("q"): 0.0},
+        "lacks g and has q beside": {U: given[U], Z: z, pgm.Variable("q"): given[G]},
+        r"g has shape \(\); \(..., T, 2\) was due": given | {G: None},
         "lacks m of z's sightings": given | {Z: pgm.sightings(z.values, z.step)},
         "u is a constant, and an array was": given | {U: pgm.constant([1.0, 0.2])},
         "NaN, masked or infinite": given | {U: np.full((12, 2), np.nan)},
@@ -138,6 +140,10 @@ def test_evidence_of_another_form_is_refused():
     for words, other in cases.items():
         with pytest.raises(pgm.EvidenceError, match=words):
             run(other)
+    for step in (z.step.tolist(), z.step.astype(np.int32)):
+        assert_same(run(given | {Z: pgm.sightings(z.values, step, z.given)}), run(given))
+    with pytest.raises(pgm.EvidenceError, match="are at other steps"):
+        run(given | {Z: pgm.sightings(z.values, z.step[:, None], z.given)})
     assert_same(run(given), pgm.infer(graph, given))
 
 

@@ -121,7 +121,7 @@ class Renewing:
         lambda a: a + np.random.default_rng(0).normal() * names.rate,
         lambda a: a + Motion.rate,
         lambda a: a + eval("rate"),
-        lambda a: a + np.random.normal(),
+        lambda a: a + np.random.default_rng().normal(),
         lambda a: a + np.load("rate.npy"),
         lambda a: a + motion.__dict__["rate"],
         lambda a: a + inner.__defaults__[0],

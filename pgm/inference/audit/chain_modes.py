@@ -229,4 +229,5 @@ def _smoothed(plan: ChainPlan, begun: Array) -> Arrived:
     except ModelError:  # nonlinear motions without noise have no cost
         found, _ = smoother.smooth(plan, replace(schedule, damping=HELD), begun)
     log_evidence = parallel.whole(found.forward).log_density.sum(axis=0)
-    return Arrived(found.beliefs.mean, found.beliefs.cov, found.reverse.states, log_evidence)
+    states = found.reversed_of(plan).states
+    return Arrived(found.beliefs.mean, found.beliefs.cov, states, log_evidence)

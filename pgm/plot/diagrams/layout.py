@@ -22,19 +22,6 @@ def distances(points: Array, start: Array, end: Array) -> Array:
     return distance
 
 
-def crossings(start: Array, end: Array) -> int:
-    """The number of pairs of segments that cross; a shared end is no crossing."""
-
-    def side(point: Array) -> Array:
-        """On which side of each segment points lie, (E, E)."""
-        along, offset = (end - start)[:, None], point - start[:, None]
-        turn: Array = along[..., 0] * offset[..., 1] - along[..., 1] * offset[..., 0]
-        return np.sign(np.round(turn, 6))
-
-    apart = side(start) * side(end) < 0
-    return int((apart & apart.T).sum()) // 2
-
-
 Node = Hashable
 
 GAP = 12.0

@@ -191,11 +191,14 @@ def test_few_steps_and_no_sensor(steps):
         assert_posterior(*found)
 
 
-def test_graphs_ask_for_joints_and_messages():
-    evidence = sighted(3)
+@pytest.mark.parametrize("iterations", [1, 20])
+def test_joints_are_of_the_last_linearisation(iterations):
+    """The reversed chain is made when they are asked for."""
+    evidence, schedule = sighted(3), pgm.Smoothing(iterations)
     model = MODELS["plain"]
     posteriors = [
-        pgm.infer(pgm.compile(model, 12, compiled=choice), evidence) for choice in (True, False)
+        pgm.infer(pgm.compile(model, 12, compiled=choice), evidence, schedule=schedule)
+        for choice in (True, False)
     ]
     found, due = (each.joint(x.at(4), x.at(5)) for each in posteriors)
     assert_belief(found, due.mean, due.cov, 1e-9)

@@ -1,6 +1,7 @@
 """Drawn models in machine code against the general kernels: alike, or told."""
 
 import warnings
+from functools import partialmethod
 from importlib.util import find_spec
 
 import numpy as np
@@ -202,3 +203,20 @@ def test_drawn_models(seed):
 @pytest.mark.parametrize("seed", range(100, 1100))
 def test_many_drawn_models(seed):
     check(seed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(100, 160))
+def test_drawn_models_in_code_that_tests_indices_and_alignments(seed, monkeypatch):
+    from pgm.kernels.machine.emitter.module import Module
+    from pgm.kernels.machine.sweeps import asking, chain, digits
+
+    made = chain.made, asking.asking, digits.made
+    checked = partialmethod(Module.__init__, checked=True)
+    for each in made:
+        each.cache_clear()
+    with monkeypatch.context() as patch:
+        patch.setattr(Module, "__init__", checked)
+        check(seed)
+    for each in made:
+        each.cache_clear()

@@ -31,7 +31,7 @@ def both(monkeypatch):
     def asked(question):
         ordinary = question()
         with monkeypatch.context() as patch:
-            patch.setattr(certificate, "suffices", lambda *_: False)
+            patch.setattr(certificate, "suffices", lambda *_, **__: False)
             careful = question()
         assert ordinary._outcome._careful is None
         assert careful._outcome._careful is not None

@@ -10,7 +10,7 @@ from judged_chains import Judge
 from precise import Reference, floats
 
 import pgm
-from pgm.posteriors.status import digits
+from pgm.posteriors.status import FAR_APART, digits
 
 x = pgm.Variable("x", components=("position", "velocity"))
 z = pgm.Variable("z")
@@ -84,7 +84,8 @@ def test_the_warning_is_for_less_than_six_digits(error, told):
     measured = digits(np.array([1e-12, error]), (2,))
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        status = status.with_digits(measured)
+        status = status._measured(measured, FAR_APART)
+        status._warn()
     assert status.digits is measured
     assert len(caught) == told
     assert ("digits left" in repr(status)) == told

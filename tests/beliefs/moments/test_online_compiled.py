@@ -11,6 +11,7 @@ from textbooks import assert_belief, assert_log
 from zoo import MODELS, RULES, at_step, of_run, recording
 
 import pgm
+from pgm import examples
 
 pytest.importorskip("llvmlite")
 SIGHT = SENSORS["range_bearing"]
@@ -189,6 +190,7 @@ BAD = {
     "no landmark": ("update", {z: pgm.sightings(np.ones((1, 2)))}),
     "a step": ("update", {z: pgm.sightings(np.ones((1, 2)), step=[1], given={m: LANDMARKS[:1]})}),
     "a state": ("update", {x: np.ones(3)}),
+    "no readings": ("update", None),
 }
 
 
@@ -221,6 +223,40 @@ def test_beliefs_of_others_are_refused_or_taken(robots):
         pgm.OnlineFilter(MODELS["grouped"], compiled=True).predict(found, given)
     with pytest.raises(pgm.ModelError, match="begin with initial"):
         quick.predict(None, given)
+
+
+def test_a_marginal_shows_numbers_that_no_one_changes(robots):
+    controls = {u: np.array([1.0, 0.1])}
+    due, found = (robot.predict(belief, controls) for robot, belief in robots)
+    assert is_compiled(found)
+    own = found[x]
+    assert own.scope == (x,)
+    assert own.steps is None
+    for array in (own.mean, own.cov):
+        assert array.flags.c_contiguous
+        with pytest.raises(ValueError, match="WRITEABLE"):
+            array.flags.writeable = True
+    assert pickle.loads(pickle.dumps(own)).mean.tolist() == own.mean.tolist()
+    del found
+    assert_belief(own, due[x].mean, due[x].cov, 1e-9)
+    with pytest.raises(AttributeError, match="immutable"):
+        own.mean = due.mean
+
+
+def test_steps_without_evidence_are_made_in_machine_code():
+    plain, quick = pair(examples.walk)
+    due, found = plain.initial(), quick.initial()
+    for k in range(8):
+        given = () if k % 2 else ({},)
+        due, found = (r.predict(b, *given) for r, b in ((plain, due), (quick, found)))
+        due, found = (r.update(b, {}) for r, b in ((plain, due), (quick, found)))
+        assert is_compiled(found)
+    assert_equal(found, due)
+    for robot, belief in ((plain, due), (quick, found)):
+        with pytest.raises(pgm.EvidenceError, match="update takes a mapping"):
+            robot.update(belief, None)
+        with pytest.raises(pgm.EvidenceError, match="predict takes a mapping"):
+            robot.predict(belief, [])
 
 
 def test_filters_and_beliefs_are_pickled(robots):

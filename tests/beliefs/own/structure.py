@@ -21,7 +21,7 @@ MAY_NAME = {
     "pgm.inference.old_names": "stands for classes of the version before",
 }
 # Modules that compare the names of functions, or of other libraries' classes.
-MAY_COMPARE = {"pgm.arguments", "pgm.boundary", "pgm.evidence.records"}
+MAY_COMPARE = {"pgm.arguments", "pgm.boundary", "pgm.evidence.records", "pgm.tracing.reads"}
 NAMES = {"beliefs", "__name__", "__qualname__", "__class__"}
 ASKING = {"isinstance", "issubclass"}
 EQUAL = ast.Eq | ast.NotEq | ast.Is | ast.IsNot | ast.In | ast.NotIn

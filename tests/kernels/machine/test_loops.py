@@ -117,10 +117,12 @@ def test_roots(n, d, lanes):
         root = s.root()
         white = root.solve(b.T)
         solved = root.solve_transposed(b.T)
-        return [white, solved, root.matrix, root.share, root.volume, s.open_share()]
+        told = [root.share, root.volume, s.open_share(), step.inflation(s, root)]
+        return [white, solved, root.matrix, *told]
 
     due = [np.linalg.solve(lower, turned(b)), np.linalg.solve(turned(lower), turned(b)), lower]
     due += [single(share), single(np.log(pivots).sum(axis=1)), single(share)]
+    due.append(single(np.einsum("kii,kii->k", s, np.linalg.inv(s))))
     assert_computed(make, due, b, s, lanes=lanes)
 
 
@@ -169,7 +171,8 @@ def test_steps_are_those_of_floats(n, d, lanes):
     def steps(f, h, p, m, r, z):
         updated = step.update(m, p, h, z, r)
         ahead = step.predict(p, f, p)
-        return [*updated[:4], ahead, *step.reverse(m, p, f, p, m, ahead)[:3]]
+        back = step.back(m, p, f, p, (m, ahead), (m + m, p))
+        return [*updated[:4], ahead, *step.reverse(m, p, f, p, m, ahead)[:3], *back[:2]]
 
     given = a, b, s, v, noise, residual
     due = []

@@ -1,6 +1,7 @@
 """Functions of machine code that Python calls as its own: wrong arguments, memory, lifetimes."""
 
 import gc
+import pickle
 import sys
 import threading
 import weakref
@@ -10,8 +11,10 @@ import pytest
 
 pytest.importorskip("llvmlite")
 
+from pgm.kernels.machine.emitter.arrays import are_known as arrays_are_known
+from pgm.kernels.machine.emitter.arrays import floats, shown
 from pgm.kernels.machine.emitter.module import Module
-from pgm.kernels.machine.emitter.python import bound, written
+from pgm.kernels.machine.emitter.python import bound, place_of_slot, written
 
 
 def made():
@@ -22,16 +25,15 @@ def made():
         start = code.memory(python.bytes(python.given[0], 8)).load(0)
         ((key, value),) = python.items(python.given[1], 1)
         python.give_none_unless(python.is_same(key, python.mine(0)))
-        address, (count,) = python.floats(value, python.mine(1), 1)
+        address, (count,) = floats(python, value, python.mine(1), 1)
         cells, total = code.memory(address), code.variable(start)
         with code.loop(count) as k:
             total.set(total.get() + cells.load(k))
-        name = python.attribute(python.mine(2), python.mine(3))
-        python.give_none_unless(python.is_same(name, python.mine(4)))
-        found = python.call("PyBytes_FromStringAndSize", python.null, 8)
-        place = python.call("PyBytes_AsString", found)
-        code.memory(place).store(0, total.get())
-        code.give(found)
+        name = python.slot(python.mine(2), place_of_slot(Holder, "name"))
+        python.give_none_unless(python.is_same(name, python.mine(3)))
+        found = python.held(python.call("PyBytes_FromStringAndSize", python.null, 8))
+        code.memory(python.memory_of(found)).store(0, total.get())
+        code.give(python.passed(found))
 
     module = Module()
     written(module, "total", 2, write)
@@ -39,7 +41,9 @@ def made():
 
 
 class Holder:
-    """An object with an attribute."""
+    """An object with slots."""
+
+    __slots__ = ("array", "name")
 
     def __init__(self, name):
         self.name = name
@@ -55,7 +59,7 @@ KEY, NAME = object(), "a name"
 
 def function(machine, holder=None):
     holder = holder or Holder(NAME)
-    return bound(machine, "total", (KEY, np.ndarray, holder, "name", NAME))
+    return bound(machine, "total", (KEY, np.ndarray, holder, NAME))
 
 
 def value(found):
@@ -67,6 +71,8 @@ START = np.array([1.0]).tobytes()
 
 def test_arrays_are_read(machine):
     total = function(machine)
+    unpickled = pickle.loads(pickle.dumps(np.arange(5.0)))
+    assert value(total(START, {KEY: unpickled})) == 11.0  # which has a dtype of its own
     assert value(total(START, {KEY: np.arange(5.0)})) == 11.0
     assert value(total(START, {KEY: np.empty(0)})) == 1.0
 
@@ -88,6 +94,7 @@ OTHERS = {
     "objects": {KEY: np.array([1.0, None], dtype=object)},
     "dates": {KEY: np.array(["2020-01-01"], dtype="datetime64[D]")},
     "records": {KEY: np.zeros(2, dtype=[("a", float)])},
+    "not aligned": {KEY: np.frombuffer(bytes(17), np.int8)[1:].view(float)},
     "strided": {KEY: np.ones(4)[::2]},
     "two axes": {KEY: np.ones((1, 2))},
     "no axis": {KEY: np.array(1.0)},
@@ -119,12 +126,60 @@ def test_bytes_of_a_smaller_size_are_an_error(machine, size):
         function(machine)(bytes(size), {KEY: np.ones(2)})
 
 
-def test_an_attribute_that_is_missing_is_an_error(machine):
+def test_an_empty_slot_has_nothing(machine):
     holder = Holder(NAME)
     total = function(machine, holder)
     del holder.name
+    assert total(START, {KEY: np.ones(2)}) is None
+
+
+def test_an_attribute_without_a_slot_has_no_place():
     with pytest.raises(AttributeError):
-        total(START, {KEY: np.ones(2)})
+        place_of_slot(Holder, "other")
+    assert arrays_are_known()
+
+
+@pytest.fixture(scope="module")
+def holders():
+    """Machine code that makes a holder of an array (2, 3), which shows what a bytes object has."""
+
+    def write(python):
+        (numbers,) = python.given
+        kinds = python.mine(0), python.mine(1)
+        found = python.new(python.mine(2))
+        array = shown(python, kinds, (2, 3), python.bytes(numbers, 48), numbers)
+        python.fill(found, place_of_slot(Holder, "array"), python.passed(array))
+        python.code.give(python.passed(found))
+
+    module = Module()
+    written(module, "holder", 1, write)
+    return bound(module.compile(), "holder", (np.ndarray, np.dtype(float), Holder))
+
+
+def test_objects_are_made_of_arrays_that_are_read_only(holders):
+    numbers = np.arange(6.0).tobytes()
+    before = sys.getrefcount(numbers), sys.getrefcount(np.dtype(float))
+    found = holders(numbers)
+    assert type(found) is Holder
+    assert not hasattr(found, "name")
+    due = np.frombuffer(numbers).reshape(2, 3)
+    np.testing.assert_array_equal(found.array, due)
+    assert found.array.flags == due.flags
+    with pytest.raises(ValueError, match="read-only"):
+        found.array[0, 0] = 1.0
+    with pytest.raises(ValueError, match="WRITEABLE"):
+        found.array.flags.writeable = True
+    array = found.array
+    del found, due
+    assert array.base is numbers
+    del array
+    for _ in range(100):
+        with pytest.raises(ValueError, match="more bytes"):
+            holders(bytes(40))
+        with pytest.raises(TypeError):
+            holders(1)
+        holders(numbers)
+    assert (sys.getrefcount(numbers), sys.getrefcount(np.dtype(float))) == before
 
 
 def test_nothing_is_held_on_to(machine):

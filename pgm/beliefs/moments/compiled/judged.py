@@ -94,9 +94,9 @@ class _Points(NamedTuple):
         assert family.compiled is not None
         if runs is None and family.compiled.every == 1:
             return cls(None, None)
-        runs = np.arange(count) if runs is None else runs
-        some = family.compiled.sample(np.arange(family.step.size * len(runs)))
-        return cls(some // max(len(runs), 1), runs[some % max(len(runs), 1)])
+        count = count if runs is None else len(runs)
+        row, run = np.divmod(family.compiled.sample(family.step.size * count), max(count, 1))
+        return cls(row, run if runs is None else runs[run])
 
     def take(self, array: Array, step: Integers | slice) -> Array:
         """An array (T+1, runs, n, ...) at the points, (k, n, ...), of rows of these steps."""

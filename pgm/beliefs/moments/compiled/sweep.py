@@ -34,7 +34,7 @@ from pgm.beliefs.moments.steps.chain import MomentChain
 from pgm.beliefs.moments.steps.gate import Asked
 from pgm.beliefs.moments.steps.open_sensor import OpenSensor
 from pgm.beliefs.moments.steps.plan import ChainPlan
-from pgm.compile.machine import Compiled
+from pgm.compile.machine import LONG, Compiled
 from pgm.kernels.arrays import Array, Mask, address, vacant
 from pgm.kernels.machine.sweeps import chain as sweeps
 from pgm.kernels.machine.sweeps import told
@@ -52,7 +52,6 @@ _STEP, _LONG = 100, 250_000
 # Why runs are left to the general kernels, going forward and back.
 FAR = "readings are too sharp, a covariance is singular, or numbers are too far apart"
 CLOSE = f"two candidates are as likely or on the edge of a gate, {FAR}"
-LONG = "step control, and windows of a lag, are compiled for slices of few components"
 _SINGULAR = "a covariance is singular on the way back"
 # Sweeps of so many forms of plans are kept by a network's layout.
 _TOLD = 64
@@ -274,9 +273,10 @@ def backward(
     transition: Conditional,
     slices: Conditional | None,
     *,
+    reverse: bool,
     smooth: bool,
-) -> tuple[Conditional, tuple[Array, Array] | None, bool] | None:
-    """The states given the slices after them, (T, runs, ...), and smoothed moments, if asked for.
+) -> tuple[Conditional | None, tuple[Array, Array] | None, bool] | None:
+    """The states given the slices after them, (T, runs, ...), and smoothed moments, as asked for.
 
     Third is whether smoothed moments surely have the digits that are promised, in all runs. None
     where the plan is not compiled, or a covariance is singular. `transition` and `slices` are as of
@@ -286,12 +286,14 @@ def backward(
         return None
     layout = plan.layout
     lead, front, width = (plan.steps, plan.runs), layout.state_size, layout.slice_size
-    states = Conditional(*(vacant(lead, own) for own in ((front, width), (front,), (front, front))))
-    beliefs = None
+    states = beliefs = None
+    if reverse:
+        own = (front, width), (front,), (front, front)
+        states = Conditional(*(vacant(lead, each) for each in own))
     if smooth:
         every = plan.steps + 1, plan.runs
         beliefs = vacant(every, (width,)), vacant(every, (width, width))
-    record = dict(zip(REVERSED, states, strict=True))
+    record = dict(zip(REVERSED, states or (), strict=False))
     record |= zip(SMOOTHED, beliefs or (), strict=False)
     record |= zip(_CONTROLS, (slices or ()) if smooth else (), strict=False)
     owners = ahead, transition, record
@@ -299,7 +301,7 @@ def backward(
     def tell(table: NamedTable) -> told.Backward:
         return told_back(plan, table, *owners)
 
-    ended = _run(plan, ("back", *record), tell, owners, (*states, *(beliefs or ())))
+    ended = _run(plan, ("back", *record), tell, owners, (*(states or ()), *(beliefs or ())))
     left = bool(ended[sweeps.LEFT].any())
     count(plan, [slice(0, plan.runs)] if left else [], _SINGULAR)
     return None if left else (states, beliefs, bool(ended[sweeps.KEPT].all()))
@@ -316,14 +318,13 @@ def told_back(
     def pair(owner: Any, one: str, other: str) -> tuple[told.Array, told.Array]:
         return table.of(owner, attrgetter(one)), table.of(owner, attrgetter(other))
 
-    gain, shift, cov = map(of, REVERSED)
     return told.Backward(
         size=plan.layout.slice_size,
         states=places(plan.layout.state_places, plan.layout.slice_size),
         known=pair(ahead, "mean", "cov"),
         predicted=pair(ahead, "predicted_mean", "predicted_cov"),
         motion=pair(transition, "matrix", "cov"),
-        reversed=(gain, shift, cov),
+        reversed=tuple(of(name) for name in REVERSED if name in record),
         smoothed=tuple(of(name) for name in SMOOTHED if name in record),
         controls=tuple(of(name) for name in _CONTROLS if name in record),
     )
@@ -339,7 +340,7 @@ def _run(
     calls: Calls | None = None,
     iterations: int = 1,
 ) -> Array:
-    """Run a sweep on all runs of a plan; what it tells of each, (`sweeps.TOLD`, runs).
+    """Run a sweep on all runs of a plan; returns what it tells of each, (`chain.TOLD`, runs).
 
     `key` is what decides its code, and `tell` tells that, if no such plan was told before. `out`
     are the arrays that it fills.
@@ -368,9 +369,9 @@ def lanes_of(plan: ChainPlan) -> int:
 
 
 def run(plan: ChainPlan, sweep: sweeps.Sweep, numbers: Integers64, out: Sequence[Array]) -> Array:
-    """Run a sweep of a table of numbers on all runs of a plan; what it tells of each.
+    """Run a sweep of a table of numbers on all runs of a plan; returns what it tells of each.
 
-    That is (`sweeps.TOLD`, runs). `out` are the arrays that it fills.
+    The result is (`chain.TOLD`, runs). `out` are the arrays that it fills.
     """
     choice, lanes = plan.layout.compiled, lanes_of(plan)
     ended = np.zeros((sweeps.TOLD, plan.runs))

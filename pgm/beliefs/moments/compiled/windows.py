@@ -21,7 +21,6 @@ from pgm.beliefs.moments.compiled.plans import (
 )
 from pgm.beliefs.moments.compiled.sweep import (
     FAR,
-    LONG,
     Swept,
     begun,
     count,
@@ -32,7 +31,7 @@ from pgm.beliefs.moments.compiled.sweep import (
     stretches,
 )
 from pgm.beliefs.moments.steps.plan import ChainPlan
-from pgm.compile.machine import CONTROL
+from pgm.compile.machine import CONTROL, LONG
 from pgm.kernels.arrays import Array, stacked
 from pgm.kernels.machine.sweeps import chain as sweeps
 from pgm.kernels.machine.sweeps import told

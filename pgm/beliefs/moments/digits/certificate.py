@@ -85,7 +85,7 @@ def suffices(
     """Whether a forward pass, and the covariances that a smoother made of it, kept their digits.
 
     `smoothed` are the smoothed covariances (T+1, runs, n, n), or None after a filter; of those that
-    are known to be `kept`, as of `Reverse`, only the pass is judged. The plan is as it was
+    are known to be `kept`, as of `Beliefs`, only the pass is judged. The plan is as it was
     linearised for the pass. A `Filtered` is a pass that kept no predicted covariances.
     Only its means are judged, and its `closest`: the smallest 1/κ of the module's first two
     ratios κ, as recorded during the pass.

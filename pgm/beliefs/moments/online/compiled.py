@@ -16,17 +16,16 @@ from typing import Any
 import numpy as np
 
 from pgm.beliefs.moments.compiled.judged import judge
-from pgm.beliefs.moments.online.beliefs import Core, MomentBelief, is_plain, opened, put_core
-from pgm.beliefs.moments.online.kind import Kind, Made, Questions
-from pgm.beliefs.moments.online.records import Records
+from pgm.beliefs.moments.online.beliefs import MomentBelief, is_plain, opened, put_core
+from pgm.beliefs.moments.online.kind import Kind, Made, Questions, marginal_of
 from pgm.beliefs.moments.online.window import Passed, Sliding
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.readings import Moments
 from pgm.compile import SliceLayout
 from pgm.evidence import Sightings
+from pgm.factors import Gaussian
 from pgm.kernels.arrays import Array
 from pgm.kernels.machine.sweeps import lost
-from pgm.posteriors.belief_kind import FILTERED, PREDICTED
 from pgm.posteriors.status import Status
 from pgm.schedules.step_evidence import MOST, Values, numbers
 from pgm.variables import Variable
@@ -39,7 +38,6 @@ Key = tuple[Any, ...]
 _NOTHING: Values = {}
 # Beliefs of both ways are the same to so many standard deviations.
 _CLOSE = 1e-6
-_new = object.__new__
 # Why a step is made the general way.
 _OTHER = "the belief is of many runs, in twice the digits, has lost digits, or is of another filter"
 _START = "an update at step 0"
@@ -50,10 +48,13 @@ _FAR = "numbers are too far apart, or a reading is too sharp"
 
 
 class _Passed(Passed):
-    """A past transition that machine code has made, from a belief's core to new numbers."""
+    """A past transition that machine code has made, from one belief to the next."""
 
-    def __init__(self, records: Records, before: Core, after: bytes) -> None:
-        self._ends = records, before[0], before[2], after
+    def __init__(self, before: MomentBelief, after: MomentBelief) -> None:
+        steps, records = after._steps, after._records
+        assert steps is not None
+        assert records is not None
+        self._ends = records, steps, before._numbers, after._numbers
 
     @cached_property
     def _made(self) -> tuple[ChainPlan, Moments, Moments]:  # type: ignore[override]
@@ -62,6 +63,17 @@ class _Passed(Passed):
         before, after = (opened(steps, numbers) for numbers in ends)
         known, predicted = (Moments(each["mean"], each["cov"]) for each in (before, after))
         return plan, known, predicted
+
+
+def _trail(before: MomentBelief, after: MomentBelief) -> None:
+    """Put a prediction by machine code on the trail behind the belief after it."""
+    assert after._behind is not None
+    after._set(_behind=after._behind.on(_Passed(before, after)))
+
+
+def _none(*given: object) -> Any:
+    """The machine code of a step, or of marginals, as long as there is none."""
+    return None
 
 
 class CompiledSteps:
@@ -93,18 +105,23 @@ class CompiledSteps:
         wait: int = 0,
     ) -> None:
         self.layout, model = layout, layout.model
-        self.only = layout.slice[0] if len(layout.slice) == 1 else None
+        # With the first machine code of a step the marginal of a single variable gets its own.
+        self.only: Variable | None = None
+        self.marginal: Callable[[bytes], Gaussian] = _none
         own = layout.slice_size
         record: list[Any] = [("mean", float, own), ("cov", float, (own, own)), ("total", float)]
         record += [("watch", float, lost.SIZE)] if asked.watched else []
         self.record = np.dtype(record)
         self._ways = (seen, taken), (ahead, moved)
         self._statuses, self._asked = (linearised, done), asked
+        self._reverses = asked.reverses
         # Machine code tells variables by their identity: those of the model itself.
         self._own = {variable: variable for variable in (*model.inputs, *model.sensors)}
         self._grouped = {cpd.child for cpd in model.observation if getattr(cpd, "grouped", False)}
-        # Of the kinds of the last update and the last prediction, looked at first; all kinds.
-        self._last: list[tuple[Made, Records] | None] = [None, None]
+        # Of the kinds of the last update and the last prediction, tried first; all kinds.
+        self._last: list[Made] = [_none, _none]
+        # The same, for the filter to ask first, where they do all that is to be done.
+        self.quick: list[Made] = [_none, _none]
         self._known: dict[Key, Kind] = {}
         self._wait, self._waited = wait, Counter[Key]()
         # Why steps were made the general way, and how many of them.
@@ -112,29 +129,20 @@ class CompiledSteps:
 
     def predict(self, belief: MomentBelief, inputs: Values | None = None) -> MomentBelief:
         """Predict one step in machine code if that can be, else in the general way."""
-        core, last = belief._core if type(belief) is MomentBelief else None, self._last[1]
-        values = _NOTHING if inputs is None else inputs
-        if core and last and core[0] is self:
-            found = last[0](core[2], values)
-            if found:
-                after: MomentBelief = _new(MomentBelief)
-                behind = None if core[5] is None else core[5].on(_Passed(last[1], core, found))
-                put_core(after, (self, core[1] + 1, found, PREDICTED, last[1], behind))
-                return after
-        return self._any(belief, values, moves=True)
+        after: MomentBelief | None = self._last[1](belief, inputs)
+        if after is None:
+            return self._any(belief, _NOTHING if inputs is None else inputs, moves=True)
+        if self._reverses:
+            _trail(belief, after)
+        return after
 
     def update(self, belief: MomentBelief, readings: Values) -> MomentBelief:
         """Update in machine code if that can be, else in the general way."""
-        core, last = belief._core if type(belief) is MomentBelief else None, self._last[0]
-        if core and last and core[0] is self and core[1]:
-            found = last[0](core[2], readings)
-            if found:
-                after: MomentBelief = _new(MomentBelief)
-                put_core(after, (self, core[1], found, FILTERED, last[1], core[5]))
-                if last[1].warns:
-                    last[1].tell(found, self.record.itemsize)
-                return after
-        return self._any(belief, readings, moves=False)
+        after: MomentBelief | None = self._last[0](belief, readings)
+        if after is None:
+            return self._any(belief, readings, moves=False)
+        self._tell(after)
+        return after
 
     def adopted(self, belief: MomentBelief) -> MomentBelief:
         """The same belief, with a core, from which compiled steps can go on.
@@ -147,7 +155,7 @@ class CompiledSteps:
                 parts.append(belief.watch.numbers(belief.step))
             numbers = b"".join(part.tobytes() for part in parts)
             assert not isinstance(belief.behind, Sliding)
-            put_core(belief, (self, belief.step, numbers, belief.kind, None, belief.behind))
+            put_core(belief, self, belief.step, numbers, belief.kind, None, belief.behind)
         return belief
 
     def _any(self, belief: MomentBelief, values: Values, *, moves: bool) -> MomentBelief:
@@ -156,29 +164,29 @@ class CompiledSteps:
         The step's kind is looked up, or made. Its first few steps, its *trials*, are made in the
         general way, too; where the two beliefs differ, the one of the general way is returned.
         """
-        core = belief._core if type(belief) is MomentBelief else None
+        own = type(belief) is MomentBelief and belief._steps is self
         general, given, why = self._ways[moves][1], None, _OTHER
-        if core and core[0] is self:
+        if own:
             why = _START
-            if moves or core[1]:
+            if moves or belief._number:
                 given, why = self._given(values), _ODD
-        if core and given:
+        if given:
             kind = self._kind(belief, *given, moves=moves)
             why = _WAITED if kind is None else kind.why
             if kind is not None and kind.step is not None:
-                found, why = kind.step(core[2], given[1]), _FAR
-                if found:
-                    after: MomentBelief = _new(MomentBelief)
-                    known, behind = PREDICTED if moves else FILTERED, core[5]
-                    if moves and behind is not None:
-                        behind = behind.on(_Passed(kind.records, core, found))
-                    put_core(after, (self, core[1] + moves, found, known, kind.records, behind))
+                after: MomentBelief | None = kind.step(belief, given[1])
+                why = _FAR
+                if after is not None:
+                    if moves and self._reverses:
+                        _trail(belief, after)
                     if not kind.trials:
-                        self._last[moves] = kind.step, kind.records
-                        kind.records.tell(found, self.record.itemsize)
+                        self._last[moves] = kind.step
+                        if not (self._reverses if moves else kind.records.warns):
+                            self.quick[moves] = kind.step
+                        self._tell(after)
                         return after
                     due = general(belief, values)
-                    if _tried(kind, opened(self, found), due):
+                    if _tried(kind, opened(self, after._numbers), due):
                         return after
                     self.left[_JUDGED] += 1
                     return self.adopted(due)
@@ -209,7 +217,8 @@ class CompiledSteps:
         """
         for _ in range(2):  # a trace that is wrong is made anew
             plan = make(belief, values)
-            made = Kind(plan, values, self._statuses[plan.linear], self._asked)
+            own = MomentBelief, self
+            made = Kind(plan, values, self._statuses[plan.linear], self._asked, own)
             shape = plan.steps + 1, 1
             mean, cov = belief.mean, belief.cov
             here = (
@@ -221,7 +230,16 @@ class CompiledSteps:
             if made.judge.passes():
                 break
             made.step, made.why = None, _JUDGED
+        if made.step is not None and self.only is None and len(self.layout.slice) == 1:
+            (variable,) = self.layout.slice
+            self.marginal = marginal_of(variable)
+            self.only = variable
         return made
+
+    def _tell(self, after: MomentBelief) -> None:
+        """Warn, if the step to a belief of machine code has not settled."""
+        assert after._records is not None
+        after._records.tell(after._numbers, self.record.itemsize)
 
     def _given(self, values: Values) -> tuple[Key, Values] | None:
         """The kind of the values given, and the values as its machine code takes them.

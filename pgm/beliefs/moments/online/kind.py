@@ -31,13 +31,17 @@ from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.cpds import AffineCPD
 from pgm.evidence import Sightings
+from pgm.factors import Gaussian
 from pgm.kernels.arrays import Array
 from pgm.kernels.machine.emitter import python
+from pgm.kernels.machine.emitter.arrays import are_known
 from pgm.kernels.machine.emitter.memory import Runs
-from pgm.kernels.machine.sweeps import online, told
-from pgm.kernels.machine.sweeps.evidence import Evidence
+from pgm.kernels.machine.emitter.python import place_of_slot
+from pgm.kernels.machine.sweeps import marginal, online, told
+from pgm.kernels.machine.sweeps.evidence import Evidence, Slots
 from pgm.kernels.machine.sweeps.writer import arrays
 from pgm.linearisation.family import Family
+from pgm.posteriors.belief_kind import FILTERED, PREDICTED
 from pgm.posteriors.status import Status
 from pgm.schedules.damping import LevenbergMarquardt
 from pgm.schedules.schedule import Filtering
@@ -46,7 +50,7 @@ from pgm.tracing import Judge
 from pgm.variables import Variable
 
 # From a belief and values to the next belief; see `kernels.machine.sweeps.online`.
-Made = Callable[[bytes, Any], bytes | None]
+Made = Callable[[Any, Any], Any]
 # Steps that are made both ways.
 TRIALS = 5
 # By the sensor with whose sightings an array is given, or None, and the array's variable.
@@ -69,8 +73,9 @@ class Kind:
     """A kind of step, made from the plan and the values of its first one.
 
     `step` is the machine code, a function of a belief and values; None where there is none, for the
-    reason `why`. The `records` are read from what it leaves; `status` is that of a belief after a
-    step that settles nothing. The `judge` compares the functions' traces with the functions;
+    reason `why`. `belief` is the class of beliefs, and the filter's steps that they have. The
+    `records` are read from what it leaves; `status` is that of a belief after a step that settles
+    nothing. The `judge` compares the functions' traces with the functions;
     `trials` is how many more steps are made in NumPy, too, before machine code is trusted.
     """
 
@@ -78,8 +83,15 @@ class Kind:
     why: str = ""
     trials: int = TRIALS
 
-    def __init__(self, plan: ChainPlan, values: Values, status: Status, asked: Questions) -> None:
-        self.judge, self._asked = Judge(), asked
+    def __init__(
+        self,
+        plan: ChainPlan,
+        values: Values,
+        status: Status,
+        asked: Questions,
+        belief: tuple[type, object],
+    ) -> None:
+        self.judge, self._asked, self._belief = Judge(), asked, belief
         self.records = Records(plan, asked.schedule, status)
         try:
             self.step = self._made(plan, values)
@@ -90,6 +102,8 @@ class Kind:
         why = unknown(plan)
         if why is None and largest(families(plan)):
             why = "its sigma points lie close together, and lost digits are to be told"
+        if why is None and not are_known():
+            why = "NumPy's arrays lie here in memory in a way of their own"
         if why is not None:
             raise Uncompiled(why)
         if self.records.iterated and isinstance(self._asked.schedule.damping, LevenbergMarquardt):
@@ -147,14 +161,15 @@ class Kind:
         moves = bool(plan.transition)
         schedule, watched = self._asked.schedule, self._asked.watched
         iterations = schedule.iterations if self.records.iterated else 1
-        step = online.Step(chain, moves, tuple(constants), evidence, watched, iterations)
+        slots = _slots(self._belief[0])
+        step = online.Step(chain, moves, tuple(constants), evidence, slots, watched, iterations)
         machine = online.made(step)
         numbers = b"".join(each.tobytes() for each in (*constants.values(), settings(schedule)))
         # As of `evidence.VARIABLES` and before.
         self.records.motions = motions
-        names = "values", "step", "_given"
-        own = numbers, np.ndarray, Sightings, *names, *(variable for _, variable in given)
-        return python.bound(machine, online.STEP, own)
+        known = PREDICTED if moves else FILTERED
+        own = numbers, np.ndarray, Sightings, *self._belief, known, self.records
+        return python.bound(machine, online.STEP, (*own, *(variable for _, variable in given)))
 
     def _gate_of(self, sensor: Sensor, table: _Constants) -> told.Gate | None:
         gate = self.records.gates.get(sensor.variable)
@@ -162,6 +177,23 @@ class Kind:
             return None
         limits = table.array(gates.limits(gate, sensor.height)[None, None])
         return told.Gate(limits, table.room(1), table.room(1))
+
+
+def _slots(belief: type) -> Slots:
+    """The places of slots of sightings, and of a class of beliefs."""
+    sighted = (place_of_slot(Sightings, name) for name in ("values", "step", "_given"))
+    names = "_steps", "_number", "_numbers", "_kind", "_records", "_behind"
+    return Slots(*sighted, *(place_of_slot(belief, name) for name in names))
+
+
+def marginal_of(variable: Variable) -> Callable[[bytes], Gaussian]:
+    """The machine code of a belief's Gaussian over its single variable, from its numbers."""
+    mean, cov, scope, steps = (
+        place_of_slot(Gaussian, name) for name in ("mean", "cov", "scope", "steps")
+    )
+    machine = marginal.made(variable.dimension, (mean, cov, scope, steps))
+    own = np.ndarray, np.dtype(float), Gaussian, (variable,)
+    return python.bound(machine, marginal.MARGINAL, own)
 
 
 def _loss_of(sensor: Sensor, table: _Constants) -> told.Loss | None:

@@ -164,7 +164,8 @@ class MomentSteps(InCode, Immutable):
             reverses = self._behind is not None and self._behind.lag > 0
             asked = Questions(self._filtering, watched=self.watch, reverses=reverses)
             steps = CompiledSteps(layout, *ways, *statuses, asked, wait=wait)
-            self._set(_steps=steps, predict=steps.predict, update=steps.update)
+            quick, own = steps.quick, {"predict": steps.predict, "update": steps.update}
+            self._set(_steps=steps, quick=quick, **own)
 
     @property
     def _is_safe(self) -> bool:

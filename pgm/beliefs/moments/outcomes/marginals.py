@@ -14,7 +14,6 @@ from pgm.beliefs.moments.passes.backward import Beliefs
 from pgm.compile import SliceLayout
 from pgm.display import NoArray, Shown, Summary
 from pgm.factors import Gaussian
-from pgm.factors.scope import positions
 from pgm.kernels.arrays import block
 from pgm.posteriors.belief_kind import Kind
 from pgm.posteriors.hidden import located
@@ -54,7 +53,7 @@ class Marginals(Shown, NoArray):
         """
         layout, last = self.layout, self.beliefs.mean.shape[0] - 1
         template, first = located(layout, variable, last)
-        places = positions(layout.slice, [template])
+        places = layout.places[template]
         if variable.step is not None:
             mean = self.beliefs.mean[variable.step][:, places]
             cov = block(self.beliefs.cov[variable.step], places, places)
@@ -64,13 +63,18 @@ class Marginals(Shown, NoArray):
                 mean.reshape(*shape, mean.shape[-1]),
                 cov.reshape(*shape, *cov.shape[-2:]),
             )
+        steps = np.arange(first, last + 1)
+        if self.lead == () and isinstance(places, slice):  # views, in a quarter of the time
+            mean = self.beliefs.mean[first:, 0, places]
+            cov = self.beliefs.cov[first:, 0, places, places]
+            return Gaussian._make((variable,), mean, cov, steps)
         mean = self.beliefs.mean[first:][..., places].swapaxes(0, 1)
         cov = block(self.beliefs.cov[first:], places, places).swapaxes(0, 1)
         return Gaussian._make(
             (variable,),
             mean.reshape(*self.lead, *mean.shape[1:]),
             cov.reshape(*self.lead, *cov.shape[1:]),
-            np.arange(first, last + 1),
+            steps,
         )
 
     @property

@@ -146,7 +146,12 @@ class ChainOutcome(Innovated, Outcome[Gaussian]):
 
         `kind` tells which measurements they know: predicted, filtered, fixed-lag or smoothed.
         """
-        return Marginals(self.graph.layout, beliefs, self._planned.lead, kind)
+        return Marginals(self.graph.layout, beliefs, self._lead, kind)
+
+    @cached_property
+    def _lead(self) -> tuple[int, ...]:
+        """The axes of runs that users see."""
+        return self._planned.lead
 
     @property
     def _beliefs(self) -> Beliefs:
@@ -187,7 +192,7 @@ class ChainOutcome(Innovated, Outcome[Gaussian]):
     def log_evidence(self) -> Array:
         """The log-evidence ln p(measurements), in nats, (...): a sum of log-densities by step."""
         total: Array = self._swept.log_density.sum(axis=0)
-        return total.reshape(self._planned.lead)
+        return total.reshape(self._lead)
 
     @property
     def log_evidence_kind(self) -> str:

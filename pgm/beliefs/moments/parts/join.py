@@ -72,7 +72,7 @@ def swept_once(
     plan = ChainPlan.make(graph, bound, lineariser, probe=False)
     mean, cov, log_density, *smoothed = beliefs
     swept, kind = Filtered(plan, mean, cov, log_density), SMOOTHED if smoothed else FILTERED
-    last = Beliefs(*smoothed) if smoothed else None
+    last = Beliefs(smoothed[0], smoothed[1]) if smoothed else None
     return ChainOutcome(graph, status, kind, plan, swept, last, None)
 
 
@@ -179,10 +179,10 @@ def _along_runs(kind: type[Any], parts: Sequence[Any]) -> Any:
     """One result of all runs, from the results of the parts, which are all of the type `kind`.
 
     Arrays are concatenated along their second axis, which is of runs. Named tuples and dataclasses
-    are joined field by field; of bools and floats the least is taken. If the first part's result is
-    None, so is that of all.
+    are joined field by field; of bools and floats the least is taken. If a part's result is None,
+    so is that of all.
     """
-    if parts[0] is None:
+    if any(part is None for part in parts):
         return None
     if kind in (bool, float):  # of all, or the least
         return min(parts)

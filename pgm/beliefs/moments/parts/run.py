@@ -23,6 +23,7 @@ from pgm.beliefs.moments.outcomes.kept_outcome import KeptOutcome
 from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
 from pgm.beliefs.moments.parts.join import joined, one_status, swept_once
 from pgm.beliefs.moments.parts.split import Part, split
+from pgm.beliefs.moments.solvers.bound import bound_to
 from pgm.beliefs.moments.solvers.run import run as run_chain
 from pgm.compile import BalancedGraph, DynamicGraph, SliceLayout
 from pgm.errors import EvidenceError, ExecutorError, GraphError, PgmError
@@ -59,6 +60,10 @@ def run(graph: DynamicGraph, bound: BoundEvidence, call: Call) -> ChainOutcome |
     in parts.
     """
     schedule, lineariser, start, keep, executor, *_ = call
+    if start is None and keep is None and executor is None:
+        swept_before = bound_to(graph, bound, schedule, lineariser)
+        if swept_before is not None:
+            return _told(swept_before)
     model = graph.model
     require_gaussian((*model.prior, *model.transition, *model.observation), "Gaussian beliefs")
     if is_open(bound):

@@ -118,40 +118,19 @@ class Reverse:
 
     `states` (T, runs, ...) has in row t p(states at t | slice at t + 1, measurements up to t).
     `slices` (T+1, runs, ...) has in row t p(slice at t | its states, measurements up to t); None if
-    there are no controls, so that the states are the slice. `beliefs` are the smoothed moments if
-    they have been found already, else None; `kept` says that all of their numbers, and those of the
-    forward pass, are finite, and that the way back surely left them the digits that are promised.
+    there are no controls, so that the states are the slice.
     """
 
     states: Conditional
     slices: Conditional | None
-    beliefs: Beliefs | None = None
-    kept: bool = False
 
     @classmethod
-    def make(cls, plan: ChainPlan, forward: Ahead, *, smooth: bool = False) -> Reverse:
-        """Reverse the transitions of a plan by Bayes' rule, many steps at once.
-
-        With `smooth` the smoothed `beliefs` are found too, if machine code does both in one pass;
-        else they stay None.
-        """
-        places = plan.layout.state_places
-        moved = transition(plan)
-        slices = _given_states(plan, forward) if plan.layout.control_places.size else None
-        found = compiled.backward(plan, forward, moved, slices, smooth=smooth)
-        if found is not None:
-            states, beliefs, kept = found
-            return cls(states, slices, None if beliefs is None else Beliefs(*beliefs), kept)
-        matrix, _, noise = moved
-        parts = _Step(
-            forward.mean[:-1][..., places],
-            block(forward.cov[:-1], places, places),
-            matrix,
-            noise,
-            forward.predicted_mean[1:],
-            forward.predicted_cov[1:],
-        )
-        return cls(in_chunks(_reverse, parts), slices)
+    def make(cls, plan: ChainPlan, forward: Ahead) -> Reverse:
+        """Reverse the transitions of a plan by Bayes' rule, many steps at once."""
+        moved, slices = transition(plan), _given_states(plan, forward)
+        found = compiled.backward(plan, forward, moved, slices, reverse=True, smooth=False)
+        states = None if found is None else found[0]
+        return cls(_reversed(plan, forward, moved) if states is None else states, slices)
 
     @property
     def whole(self) -> Conditional:
@@ -184,6 +163,22 @@ class Reverse:
         return mean, cov
 
 
+def _reversed(plan: ChainPlan, forward: Ahead, moved: Conditional) -> Conditional:
+    """The states of a `Reverse` by the general kernels; `moved` is the plan's transition."""
+    places = plan.layout.state_places
+    matrix, _, noise = moved
+    parts = _Step(
+        forward.mean[:-1][..., places],
+        block(forward.cov[:-1], places, places),
+        matrix,
+        noise,
+        forward.predicted_mean[1:],
+        forward.predicted_cov[1:],
+    )
+    found: Conditional = in_chunks(_reverse, parts)
+    return found
+
+
 class _Step(NamedTuple):
     """The quantities of Bayes' rule that reverse transitions from t to t + 1, t = 0..T − 1.
 
@@ -210,14 +205,17 @@ def _reverse(step: _Step) -> Conditional:
     return moments.reverse(*step)
 
 
-def _given_states(plan: ChainPlan, forward: Ahead) -> Conditional:
+def _given_states(plan: ChainPlan, forward: Ahead) -> Conditional | None:
     """p(slice | its states, measurements up to its step) as affine conditionals, (T+1, runs, ...).
 
     The states follow from themselves, without noise; the controls by their regression on the
-    states, with the gain Cov(controls, states) Cov(states)⁺ of the filtered belief.
+    states, with the gain Cov(controls, states) Cov(states)⁺ of the filtered belief. None without
+    controls, as the states are the slice then.
     """
     layout = plan.layout
     states, controls = layout.state_places, layout.control_places
+    if not controls.size:
+        return None
     known = block(forward.cov, states, states)
     lower = roots.root(known)
     size, front = layout.slice_size, layout.state_size
@@ -241,22 +239,34 @@ def stepwise_is_faster(steps: int, runs: int) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Beliefs:
-    """Moments of the slice at every step: (T+1, runs, n) and (T+1, runs, n, n)."""
+    """Moments of the slice at every step: (T+1, runs, n) and (T+1, runs, n, n).
+
+    `kept` says of smoothed ones that all their numbers, and those of the forward pass, are finite,
+    and that the way back surely left them the digits that are promised.
+    """
 
     mean: Array
     cov: Array
+    kept: bool = False
 
 
-def smoothed(forward: Ahead, reverse: Reverse) -> Beliefs:
-    """Smoothed moments of every slice: by a parallel scan, or step by step where that is faster.
+def smoothed(
+    plan: ChainPlan, forward: Ahead, *, reverse: bool = False
+) -> tuple[Beliefs, Reverse | None]:
+    """Smoothed moments of every slice, and the reversed chain, if it was made on the way.
 
-    Machine code may have found them when it reversed the chain; then `reverse` has them, and they
-    are returned.
+    Machine code makes it with `reverse` alone. The general kernels do always, and then go back by
+    a parallel scan, or step by step where that is faster.
     """
-    if reverse.beliefs is not None:
-        return reverse.beliefs
+    moved, slices = transition(plan), _given_states(plan, forward)
+    found = compiled.backward(plan, forward, moved, slices, reverse=reverse, smooth=True)
+    if found is not None:
+        states, beliefs, kept = found
+        assert beliefs is not None
+        return Beliefs(*beliefs, kept), None if states is None else Reverse(states, slices)
+    made = Reverse(_reversed(plan, forward, moved), slices)
     stepwise = stepwise_is_faster(*forward.mean.shape[:2])
-    return sweep(forward, reverse) if stepwise else scan(forward, reverse)
+    return sweep(forward, made) if stepwise else scan(forward, made), made
 
 
 def scan(forward: Ahead, reverse: Reverse) -> Beliefs:

@@ -63,22 +63,22 @@ from pgm.schedules.schedule import Smoothing
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """A chain smoothed in float64: a forward pass, the reversed chain, and the smoothed beliefs.
+    """A chain smoothed in float64: a forward pass, and the smoothed beliefs.
 
-    `paired` says whether a CPD is linearised at a pair, so that `point` needs its covariances.
+    `reverse` is the reversed chain, where it was made: where a CPD is linearised at a pair, so that
+    `point` needs its covariances, and by the general kernels.
     """
 
     forward: Ahead
-    reverse: Reverse
     beliefs: Beliefs
+    reverse: Reverse | None
     paired: bool
 
     @classmethod
     def of(cls, plan: ChainPlan, ahead: Ahead) -> Smoothed:
         """The smoothed chain, by a backward pass from the forward one, `ahead`, of the plan."""
-        reverse = Reverse.make(plan, ahead, smooth=True)
         paired = not plan.layout.single
-        return cls(ahead, reverse, backward.smoothed(ahead, reverse), paired)
+        return cls(ahead, *backward.smoothed(plan, ahead, reverse=paired), paired)
 
     @property
     def means(self) -> Array:
@@ -90,16 +90,21 @@ class Smoothed:
         """The moments of slices, and of pairs if `paired`, as a point of linearisation."""
         joint = None
         if self.paired:
+            assert self.reverse is not None
             joint = backward.pairs(self.beliefs, self.reverse, slice(None)).cov
         return Point(self.beliefs.mean, self.beliefs.cov, joint)
+
+    def reversed_of(self, plan: ChainPlan) -> Reverse:
+        """The reversed chain, of a plan that is as it was linearised for this chain."""
+        return self.reverse or Reverse.make(plan, self.forward)
 
     def at(self, plan: ChainPlan, mean: Array) -> Smoothed:
         """The same chain with other smoothed means, such as those that a step control kept.
 
         The reversed chain is moved to `mean` (T+1, runs, n); forward pass and covariances stay.
         """
-        reverse = self.reverse.moved(mean, plan.layout.state_places)
-        return Smoothed(self.forward, reverse, Beliefs(mean, self.beliefs.cov), self.paired)
+        moved = self.reversed_of(plan).moved(mean, plan.layout.state_places)
+        return Smoothed(self.forward, Beliefs(mean, self.beliefs.cov), moved, self.paired)
 
 
 Either = TypeVar("Either", Smoothed, CarefulSmoothed)

@@ -10,7 +10,9 @@ anything is in doubt, goes the general way: nothing is decided here but that not
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import fields
+from functools import cached_property
 from math import prod
 from typing import Any, NamedTuple
 
@@ -18,11 +20,11 @@ import numpy as np
 
 from pgm.beliefs.moments.compiled import sweep
 from pgm.beliefs.moments.compiled.judged import evaluated, standing
-from pgm.beliefs.moments.compiled.plans import Integers64, Uncompiled
+from pgm.beliefs.moments.compiled.plans import Get, Integers64, Uncompiled
 from pgm.beliefs.moments.compiled.table import Named, NamedTable, lies
 from pgm.beliefs.moments.digits.certificate import MODERATE
 from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
-from pgm.beliefs.moments.passes.backward import Beliefs, Reverse, transition
+from pgm.beliefs.moments.passes.backward import Beliefs, transition
 from pgm.beliefs.moments.passes.forward import Forward
 from pgm.beliefs.moments.steps.account import Account
 from pgm.beliefs.moments.steps.plan import Blank, ChainPlan
@@ -31,12 +33,14 @@ from pgm.evidence import BoundEvidence
 from pgm.kernels.arrays import Array, address, vacant
 from pgm.kernels.machine.sweeps import chain as sweeps
 from pgm.kernels.machine.sweeps import told
-from pgm.kernels.moments import Conditional
 from pgm.linearisation.family import Family
-from pgm.posteriors.belief_kind import SMOOTHED
-from pgm.schedules.schedule import Filtering, Schedule, Smoothing
+from pgm.linearisers import Lineariser
+from pgm.posteriors.belief_kind import SMOOTHED, Kind
+from pgm.posteriors.status import Status
+from pgm.schedules.schedule import Filtering, FixedLag, Schedule, Smoothing
 from pgm.tracing import Program, Tracer
 from pgm.tracing.clearing import Clearing, Standing
+from pgm.variables import Variable
 
 # A mean and a covariance of each step.
 Pair = tuple[Array, Array]
@@ -56,6 +60,12 @@ class _View(NamedTuple):
         """The array in these blocks."""
         return np.ndarray(self.shape, float, blocks[self.block], self.begin, self.strides)
 
+    def numbers(self, blocks: Sequence[Array]) -> list[float]:
+        """The numbers of an array that has no gaps, in a third of the time."""
+        first = self.begin // 8
+        found: list[float] = blocks[self.block][first : first + self.shape[0]].tolist()
+        return found
+
 
 class _Room:
     """The arrays of a call in three blocks.
@@ -65,8 +75,8 @@ class _Room:
     """
 
     def __init__(self, plan: ChainPlan, *, back: bool) -> None:
-        self._sizes = [0, 0, 0]
-        size, front = plan.layout.slice_size, plan.layout.state_size
+        self.back, self._sizes = back, [0, 0, 0]
+        size = plan.layout.slice_size
         steps = plan.steps + 1
         belief = (steps, (size,)), (steps, (size, size))
         self.shown = [self._take(*each, block) for block, each in enumerate(belief, 1)]
@@ -74,8 +84,6 @@ class _Room:
         self.known = [self._take(*each) for each in belief] if back else self.shown
         self.density = self._take(steps, ())
         self.ended = [self._take(sweeps.TOLD, ()) for _ in range(1 + back)]
-        own = (front, size), (front,), (front, front)
-        self.reversed = [self._take(plan.steps, each) for each in own] if back else []
         # By the number of a family its slopes and offsets, by that of a sensor its moved readings.
         self.lines = {
             k: (
@@ -108,9 +116,100 @@ class _Room:
         for k, (matrix, offset) in self.lines.items():
             families[k].matrix, families[k].offset = matrix.of(blocks), offset.of(blocks)
         for k, view in self.moved.items():
-            moved = view.of(blocks)
-            moved[...] = plan.sensors[k].values
-            plan.sensors[k].moved = moved
+            plan.sensors[k].moved = view.of(blocks)
+
+    def read(self, evidence: BoundEvidence, blocks: Sequence[Array]) -> None:
+        """Write the readings that a sweep moves as they are before."""
+        for k, view in self.moved.items():
+            view.of(blocks)[...] = evidence.readings[k].values
+
+
+class _Made:
+    """The plan and the arrays of a call, each made when it is first asked for.
+
+    A sweep takes their addresses alone, and few who call ask for more than means and covariances.
+    """
+
+    def __init__(self, blank: Blank, room: _Room, evidence: BoundEvidence, compiled: int) -> None:
+        self.evidence, self.blocks = evidence, room.blocks
+        self._blank, self._room, self._compiled = blank, room, compiled
+
+    @cached_property
+    def plan(self) -> ChainPlan:
+        """The plan, with the linearisations of the sweep."""
+        plan = self._blank.renewed(self.evidence)
+        plan.account = Account(due=True, compiled=self._compiled)
+        self._room.give(plan, self.blocks)
+        return plan
+
+    @cached_property
+    def owners(self) -> list[Any]:
+        """The owners of arrays that may vary: those of the plan."""
+        plan = self.plan
+        families = [link.family for link in plan.transition]
+        for sensor in plan.read:
+            families.append(sensor.family)
+        return [*families, *plan.read, transition(plan) if self._room.back else None]
+
+    @property
+    def known(self) -> Pair:
+        """The means and covariances given the measurements up to each step."""
+        mean, cov = self._room.known
+        return mean.of(self.blocks), cov.of(self.blocks)
+
+    @property
+    def predicted(self) -> Pair:
+        """The means and covariances given the measurements before each step."""
+        mean, cov = self._room.predicted
+        return mean.of(self.blocks), cov.of(self.blocks)
+
+    @property
+    def ended(self) -> list[Array]:
+        """The arrays in which each of the sweeps tells of its end."""
+        return [each.of(self.blocks) for each in self._room.ended]
+
+    @property
+    def beliefs(self) -> Beliefs:
+        """The means and covariances that users ask for first."""
+        mean, cov = self._room.shown
+        return Beliefs(mean.of(self.blocks), cov.of(self.blocks), kept=self._room.back)
+
+    def forward(self, closest: float = 0.0) -> Forward:
+        """The sweep forward; `closest` is the least share of a variance."""
+        density = self._room.density.of(self.blocks)
+        return Forward(*self.predicted, *self.known, density, closest, far=False)
+
+
+class BoundOutcome(ChainOutcome):
+    """The outcome of a bound call, whose parts are made when they are asked for."""
+
+    _made: _Made
+    _closest: float
+
+    @classmethod
+    def of(
+        cls, graph: DynamicGraph, status: Status, kind: Kind, made: _Made, closest: float
+    ) -> BoundOutcome:
+        """The outcome of a call; `closest` is the least share of a variance on its way."""
+        found = object.__new__(cls)  # whose other fields are found below
+        parts = {"graph": graph, "status": status, "kind": kind, "associations": {}}
+        parts["_reverse_given"] = None  # it is made when it is asked for
+        smoothed = made.beliefs if kind == SMOOTHED else None
+        own = {"_made": made, "_closest": closest, "_lead": made.evidence.lead}
+        found.__dict__.update(parts, _smoothed=smoothed, **own)
+        return found
+
+    @cached_property
+    def _planned(self) -> ChainPlan:  # type: ignore[override]  # frozen there
+        return self._made.plan
+
+    @cached_property
+    def _swept(self) -> Forward:
+        return self._made.forward(self._closest)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # What is bound to memory of this process stays there.
+        return ChainOutcome, tuple(getattr(self, each.name) for each in fields(ChainOutcome))
 
 
 class _Numbers:
@@ -131,13 +230,64 @@ class _Numbers:
 
 
 class _Check(NamedTuple):
-    """A trace that a call uses; `first` is where its points' places begin among the numbers."""
+    """A trace that a call uses, at so many `points`.
+
+    `first` is where the places of these begin among the numbers, of which some point to what is
+    `kept`; `squared` is as of `Standing`.
+    """
 
     tracer: Tracer
     trace: Program
     clearing: Clearing
-    points: Standing
     first: int
+    points: int
+    squared: bool
+    kept: object
+
+
+class _Varying(NamedTuple):
+    """An array that is another one in each call.
+
+    It is found in the evidence itself by `way`; where that is None, `owner` has it, a number of the
+    plan's, and is asked for it by `get`. `lies` is as of `Named`.
+    """
+
+    way: _Way | None
+    owner: int
+    get: Get
+    lies: tuple[Any, ...] | None
+
+    def of(self, made: _Made) -> Array:
+        """The array in a call."""
+        if self.way is None:
+            found: Array = self.get(made.owners[self.owner])
+            return found
+        return self.way.of(made.evidence)
+
+
+class _Way(NamedTuple):
+    """Where an array stands in evidence: as values of a reading, or of a parent, there or not."""
+
+    place: int
+    sensor: bool
+    parent: Variable | None
+
+    def of(self, evidence: BoundEvidence) -> Array:
+        """The array of this evidence."""
+        if self.parent is None:
+            return evidence.readings[self.place].values
+        if self.sensor:
+            return evidence.readings[self.place].inputs[self.parent]
+        return evidence.transition[self.place][self.parent]
+
+
+def _ways(evidence: BoundEvidence) -> Iterator[tuple[int, _Way]]:
+    """The identities of evidence's arrays of numbers, each with the way to it."""
+    for k, inputs in enumerate(evidence.transition):
+        yield from ((id(values), _Way(k, False, parent)) for parent, values in inputs.items())
+    for k, reading in enumerate(evidence.readings):
+        yield id(reading.values), _Way(k, True, None)
+        yield from ((id(own), _Way(k, True, parent)) for parent, own in reading.inputs.items())
 
 
 class Bound:
@@ -155,32 +305,36 @@ class Bound:
         self.served = self.failed = 0
         self._room = _Room(plan, back=self._back)
         mine, other = self._made(evidence), self._made(evidence.mapped(np.copy))
-        for own, theirs in zip(mine[0].families, plan.families, strict=True):
+        for own, theirs in zip(mine.plan.families, plan.families, strict=True):
             own.compiled = theirs.compiled
-        owners, others = (self._owners(*each) for each in (mine, other))
-        numbers, named = self._tabled(mine[0], owners)
+        owners, others = map(self._owners, (mine, other))
+        numbers, named = self._tabled(mine.plan, owners)
         self._before = len(numbers)
         if self._back:
-            more = self._tabled_back(mine[0], owners)
+            more = self._tabled_back(mine.plan, owners)
             numbers, named = numbers + more[0], [*named, *more[1]]
         # What two plans have in common is the same for all evidence; what is in no block varies.
-        self._kept, self._varying = list[Array](), list[tuple[int, Named]]()
-        varying = []
+        self._kept, self._varying = list[Array](), list[_Varying]()
+        varying, ways = [], dict(_ways(evidence))
         for owner, each in named:
             array = each.get(owners[owner])
             numbers[each.place] = address(array)  # one that is made when asked for lies elsewhere
             if array is each.get(others[owner]):
                 self._kept.append(array)
-            elif not any(np.may_share_memory(array, block) for block in mine[1]):
-                self._varying.append((owner, each))
+            elif not any(np.may_share_memory(array, block) for block in mine.blocks):
+                way = ways.get(id(array))
+                if way is not None and way.of(other.evidence) is not each.get(others[owner]):
+                    way = None
+                self._varying.append(_Varying(way, owner, each.get, each.lies))
                 varying.append(array)
             if each.copied:
                 raise Uncompiled("machine code reads a copy of an array")
         self._checks: list[_Check] = []
-        for family, belief in evaluated(mine[0], *self._moments(mine[1])):
-            self._checks.append(_check(family, standing(family, belief), len(numbers)))
-            numbers += self._checks[-1].points.places
-        self._numbers = _Numbers(numbers, [*mine[1], *varying])
+        for family, belief in evaluated(mine.plan, mine.known, mine.predicted):
+            points = standing(family, belief)
+            self._checks.append(_check(family, points, len(numbers)))
+            numbers += points.places
+        self._numbers = _Numbers(numbers, [*mine.blocks, *varying])
 
     @property
     def stands(self) -> bool:
@@ -189,75 +343,52 @@ class Bound:
 
     def __call__(self, graph: DynamicGraph, evidence: BoundEvidence) -> ChainOutcome | None:
         """The posterior given evidence of the form; None where that has to go the general way."""
-        plan, blocks = self._made(evidence)
-        owners = self._of_plan(plan)
-        varying = [each.get(owners[owner]) for owner, each in self._varying]
-        for array, (_, each) in zip(varying, self._varying, strict=True):
+        made = self._made(evidence)
+        blocks, room, varying = made.blocks, self._room, list[Array]()
+        for each in self._varying:
+            array = each.of(made)
             if each.lies is not None and lies(array) != each.lies:
                 return None
+            varying.append(array)
+        room.read(evidence, blocks)
         numbers = self._numbers.at([*map(address, blocks), *map(address, varying)])
-        table, ended = address(numbers), self._ended(blocks)
+        table = address(numbers)
         self._ahead(table, 0, 1)
-        left, closest, far, _ = ended[0][:, 0].tolist()
+        left, closest, far, _ = room.ended[0].numbers(blocks)
         if left or far or not closest * MODERATE > 1.0:
             return None
         if self._back:
             self._behind(table + 8 * self._before, 0, 1)
-            left, kept, *_ = ended[1][:, 0].tolist()
+            left, kept, *_ = room.ended[1].numbers(blocks)
             if left or not kept:
                 return None
         elif not np.isfinite(blocks[1].sum() + blocks[2].sum()):
             return None
         for check in self._checks:
-            places = numbers[check.first : check.first + len(check.points.places)]
-            if not check.clearing.clears(check.points._replace(places=places)):
+            places = table + 8 * check.first
+            if not check.clearing.clears_at(check.points, places, squared=check.squared):
                 return None
         for check in self._checks:
             check.tracer.prove(check.trace)
-        return self._posterior(graph, plan, blocks, closest)
+        return BoundOutcome.of(graph, self._status, self._kind, made, closest)
 
-    def _made(self, evidence: BoundEvidence) -> tuple[ChainPlan, list[Array]]:
-        """A plan for evidence of the form, and the blocks in which its arrays are."""
-        plan, blocks = self._blank.renewed(evidence), self._room.blocks
-        plan.account = Account(due=True, compiled=self._compiled)
-        self._room.give(plan, blocks)
-        return plan, blocks
+    def _made(self, evidence: BoundEvidence) -> _Made:
+        """The plan and the arrays of a call for evidence of the form."""
+        return _Made(self._blank, self._room, evidence, self._compiled)
 
-    def _of_plan(self, plan: ChainPlan) -> list[Any]:
-        """The owners of arrays that may vary: those of a plan."""
-        families = [link.family for link in plan.transition]
-        for sensor in plan.read:
-            families.append(sensor.family)
-        return [*families, *plan.read, transition(plan) if self._back else None]
-
-    def _owners(self, plan: ChainPlan, blocks: Sequence[Array]) -> list[Any]:
+    def _owners(self, made: _Made) -> list[Any]:
         """The owners of all arrays of the sweeps."""
-        known, predicted = self._moments(blocks)
-        begin = plan.layout.begun
+        begin = made.plan.layout.begun
         if not begin:
             raise Uncompiled("the belief to begin with depends on evidence")
         record = dict(zip(sweep.BEGIN, begin[0], strict=True))
-        density = self._room.density.of(blocks)
-        record |= zip(sweep.KNOWN, (*known, density), strict=True)
-        record |= zip(sweep.PREDICTED, predicted, strict=True)
-        record |= zip(("ended", "ended back"), self._ended(blocks), strict=False)
-        owners = [*self._of_plan(plan), record, self._forward(blocks)]
+        ahead = made.forward()
+        record |= zip(sweep.KNOWN, (*made.known, ahead.log_density), strict=True)
+        record |= zip(sweep.PREDICTED, made.predicted, strict=True)
+        record |= zip(("ended", "ended back"), made.ended, strict=False)
         if self._back:
-            states, beliefs = self._reversed(blocks)
-            record |= zip(sweep.REVERSED, states, strict=True)
-            record |= zip(sweep.SMOOTHED, (beliefs.mean, beliefs.cov), strict=True)
-        return owners
-
-    def _ended(self, blocks: Sequence[Array]) -> list[Array]:
-        """What each of the sweeps tells of its end."""
-        return [each.of(blocks) for each in self._room.ended]
-
-    def _moments(self, blocks: Sequence[Array]) -> tuple[Pair, Pair]:
-        """The known and the predicted means and covariances."""
-        mean, cov, *predicted = (
-            each.of(blocks) for each in (*self._room.known, *self._room.predicted)
-        )
-        return (mean, cov), (predicted[0], predicted[1])
+            record |= zip(sweep.SMOOTHED, (made.beliefs.mean, made.beliefs.cov), strict=True)
+        return [*made.owners, record, ahead]
 
     def _tabled(self, plan: ChainPlan, owners: list[Any]) -> tuple[list[int], Owned]:
         """The table of the sweep forward, and the names of its arrays."""
@@ -280,25 +411,6 @@ class Bound:
         table.numbers[told.ENDED] = address(ended)
         return table.numbers
 
-    def _forward(self, blocks: Sequence[Array], closest: float = 0.0) -> Forward:
-        known, (mean, cov) = self._moments(blocks)
-        density = self._room.density.of(blocks)
-        return Forward(mean, cov, *known, density, closest, far=False)
-
-    def _reversed(self, blocks: Sequence[Array]) -> tuple[Conditional, Beliefs]:
-        states = Conditional(*(each.of(blocks) for each in self._room.reversed))
-        return states, Beliefs(*(each.of(blocks) for each in self._room.shown))
-
-    def _posterior(
-        self, graph: DynamicGraph, plan: ChainPlan, blocks: Sequence[Array], closest: float
-    ) -> ChainOutcome:
-        swept = self._forward(blocks, closest)
-        parts = graph, self._status, self._kind, plan, swept
-        if not self._back:
-            return ChainOutcome(*parts, None, None)
-        states, beliefs = self._reversed(blocks)
-        return ChainOutcome(*parts, beliefs, Reverse(states, None, beliefs, True))
-
 
 def _owned(table: NamedTable, first: int) -> Owned:
     """The names of a table's arrays, whose numbers begin at `first`."""
@@ -307,9 +419,13 @@ def _owned(table: NamedTable, first: int) -> Owned:
 
 
 def bound_to(
-    blank: Blank | None, graph: DynamicGraph, schedule: Schedule, evidence: BoundEvidence
+    graph: DynamicGraph, evidence: BoundEvidence, schedule: Schedule | None, lineariser: Lineariser
 ) -> ChainOutcome | None:
-    """The posterior by what has been bound for a form of evidence; None where nothing serves."""
+    """The posterior by what has been bound for a form of evidence; None where nothing serves.
+
+    A call that is bound has gone the general way before, where all but values was checked.
+    """
+    blank = Blank.known(graph.layout, evidence, lineariser) if evidence.runs == 1 else None
     key = None if blank is None else _key(graph, schedule, evidence)
     if blank is None or key is None:
         return None
@@ -347,20 +463,26 @@ def bind(
         blank.bound[key] = None
 
 
+# The schedule of calls that name none.
+_ONCE = Smoothing()
 # What is found where nobody has tried to bind.
 _NOTHING = "nothing"
 # Calls in vain, beside as many as served, after which a form of evidence is bound no more.
 _FAILURES = 4
 
 
-def _key(graph: DynamicGraph, schedule: Schedule, evidence: BoundEvidence) -> Any:
+def _key(graph: DynamicGraph, schedule: Schedule | None, evidence: BoundEvidence) -> Any:
     """The kind of a call that may be bound, and which sensors lack readings; None of others."""
+    if schedule is None:
+        schedule = _ONCE
+    elif type(schedule) is FixedLag and not schedule.lag:
+        schedule = schedule.filtering
     if type(schedule) not in (Filtering, Smoothing) or isinstance(graph, BalancedGraph):
         return None
     assert isinstance(schedule, Filtering | Smoothing)
     if schedule.iterations > 1 or schedule.gate is not None or schedule.damping != 0.0:
         return None
-    return type(schedule), *(bool(each.taken.all()) for each in evidence.readings)
+    return type(schedule), *[each.whole for each in evidence.readings]
 
 
 def _require_plain(plan: ChainPlan, *, back: bool) -> None:
@@ -378,10 +500,11 @@ def _require_plain(plan: ChainPlan, *, back: bool) -> None:
 
 
 def _check(family: Family, points: Standing, first: int) -> _Check:
-    """What is needed to clear a family's trace at points whose places follow others."""
+    """The clearing of a family's trace at points whose places follow others."""
     answers = family.compiled
     assert answers is not None
     clearing = answers.slopes.clearing(answers.trace, differentiated=True)
     if clearing is None or answers.every > 1:
         raise Uncompiled("a trace is not cleared at once")
-    return _Check(answers.tracer, answers.trace, clearing, points, first)
+    own = answers.tracer, answers.trace, clearing
+    return _Check(*own, first, points.number, points.squared, points.kept)

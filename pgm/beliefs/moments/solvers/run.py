@@ -25,7 +25,7 @@ from pgm.beliefs.moments.passes.forward import Filtered, Forward, Room
 from pgm.beliefs.moments.smoothers import fixed_lag, parallel, smoother
 from pgm.beliefs.moments.smoothers.fixed_lag import Lagged, Windows
 from pgm.beliefs.moments.solvers.balanced import BalancedOutcome
-from pgm.beliefs.moments.solvers.bound import bind, bound_to
+from pgm.beliefs.moments.solvers.bound import bind
 from pgm.beliefs.moments.steps import gate
 from pgm.beliefs.moments.steps.plan import Blank, ChainPlan
 from pgm.compile import BalancedGraph, DynamicGraph, SliceLayout
@@ -243,11 +243,8 @@ def run(
     if isinstance(schedule, FixedLag) and not schedule.lag and schedule.solver is None:
         require_known(schedule, "a filter, which a lag of 0 is")
         schedule = schedule.filtering
-    plain = start is None and room is None
+    plain = start is None and room is None and bound.runs == 1
     blank = Blank.known(graph.layout, bound, lineariser) if plain else None
-    swept_before = bound_to(blank, graph, schedule, bound)
-    if swept_before is not None:
-        return swept_before
     solver = solver_of(graph, schedule)
     given = None if start is None else _start(graph.layout, bound, start)
     for judge in judged():
@@ -318,8 +315,7 @@ def _suffices(posterior: ChainOutcome) -> bool:
 
 def _is_kept(posterior: ChainOutcome) -> bool:
     """Whether the sweep back has told that its beliefs have the digits that are promised."""
-    reverse = posterior._reverse_given
-    return reverse is not None and reverse.kept and reverse.beliefs is posterior._smoothed
+    return posterior._smoothed is not None and posterior._smoothed.kept
 
 
 def _carefully(solver: Solver, plan: ChainPlan, given: Array | None) -> ChainOutcome:

@@ -336,7 +336,7 @@ class Blank:
 
     @classmethod
     def of(cls, plan: ChainPlan, bound: BoundEvidence, lineariser: Lineariser) -> Blank:
-        """What a plan, just laid out, has in common with those for other evidence of its form."""
+        """The blank of a plan, just laid out: its part that other evidence of its form shares."""
 
         def links(every: list[Link]) -> list[Link]:
             return [link.with_family(link.family.emptied()) for link in every]
@@ -369,7 +369,7 @@ class Blank:
         known, lead = self.plan, self.plan.lead
         sensors = []
         for sensor, reading in zip(known.sensors, bound.readings, strict=True):
-            taken = None if reading.taken.all() else reading.taken
+            taken = None if reading.whole else reading.taken
             family = sensor.family.renewed(reading.inputs, lead)
             sensors.append(sensor.renewed(family, reading.values, taken))
         transition = [
@@ -405,7 +405,7 @@ def _sensor(
         family=family,
         parents=place.parents,
         order=reading.order,
-        taken=None if reading.taken.all() else reading.taken,
+        taken=None if reading.whole else reading.taken,
         values=reading.values,
         bounds=bounds,
         cross={},

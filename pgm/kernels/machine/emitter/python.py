@@ -1,8 +1,10 @@
 """Functions of machine code that Python calls as its own, and Python's objects in machine code.
 
-An object is known by its address, and touched through Python's stable interface alone, so that it
-may be of any kind: what is wrong raises an exception. Memory of arrays is lent by the buffer
-protocol; whatever is borrowed in a call is given back where it ends, in whichever way.
+An object is known by its address, and may be of any kind: what is wrong raises an exception. It is
+touched through Python's stable interface, but for its class, its slots, and the contents of tuples
+and bytes. These are read where they lie, since their functions take as long as the arithmetic of a
+small step; the place is looked for in objects whose contents are known (`_place_in`). Of arrays see
+`arrays`. Whatever is made in a call is held until it ends, in whichever way.
 """
 
 from __future__ import annotations
@@ -23,12 +25,10 @@ if TYPE_CHECKING:
     from pgm.kernels.machine.emitter.compiled import Compiled
 
 _CALLED_WITH_AN_ARRAY = 0x80  # METH_FASTCALL
-_CONTIGUOUS = 0x08 | 0x04  # PyBUF_ND | PyBUF_FORMAT
-# Where a Py_buffer of 80 bytes has the address, the owner, and its format and shape.
-_BUFFER, _OWNER, _FORMAT, _SHAPE, _WIDE = 0, 1, 5, 6, 10
-# The text "d" of a float64 in the machine's own order of bytes, as a number of 16 bits.
-_DOUBLE = int.from_bytes(b"d\0", "little")
+# Where bytes have their count, and begin.
+_SIZE, _BYTES = object.__basicsize__, bytes.__basicsize__ - 1
 # Words of exceptions, which stay in memory as long as code that refers to them.
+_NO_BYTES = ctypes.create_string_buffer(b"bytes were due")
 _TOO_SHORT = ctypes.create_string_buffer(b"more bytes were due")
 _OTHER_COUNT = ctypes.create_string_buffer(b"another number of arguments was due")
 
@@ -43,16 +43,21 @@ class Python:
 
     def __init__(self, code: Code, count: int) -> None:
         self.code = code
-        self.me, given, self._held, self._views = code.arguments
+        self.me, given, self._held = code.arguments
         objects = Cells(code, given, Address)
         self.given: Objects = tuple(map(objects.load, range(count)))
-        self.holds, self.lends = 0, 0
+        self.holds = 0
+        self._places: dict[str, int] = {}  # of held objects
 
     def call(self, name: str, *given: Any, result: Kind | None = ADDRESS) -> Any:
         """The value of one of Python's functions."""
+        return self.call_at(_function(name), *given, result=result)
+
+    def call_at(self, address: int, *given: Any, result: Kind | None = ADDRESS) -> Any:
+        """The value of the function at an address that is known, such as one of NumPy's."""
         code = self.code
         values = [code.whole(each) if isinstance(each, int) else each for each in given]
-        return code.call_at(code.address(_function(name)), *values, result=result)
+        return code.call_at(code.address(address), *values, result=result)
 
     @property
     def null(self) -> Address:
@@ -61,14 +66,37 @@ class Python:
 
     def none(self) -> Address:
         """None, as a value to give back."""
-        none = self.code.address(id(None))
-        self.call("Py_IncRef", none, result=None)
-        return none
+        return self.more(self.code.address(id(None)))
+
+    def more(self, thing: Address) -> Address:
+        """An object with a further reference: one to give back, or for a function that takes it."""
+        self.call("Py_IncRef", thing, result=None)
+        return thing
+
+    def held(self, thing: Address) -> Address:
+        """An object that is new, held until the function ends, unless it is `passed` on.
+
+        Where there is none, an exception being set, the function ends.
+        """
+        Cells(self.code, self._held, Address).store(self.holds, thing)
+        self._places[thing.text] = self.holds
+        self.holds += 1
+        self.give_null_if(thing.is_null())
+        return Address(self.code, thing.text)
+
+    def passed(self, thing: Address) -> Address:
+        """A held object with the reference by which it was held, as `more` has one of its own."""
+        Cells(self.code, self._held, Address).store(self._places.pop(thing.text), self.null)
+        return thing
 
     def give_null_if(self, truth: Number) -> None:
         """End the function, an exception being set, where a truth holds."""
         with self.code.when(truth):
             self.code.give(self.null)
+
+    def give_null_unless_done(self, status: Whole) -> None:
+        """End the function, an exception being set, unless a function's status, an int, is 0."""
+        self.give_null_if(c_int(status) != 0)
 
     def give_none_unless(self, truth: Number) -> None:
         """End the function with None, unless a truth holds."""
@@ -77,8 +105,7 @@ class Python:
 
     def mine(self, place: int) -> Address:
         """An item of the tuple that the function is bound to."""
-        found: Address = self.call("PyTuple_GetItem", self.me, place)
-        return found
+        return Cells(self.code, self.me.moved(_place_of_items(), "i8"), Address).load(place)
 
     def is_same(self, a: Address, b: Address) -> Number:
         """Whether two objects are one."""
@@ -86,25 +113,35 @@ class Python:
 
     def is_a(self, thing: Address, kind: Address) -> Number:
         """Whether an object is of a class, and of none that is derived from it."""
-        found = self.call("PyObject_Type", thing)
-        self.call("Py_DecRef", found, result=None)
-        return self.is_same(found, kind)
+        return self.is_same(self.slot(thing, _place_of_class()), kind)
 
-    def attribute(self, thing: Address, name: Address) -> Address:
-        """An attribute of an object, held until the function ends."""
-        found = self.call("PyObject_GetAttr", thing, name)
-        Cells(self.code, self._held, Address).store(self.holds, found)
-        self.holds += 1
-        self.give_null_if(found.is_null())
-        return Address(self.code, found.text)
+    def new(self, kind: Address) -> Address:
+        """A new object of a class of Python's, as `object.__new__` makes it."""
+        return self.held(self.call("PyType_GenericAlloc", kind, 0))
+
+    def slot(self, thing: Address, place: int) -> Address:
+        """What a slot of an object has, which the object holds; null where it has nothing.
+
+        `place` is that of `place_of_slot`. An attribute that is looked up by name takes 15 ns.
+        """
+        return Cells(self.code, thing.moved(place, "i8"), Address).load(0)
+
+    def fill(self, thing: Address, place: int, value: Address) -> None:
+        """Put an object, `more` or `passed`, into a slot of a new one."""
+        Cells(self.code, thing.moved(place, "i8"), Address).store(0, value)
 
     def bytes(self, thing: Address, size: int) -> Address:
         """The memory of a bytes object of that size or more; anything else is an exception."""
-        found: Address = self.call("PyBytes_AsString", thing)
-        self.give_null_if(found.is_null())
-        with self.code.when(self.call("PyBytes_Size", thing, result=WHOLE) < size):
-            _refuse(self.code, "ValueError", _TOO_SHORT)
-        return found
+        code = self.code
+        with code.when(~self.is_a(thing, code.address(id(bytes)))):
+            _refuse(code, "TypeError", _NO_BYTES)
+        with code.when(Cells(code, thing.moved(_SIZE, "i8"), Whole).load(0) < size):
+            _refuse(code, "ValueError", _TOO_SHORT)
+        return self.memory_of(thing)
+
+    def memory_of(self, thing: Address) -> Address:
+        """The memory of a bytes object."""
+        return thing.moved(_BYTES, "i8")
 
     def items(self, thing: Address, count: int) -> list[tuple[Address, Address]]:
         """The keys and values of a dict of so many; the function ends with None for another."""
@@ -119,57 +156,36 @@ class Python:
             found.append((Cells(code, key, Address).load(0), Cells(code, value, Address).load(0)))
         return found
 
-    def floats(self, thing: Address, kind: Address, axes: int) -> tuple[Address, list[Whole]]:
-        """The memory of an array of float64, and its shape.
-
-        The function ends with None where the object is not of this class of arrays, or its memory
-        is of another kind, or not contiguous.
-        """
-        code = self.code
-        self.give_none_unless(self.is_a(thing, kind))
-        view = self._views.moved(_WIDE * self.lends, "i64")
-        self.lends += 1
-        failed = self.call("PyObject_GetBuffer", thing, view, _CONTIGUOUS, result=WHOLE)
-        with code.when(_c_int(failed) != 0):
-            self.call("PyErr_Clear", result=None)
-            code.give(self.none())
-        cells = Cells(code, view, Address)
-        letters = code.value(f"load i16, ptr {cells.load(_FORMAT).text}, align 1")
-        code_of = Whole(code, code.value(f"zext i16 {letters} to i64"))
-        self.give_none_unless(code_of == _DOUBLE)
-        # The number of axes stands beside `readonly`, in the upper half of a place.
-        both = Cells(code, view, Whole).load(4)
-        self.give_none_unless(both // 2**32 == axes)
-        shape = Cells(code, cells.load(_SHAPE), Whole)
-        return cells.load(_BUFFER), [shape.load(k) for k in range(axes)]
-
 
 def written(module: Module, name: str, count: int, write: Callable[[Python], None]) -> None:
     """Write a function of so many arguments that Python calls, as `write` gives its value."""
-    passed = ADDRESS, ADDRESS, ADDRESS, ADDRESS
+    passed = ADDRESS, ADDRESS, ADDRESS
     inner = module.function(f"{name} inside", passed, ADDRESS, internal=True)
     python = Python(inner, count)
     write(python)
     code = module.function(name, (ADDRESS, ADDRESS, WHOLE), ADDRESS)
     me, given, number = code.arguments
     held = Address(code, code.reserve(f"[{python.holds + 1} x ptr]"))
-    views = Address(code, code.reserve(f"[{_WIDE * python.lends + 1} x i64]"))
-    null = Address(code, "null")
-    objects, lent = Cells(code, held, Address), Cells(code, views, Address)
-    places = [_WIDE * k + _OWNER for k in range(python.lends)]
+    null, objects = Address(code, "null"), Cells(code, held, Address)
     for k in range(python.holds):
         objects.store(k, null)
-    for place in places:
-        lent.store(place, null)
     with code.when(number != count):
         _refuse(code, "TypeError", _OTHER_COUNT)
-    found = code.variable(code.call(inner, me, given, held, views))
-    for place in places:
-        release = code.address(_function("PyBuffer_Release"))
-        code.call_at(release, views.moved(place - _OWNER, "i64"))
+    found = code.variable(code.call(inner, me, given, held))
     for k in range(python.holds):
-        code.call_at(code.address(_function("Py_DecRef")), objects.load(k))
+        thing = objects.load(k)
+        with code.when(~thing.is_null()):
+            code.call_at(code.address(_function("Py_DecRef")), thing)
     code.give(found.get())
+
+
+@cache
+def place_of_slot(kind: type, name: str) -> int:
+    """How many bytes into objects of a class a slot lies; it is seen where a value put there is."""
+    thing: Any = object.__new__(kind)
+    value = object()
+    getattr(kind, name).__set__(thing, value)
+    return _place_in(thing, kind.__basicsize__, value)
 
 
 def bound(machine: Compiled, name: str, values: tuple[object, ...]) -> Callable[..., Any]:
@@ -181,6 +197,24 @@ def bound(machine: Compiled, name: str, values: tuple[object, ...]) -> Callable[
     owned = *values, machine, definition
     found: Callable[..., Any] = _new_function()(ctypes.addressof(definition), owned, None)
     return found
+
+
+def _place_in(thing: object, size: int, value: object) -> int:
+    """How many bytes into an object of some size it has the address of a value."""
+    words = (ctypes.c_uint64 * (size // 8)).from_address(id(thing))
+    return 8 * list(words).index(id(value))
+
+
+@cache
+def _place_of_class() -> int:
+    """How many bytes into objects their class stands."""
+    return _place_in(object(), object.__basicsize__, object)
+
+
+@cache
+def _place_of_items() -> int:
+    """How many bytes into tuples their items begin."""
+    return _place_in((_TOO_SHORT,), tuple.__basicsize__ + 8, _TOO_SHORT)
 
 
 class _Definition(ctypes.Structure):
@@ -222,6 +256,6 @@ def _exception(name: str) -> int:
     return found
 
 
-def _c_int(whole: Whole) -> Whole:
-    """What a function has given as an int of 32 bits, as a whole number without sign."""
+def c_int(whole: Whole) -> Whole:
+    """The int of 32 bits that a function has returned, as a whole number without sign."""
     return whole % 2**32

@@ -55,7 +55,7 @@ class Loops:
         return Held(mean, cov)
 
     def scratch(self) -> AbstractContextManager[None]:
-        """What is computed inside is not used after it, but for what is kept or carried."""
+        """A context; numbers computed in it are not used after it, unless kept or carried."""
         return self._frame.scratch()
 
     # Numbers of matrices

@@ -66,13 +66,7 @@ def solved(code: Code, upper: View, over: View, right: View, out: View) -> None:
 
     def rows(i: Index, height: int) -> None:
         def tile(q: Index, packs: int) -> None:
-            coefficient = _across(upper)
-            lines = _rest(right, out, i, height, q, packs, code.whole(i), 0, coefficient)
-            for r, line in enumerate(lines):
-                for t in range(r):
-                    line[:] = _less(line, coefficient(i + r, i + t), lines[t])
-                line[:] = [x * over.entry(0, i + r) for x in line]
-            _put(out, i, q, lines)
+            _low(upper, over, (right, out), (i, height), (q, packs), 0)
 
         tiled(code, out.packs, wide, tile)
 
@@ -96,6 +90,30 @@ def solved_transposed(code: Code, upper: View, over: View, right: View, out: Vie
         tiled(code, out.packs, wide, tile)
 
     tiled(code, out.height, tall, rows, down=True)
+
+
+def precisions(code: Code, upper: View, over: View, eye: View, low: View, out: View) -> None:
+    """The diagonal of A⁻¹, as a row: the squares of L⁻¹ column by column, `eye` being I.
+
+    L⁻¹ is found in `low`, tile by tile; those above the diagonal are left out.
+    """
+    tall, wide = _tile(low)
+    for p in range(out.packs):
+        out.put(0, p, 0.0)
+
+    def rows(i: Index, height: int) -> None:
+        def tile(q: Index, packs: int) -> None:
+            first = q * low.layout.across
+            lines = _low(upper, over, (eye, low), (i, height), (q, packs), first)
+            for p in range(packs):
+                total = out.pack(0, q + p)
+                for line in lines:
+                    total = total + line[p] * line[p]
+                out.put(0, q + p, total)
+
+        tiled(code, low.packs, wide, tile, last=(i + (height - 1)) // low.layout.across)
+
+    tiled(code, low.height, tall, rows)
 
 
 def triangle(code: Code, upper: View, out: View) -> None:
@@ -166,6 +184,26 @@ def _rest(
             for each, pack in zip(line, above, strict=True):
                 each.set(each.get() - x * pack)
     return [[each.get() for each in line] for line in rest]
+
+
+def _low(
+    upper: View,
+    over: View,
+    sides: tuple[View, View],
+    rows: tuple[Index, int],
+    columns: tuple[Index, int],
+    begin: Index,
+) -> list[list[Number]]:
+    """A tile of the X with L X = B, of which the rows from `begin` on count; it is written down."""
+    (right, out), (i, height), (q, packs) = sides, rows, columns
+    coefficient, code = _across(upper), out.code
+    lines = _rest(right, out, i, height, q, packs, code.whole(i), begin, coefficient)
+    for r, line in enumerate(lines):
+        for t in range(r):
+            line[:] = _less(line, coefficient(i + r, i + t), lines[t])
+        line[:] = [x * over.entry(0, i + r) for x in line]
+    _put(out, i, q, lines)
+    return lines
 
 
 def _less(line: list[Number], x: Number, other: list[Number]) -> list[Number]:

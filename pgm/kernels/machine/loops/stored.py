@@ -373,10 +373,23 @@ class StoredRoot:
     @property
     def inverse(self) -> Stored:
         """The matrix A⁻¹."""
+        white = self.solve(self._eye).T
+        return white.times(white)
+
+    @property
+    def precisions(self) -> list[Number]:
+        """The diagonal of A⁻¹: one over each component's variance given all others."""
+        size = self._upper.height
+        low, found = self._space.new(size, size), self._space.new(1, size)
+        parts = self._upper, self._over, self._eye, low, found
+        self._space.call("precisions", roots.precisions, *parts)
+        return [found[0, k] for k in range(size)]
+
+    @property
+    def _eye(self) -> Stored:
         size = range(self._upper.height)
         eye = [[1.0 if i == j else 0.0 for j in size] for i in size]
-        white = self.solve(self._space.constant(eye, len(size))).T
-        return white.times(white)
+        return self._space.constant(eye, len(size))
 
     def solve(self, right: Stored) -> Stored:
         """The X with L X = B."""

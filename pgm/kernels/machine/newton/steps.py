@@ -49,7 +49,8 @@ def made(chain: told.Newton) -> Step:
     module = Module()
     rows = [Rows(module, chain, each, f"squares {k}") for k, each in enumerate(chain.rows)]
     written = _Written(module, chain, rows)
-    return Step(module.compile().callable("newton"), written.frame.size)
+    # More of LLVM's passes take twice as long, and make no faster code of it.
+    return Step(module.compile(1).callable("newton"), written.frame.size)
 
 
 class _Written:

@@ -39,7 +39,7 @@ class Asking(NamedTuple):
 def asking(chain: Forward, lanes: int, loops: bool | None = None) -> Asking:
     """The forward sweep of a chain, in which its program calls some functions.
 
-    `loops` is as of `sweeps.made`.
+    `loops` is as of `chain.made`.
     """
     module = Module()
     given = ADDRESS, WHOLE, ADDRESS, ADDRESS

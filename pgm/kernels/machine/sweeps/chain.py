@@ -131,51 +131,44 @@ def _backward(w: Writer, chain: Backward) -> None:
     for array, part in zip(chain.smoothed, final, strict=False):
         w.keep(array, part, last)
     sure = code.varying(True)
-    # In loops that would take as long as the sweep: NumPy looks at all steps together.
-    judged = bool(chain.smoothed) and isinstance(w.matrices, Lines)
-    kept, rounding = code.varying(judged), Rounding(w)
+    kept, rounding = code.varying(bool(chain.smoothed)), Rounding(w)
     with code.loop(last, down=True) as at, w.matrices.scratch():
         states = chain.states
-        mean = w.column(chain.known[0], at).part(states, (0,))
-        cov = w.symmetric(chain.known[1], at).part(states, states)
-        back = step.reverse(
-            mean,
-            cov,
-            w.matrix(chain.motion[0], at),
-            w.symmetric(chain.motion[1], at),
-            w.column(chain.predicted[0], at + 1),
-            w.symmetric(chain.predicted[1], at + 1),
-        )
-        for array, part in zip(chain.reversed, back[:3], strict=True):
-            w.keep(array, part, at)
-        shift = w.sum([abs(x) for x in w.matrices.beside(back.offset)])
-        sure.set(sure.get() & (back.share > _CORRELATED) & (shift < _LARGEST))
+        own = w.column(chain.known[0], at), w.symmetric(chain.known[1], at)
+        moved = w.matrix(chain.motion[0], at), w.symmetric(chain.motion[1], at)
+        after = w.column(chain.predicted[0], at + 1), w.symmetric(chain.predicted[1], at + 1)
+        front = own[0].part(states, (0,)), own[1].part(states, states)
+        if chain.reversed:
+            back = step.reverse(*front, *moved, *after)
+            root, shown = back.root, back.offset
+            for array, part in zip(chain.reversed, back[:3], strict=True):
+                w.keep(array, part, at)
         if chain.smoothed:
-            moments = step.push(later.mean, later.cov, *back[:3])
+            if chain.reversed:
+                moments = step.push(later.mean, later.cov, *back[:3])
+            else:
+                found = step.back(*front, *moved, after, (later.mean, later.cov))
+                moments, root = found[:2], found.root
             if chain.controls:
                 matrix, offset, noise = chain.controls
-                own = w.matrix(matrix, at), w.column(offset, at), w.symmetric(noise, at)
-                moments = step.push(*moments, *own)
+                own_part = w.matrix(matrix, at), w.column(offset, at), w.symmetric(noise, at)
+                moments = step.push(*moments, *own_part)
             for array, part in zip(chain.smoothed, moments, strict=True):
                 w.keep(array, part, at)
-            if judged:
-                own, after = (
-                    w.symmetric(each[1], at + k)
-                    for k, each in enumerate((chain.known, chain.predicted))
-                )
-                total = w.sum([abs(x) for each in (own, after, *moments) for x in _entries(each)])
-                fine = (total < _LARGEST) & rounding.counts_not(own, after, moments[1])
-                kept.set(kept.get() & fine & ~is_far(*moments))
+            # Of the rest of a covariance its root, or the squares that it is the sum of, tell.
+            numbers = [abs(x) for x in w.matrices.beside(moments[0])]
+            for each in (own[1], moments[1]):
+                numbers += w.matrices.diagonal(each)
+            fine = rounding.counts_not(own[1], after[1], root, moments[1])
+            fine = fine & (w.sum(numbers) < _LARGEST) & ~is_far(w, *moments)
+            kept.set(kept.get() & fine)
             later.set(*moments)
+            shown = moments[0]
+        shift = w.sum([abs(x) for x in w.matrices.beside(shown)])
+        sure.set(sure.get() & (root.share > _CORRELATED) & (shift < _LARGEST))
         code.leave_unless(code.some(sure.get()))
     _tell(w, LEFT, where(sure.get(), 0.0, 1.0))
     _tell(w, KEPT, where(kept.get(), 1.0, 0.0))
-
-
-def _entries(matrix: Any) -> list[Any]:
-    """The entries of a matrix; of a square one, which is symmetric, those of its lower half."""
-    rows = matrix.rows
-    return [x for i, row in enumerate(rows) for x in (row[: i + 1] if matrix.width > 1 else row)]
 
 
 def _tell(w: Writer, what: int, number: Any) -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf
+from typing import NamedTuple
 
+from pgm.kernels.machine.emitter.arrays import floats
 from pgm.kernels.machine.emitter.code import Code
 from pgm.kernels.machine.emitter.memory import Cells
 from pgm.kernels.machine.emitter.numbers import Number
@@ -13,14 +15,14 @@ from pgm.kernels.machine.emitter.wholes import Address, Whole
 from pgm.kernels.machine.sweeps import told
 from pgm.kernels.machine.sweeps.writer import arrays
 
-# What a step is bound to: its constants, the class of arrays, that of sightings, the names of what
-# sightings have, and the variables in the order of the evidence.
-CONSTANTS, ARRAYS, SIGHTINGS, VALUES, TIME, GIVEN, VARIABLES = range(7)
+# What a step is bound to: its constants, the classes of arrays, sightings and beliefs; the filter's
+# steps, the kind and the records of its beliefs; and the variables in the order of the evidence.
+CONSTANTS, ARRAYS, SIGHTINGS, BELIEFS, STEPS, KIND, RECORDS, VARIABLES = range(8)
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What is given of a variable: a row (d,), or the sightings of a sensor, (M, d).
+    """Evidence of a variable: a row (d,), or the sightings of a sensor, (M, d).
 
     Attributes
     ----------
@@ -37,6 +39,24 @@ class Evidence:
     missing: bool
     given: tuple[told.Array, ...] | None = None
     bounds: int | None = None
+
+
+class Slots(NamedTuple):
+    """The places of slots (`python.place_of_slot`) of sightings and of beliefs.
+
+    Those of sightings are `values`, `time` (their steps) and `given`; those of beliefs have the
+    parts of a core, see `online`.
+    """
+
+    values: int
+    time: int
+    given: int
+    steps: int
+    number: int
+    numbers: int
+    kind: int
+    records: int
+    behind: int
 
 
 class Table:
@@ -79,12 +99,14 @@ class Table:
         return self.code.whole(1) if sensor.bounds is None else self._counts[sensor.bounds]
 
 
-def read(python: Python, evidence: tuple[Evidence, ...], table: Table, values: Address) -> Number:
+def read(
+    python: Python, evidence: tuple[Evidence, ...], slots: Slots, table: Table, values: Address
+) -> Number:
     """Put what is given into a table; whether all of it is finite, or missing.
 
     The function that is written ends with None where the evidence is of another kind.
     """
-    reader = _Reader(python, table)
+    reader = _Reader(python, slots, table)
     items = python.items(values, len(evidence))
     for (variable, value), each in zip(items, evidence, strict=True):
         reader.take(variable, value, each)
@@ -94,8 +116,8 @@ def read(python: Python, evidence: tuple[Evidence, ...], table: Table, values: A
 class _Reader:
     """A reader of evidence, which counts the variables that it has met."""
 
-    def __init__(self, python: Python, table: Table) -> None:
-        self.python, self.table, self.code = python, table, python.code
+    def __init__(self, python: Python, slots: Slots, table: Table) -> None:
+        self.python, self.slots, self.table, self.code = python, slots, table, python.code
         self.finite = self.code.varying(True)
         self._arrays, self._met = python.mine(ARRAYS), 0
 
@@ -107,10 +129,10 @@ class _Reader:
             self._rows(value, due.array, 1, missing=due.missing)
             return
         python.give_none_unless(python.is_a(value, python.mine(SIGHTINGS)))
-        time = python.attribute(value, python.mine(TIME))
+        time = python.slot(value, self.slots.time)
         python.give_none_unless(python.is_same(time, self.code.address(id(None))))
-        parents = python.attribute(value, python.mine(GIVEN))
-        own = python.attribute(value, python.mine(VALUES))
+        parents = python.slot(value, self.slots.given)
+        own = python.slot(value, self.slots.values)
         count = self._rows(own, due.array, 2, missing=due.missing)
         items = python.items(parents, len(due.given))
         for (parent, its), array in zip(items, due.given, strict=True):
@@ -131,7 +153,7 @@ class _Reader:
     ) -> Whole:
         """Take an array of one row, or of several, of which there are as many as it says."""
         (width,) = array.shape
-        address, shape = self.python.floats(value, self._arrays, axes)
+        address, shape = floats(self.python, value, self._arrays, axes)
         self.python.give_none_unless(shape[-1] == width)
         count = shape[0] if axes == 2 else self.code.whole(1)
         self.table.put(array, address, width if axes == 2 else 0)

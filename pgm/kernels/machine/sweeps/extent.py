@@ -24,8 +24,9 @@ def operations(chain: Forward | Backward | Linearised, lanes: int) -> int:
         return sum(_of(row, lanes) + row.height**3 for row in (*chain.motions, *chain.sensors))
     n = chain.size
     if isinstance(chain, Backward):
-        states, pushes = len(chain.states), bool(chain.smoothed) + bool(chain.controls)
-        return 8 * states**3 + pushes * 2 * n**3
+        states, smooth = len(chain.states), bool(chain.smoothed)
+        pushes = (smooth and bool(chain.reversed)) + bool(chain.controls)
+        return 8 * states**3 + (smooth + 2 * pushes) * n**3
     found = n**3  # a look at covariances
     for motion in chain.motions:
         found += _of(motion, lanes) + 2 * motion.height * len(motion.parents) * n

@@ -52,7 +52,7 @@ class Lines:
         return Carried(self.code, mean, cov)
 
     def scratch(self) -> AbstractContextManager[None]:
-        """What is computed inside is not used after it, but for what is kept or carried."""
+        """A context; numbers computed in it are not used after it, unless kept or carried."""
         return nullcontext()
 
     # Numbers of matrices

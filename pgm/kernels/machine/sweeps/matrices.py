@@ -65,7 +65,7 @@ class Matrices(Protocol):
         """A vector and a symmetric matrix that may be set anew."""
 
     def scratch(self) -> AbstractContextManager[None]:
-        """What is computed inside is not used after it, but for what is kept or carried."""
+        """A context; numbers computed in it are not used after it, unless kept or carried."""
 
     # Numbers of matrices
 

@@ -1,15 +1,20 @@
 """A step of an online filter in machine code: from a belief and the evidence given to the next one.
 
-A belief is one bytes object: the mean (n,), the covariance (n, n), the log-evidence, and with a
-watch its numbers (`lost`). Behind them an update puts 1 if weights of robust noise are not settled,
-else 0, if there is any; the record of its iterations, if there are any (`settling`); of each sensor
-with a gate the number M of sightings, their squares (M,), and 1 of each that is rejected, else 0
-(M,); and of each with robust noise the weights (M,) and the squares that these are of (M,). A
-prediction that is to be reversed puts its linearisations there: see `kept`. Python
-calls ``step(belief, values)``, in which `values` is the mapping from variables to their evidence.
-The answer is the next belief; None where the evidence is of another kind than the step is made
-for; and no bytes, ``b""``, where more care is needed: numbers are too far apart for float64, or
-some are not finite.
+Python calls ``step(belief, values)``, in which `values` maps variables to their evidence, and may
+be None where a prediction has no inputs. The answer is the next belief; it is made here, too, since
+in Python that takes longer than its numbers do. It is None where the belief is of another filter,
+the evidence of another kind than the step is made for, or more care is needed, because numbers are
+too far apart for float64, or some are not finite.
+
+The numbers of a belief are one bytes object: the mean (n,), the covariance (n, n), the
+log-evidence, and with a watch its numbers (`lost`). Behind them an update puts 1 if weights of
+robust noise are not settled, else 0, if there is any; the record of its iterations, if there are
+any (`settling`); of each sensor with a gate the number M of sightings, their squares (M,), and 1 of
+each that is rejected, else 0 (M,); and of each with robust noise the weights (M,) and the squares
+that these are of (M,). A prediction that is to be reversed puts its linearisations there: see
+`kept`. The belief has its numbers in a slot, and others for the filter's steps, the number of the
+step, the kind of belief, how records are read, and whatever is kept of the steps behind it, which
+is handed on (`evidence.Slots`).
 """
 
 from __future__ import annotations
@@ -22,13 +27,24 @@ from math import inf, prod
 from operator import and_
 from typing import TYPE_CHECKING, Any
 
+from pgm.kernels.machine.emitter.kinds import WHOLE
 from pgm.kernels.machine.emitter.module import Module
 from pgm.kernels.machine.emitter.python import Python, written
 from pgm.kernels.machine.emitter.wholes import Address
 from pgm.kernels.machine.loops.frame import Frame
 from pgm.kernels.machine.loops.loops import Loops
 from pgm.kernels.machine.sweeps import lost, told
-from pgm.kernels.machine.sweeps.evidence import CONSTANTS, Evidence, Table, read
+from pgm.kernels.machine.sweeps.evidence import (
+    BELIEFS,
+    CONSTANTS,
+    KIND,
+    RECORDS,
+    STEPS,
+    Evidence,
+    Slots,
+    Table,
+    read,
+)
 from pgm.kernels.machine.sweeps.extent import is_long
 from pgm.kernels.machine.sweeps.lines import Lines
 from pgm.kernels.machine.sweeps.motion import predicted
@@ -41,6 +57,7 @@ if TYPE_CHECKING:
     from pgm.kernels.machine.emitter.compiled import Compiled
 
 STEP = "step"
+_NOTHING: dict[object, object] = {}
 # As of `beliefs.is_moderate`, and of `last_places.of_step`, which tells what has lost digits.
 _REGULAR, _FAR = 1.0 / 2e7, (2e-6 / 2.0**-52) ** 2
 
@@ -58,6 +75,7 @@ class Step:
     moves: bool
     constants: tuple[told.Array, ...]
     evidence: tuple[Evidence, ...]
+    slots: Slots
     watched: bool = False
     iterations: int = 1
 
@@ -88,25 +106,29 @@ def made(online: Step) -> Compiled:
 
 def _write(python: Python, online: Step) -> None:
     code, chain = python.code, online.chain
-    known, values = python.given
+    belief, values = python.given
+    before = _Core(python, belief, online)
     size = chain.size
     last = size + size * size
     count = last + 1 + (lost.SIZE if online.watched else 0)
     table = Table(code, chain)
-    begin = python.bytes(known, 8 * count)
+    begin = python.bytes(before.numbers, 8 * count)
     table.put(chain.begin[0], begin)
     table.put(chain.begin[1], begin + size)
     settings = _constants(python, online, table)
-    finite = read(python, online.evidence, table, values)
+    given = code.variable(values)
+    if online.moves and not online.evidence:  # which may be left out
+        with code.when(python.is_same(values, code.address(id(None)))):
+            given.set(code.address(id(_NOTHING)))
+    finite = read(python, online.evidence, online.slots, table, given.get())
     lines = [array for motion in chain.motions for array in kept(motion)]
     length = code.whole(count + sum(prod(array.shape) for array in lines))
     length = length + int(online.weighs) + online.record
     for sensor in chain.sensors:
         length = length + (2 * table.count(sensor) + 1) * int(sensor.gate is not None)
         length = length + 2 * table.count(sensor) * int(sensor.weighs)
-    later = python.call("PyBytes_FromStringAndSize", python.null, 8 * length)
-    python.give_null_if(later.is_null())
-    end = python.call("PyBytes_AsString", later)
+    later = python.held(python.call("PyBytes_FromStringAndSize", python.null, 8 * length))
+    end = python.memory_of(later)
     table.put(chain.known[0], end)
     table.put(chain.known[1], end + size)
     table.put(chain.density, end + last)
@@ -141,11 +163,40 @@ def _write(python: Python, online: Step) -> None:
     w.keep(chain.known[0], after)
     w.keep(chain.known[1], spread)
     w.at(chain.density).store(0, total)
-    with code.when(~sure):
-        python.call("Py_DecRef", later, result=None)
-        code.give(python.call("PyBytes_FromStringAndSize", python.null, 0))
-    code.give(later)
+    python.give_none_unless(sure)
+    code.give(before.after(later))
     frame.settle()
+
+
+class _Core:
+    """The slots of a belief, from which a step makes those of the next one."""
+
+    def __init__(self, python: Python, belief: Address, online: Step) -> None:
+        self._python, self._belief, self._online = python, belief, online
+        slots = online.slots
+        python.give_none_unless(python.is_a(belief, python.mine(BELIEFS)))
+        steps = python.slot(belief, slots.steps)
+        python.give_none_unless(python.is_same(steps, python.mine(STEPS)))
+        self.numbers = python.slot(belief, slots.numbers)
+        self._step = python.slot(belief, slots.number)
+        self._count = python.call("PyLong_AsLongLong", self._step, result=WHOLE)
+        if not online.moves:  # an update at step 0 is Python's
+            python.give_none_unless(self._count != 0)
+
+    def after(self, numbers: Address) -> Address:
+        """The belief after the step, whose numbers, which are held, these are."""
+        python, slots, step = self._python, self._online.slots, self._step
+        if self._online.moves:
+            step = python.held(python.call("PyLong_FromLongLong", self._count + 1))
+        found = python.new(python.mine(BELIEFS))
+        step = python.passed(step) if self._online.moves else python.more(step)
+        python.fill(found, slots.steps, python.more(python.mine(STEPS)))
+        python.fill(found, slots.number, step)
+        python.fill(found, slots.numbers, python.passed(numbers))
+        python.fill(found, slots.kind, python.more(python.mine(KIND)))
+        python.fill(found, slots.records, python.more(python.mine(RECORDS)))
+        python.fill(found, slots.behind, python.more(python.slot(self._belief, slots.behind)))
+        return python.passed(found)
 
 
 def _sightings(chain: told.Forward, table: Table, place: Address) -> None:

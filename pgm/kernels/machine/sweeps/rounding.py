@@ -6,12 +6,14 @@ look more closely where one of these does not suffice.
 
 from __future__ import annotations
 
+from operator import and_, or_
 from typing import Any
 
 from pgm.kernels import step
 from pgm.kernels.machine.emitter.numbers import Number
 from pgm.kernels.machine.sweeps.writer import Writer
-from pgm.kernels.numbers import Matrix, most, where
+from pgm.kernels.numbers import most, where
+from pgm.kernels.step import AnyMatrix
 
 # Shares of variances that leave the digits that are promised, the squared deviations from zero at
 # which the last digit of a mean may count, the part of a variance that rounding may be, and its
@@ -26,35 +28,39 @@ class Rounding:
     def __init__(self, w: Writer) -> None:
         self._w, self._total = w, w.code.varying(0.0)
 
-    def counts_not(self, known: Matrix, later: Matrix, smoothed: Matrix) -> Number:
+    def counts_not(
+        self, known: AnyMatrix, later: AnyMatrix, root: Any, smoothed: AnyMatrix
+    ) -> Number:
         """Whether a step's smoothed covariance surely has the digits that are promised.
 
         `known` is the covariance before later measurements, and `later` the predicted one of the
-        step after it. Steps come from the last one on.
+        step after it, with its root. Steps come from the last one on.
         """
-        inflation = step.inflation(later)
+        w = self._w
+        inflation = step.inflation(later, root)
         self._total.set(self._total.get() + inflation * inflation)
-        fallen: Any = self._w.code.constant(1.0)
-        for was, left in zip(known.diagonal, smoothed.diagonal, strict=True):
-            fallen = most(where(left > 0.0, was / left, 1.0), fallen)
-        held = hold(known, smoothed)
-        if len(known.rows) > 1:
+        held = hold(w, known, smoothed)
+        if known.shape[0] > 1:
+            both = _variances(w, known, smoothed)
+            falls = [where(left > 0.0, was / left, 1.0) for was, left in both]
+            fallen = most(w.together(most, falls), 1.0)
             held = held & (_EPS * self._total.get() * fallen <= _TOLD)
-        found: Number = self._w.true & held
+        found: Number = w.true & held
         return found
 
 
-def hold(before: Matrix, after: Matrix) -> Any:
+def hold(w: Writer, before: AnyMatrix, after: AnyMatrix) -> Any:
     """Whether no variance falls to rounding."""
-    found: Any = True
-    for was, left in zip(before.diagonal, after.diagonal, strict=True):
-        found = ((left >= MODERATE * was) | (left == 0.0)) & found
-    return found
+    both = _variances(w, before, after)
+    return w.together(and_, [(left >= MODERATE * was) | (left == 0.0) for was, left in both])
 
 
-def is_far(mean: Matrix, cov: Matrix) -> Any:
+def is_far(w: Writer, mean: AnyMatrix, cov: AnyMatrix) -> Any:
     """Whether the last digit of a mean might count."""
-    found: Any = False
-    for (x,), left in zip(mean.rows, cov.diagonal, strict=True):
-        found = ((x * x > _FAR * left) & (left > 0.0)) | found
-    return found
+    both = zip(w.matrices.beside(mean), w.matrices.diagonal(cov), strict=True)
+    return w.together(or_, [(x * x > _FAR * left) & (left > 0.0) for x, left in both])
+
+
+def _variances(w: Writer, before: AnyMatrix, after: AnyMatrix) -> list[tuple[Any, Any]]:
+    """Variances before and after, side by side."""
+    return list(zip(w.matrices.diagonal(before), w.matrices.diagonal(after), strict=True))

@@ -57,7 +57,7 @@ Rows = tuple[tuple[float, ...], ...]
 
 @dataclass(frozen=True)
 class Points:
-    """The points of a rule for N(0, I), (N, n), and its regression on them; see `regression.Fit`.
+    """The points of a rule for N(0, I), (N, n), and its regression on them.
 
     `mean` (1, N), `slope` (n, N), `rest` (K, N) and `signs` (K,), empty for ones, are as of
     `step.Rule`. `centred` says that the first point is the origin; `rounding` is that of a value
@@ -189,7 +189,7 @@ class Motion(Row):
 
 @dataclass(frozen=True)
 class Gate:
-    """What rejects sightings that are far from their prediction.
+    """A gate, which rejects sightings that are far from their prediction.
 
     `limits` (height + 1,) are the largest squares by how many components were measured; `squares`
     are kept by row, and `rejected` are 1 of a sighting that is rejected, else 0.
@@ -458,7 +458,7 @@ class Backward:
     known, predicted, motion : tuple of Array
         What a forward sweep has left, and the transition's matrix and noise.
     reversed : tuple of Array
-        The gain, offset and covariance of p(states | next slice).
+        The gain, offset and covariance of p(states | next slice); empty if they are not wanted.
     smoothed : tuple of Array
         The moments given all measurements; empty if they are not wanted.
     controls : tuple of Array
@@ -470,7 +470,7 @@ class Backward:
     known: tuple[Array, Array]
     predicted: tuple[Array, Array]
     motion: tuple[Array, Array]
-    reversed: tuple[Array, Array, Array]
+    reversed: tuple[Array, ...] = ()
     smoothed: tuple[Array, ...] = ()
     controls: tuple[Array, ...] = ()
 
@@ -519,7 +519,7 @@ class Newton:
     active : Array
         Whether a run is worked on, (1,).
     begin : Array
-        The first slice's equations by the prior, as a `newton.Layout` has them.
+        The first slice's equations by the prior, as an `equations.Layout` has them.
     reference, found, variance : Array
         The trajectory at which CPDs are linearised, the one that is found, and the variances of its
         components.

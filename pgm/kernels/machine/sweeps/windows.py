@@ -185,8 +185,8 @@ class _Window:
             w.keep(chain.known[1], spread, at)
             w.at(chain.density, at).store(0, found.density)
             self._density.set(self._density.get() + found.density)
-            self._doubt(found.sure & hold(cov, spread) & (step.open_share(spread) > MODERATE))
-            self._doubt(~is_far(known, spread))
+            self._doubt(found.sure & hold(w, cov, spread) & (step.open_share(spread) > MODERATE))
+            self._doubt(~is_far(w, known, spread))
             belief.set(known, spread)
         return belief
 
@@ -204,11 +204,11 @@ class _Window:
             if chain.joint is not None:
                 across = back.gain @ last.cov
                 w.keep(chain.joint, moments[1].bordered(across.T, last.cov), at - self._first)
-            sure = back.share > _CORRELATED
+            sure = back.root.share > _CORRELATED
             if len(states) < chain.ahead.size:
                 moments, certain = _with_controls(states, own, moments)
                 sure = sure & certain
-            self._doubt(sure & rounding.counts_not(own[1], after[1], moments[1]))
+            self._doubt(sure & rounding.counts_not(own[1], after[1], back.root, moments[1]))
             last.set(*moments)
             self._leave(at, last)
 

@@ -1,4 +1,4 @@
-"""What sweeps are written with: arrays by rows and runs, and the matrices in them."""
+"""Writers of sweeps: arrays by rows and runs, and the matrices in them."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from functools import reduce
+from math import prod
 from operator import add
 from typing import Any
 
@@ -60,6 +61,7 @@ class Writer:
         return Memory(
             self.code,
             address + self.run * across,
+            length=prod(array.shape),
             step=1 if array.near else cell,
             runs=array.runs,
             apart=across,
