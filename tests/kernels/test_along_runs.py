@@ -87,7 +87,6 @@ def test_products_keep_the_layout(lead):
         (arrays.times_symmetric(a, b), a @ b),
         (arrays.sandwich(a, b), a @ b @ transpose(a)),
         (arrays.make_symmetric(arrays.sandwich(a, b)), a @ b @ transpose(a)),
-        (arrays.contiguous(transpose(a)), transpose(a)),
     ]:
         assert by_runs(found)
         assert_allclose(found, due, atol=1e-12)
