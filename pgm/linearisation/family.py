@@ -84,6 +84,8 @@ class Family(Rows):
     approximate: bool = False
     judge: Judge | None = field(default=None, repr=False)
     compiled: Answers | None = field(default=None, repr=False)
+    # Why there is no such trace in this call; it is asked once, as another time there might be one.
+    _untraced: str | None = field(default=None, repr=False)
 
     @classmethod
     def make(
@@ -528,7 +530,7 @@ class Family(Rows):
         template = self.template
         if template is None:
             return
-        self.judge = judge
+        self.judge, self._untraced = judge, None
         if judge is not None and not judge.trusting:
             self.template = replace(template, tracer=None)
         elif template.tracer is not None and template.missing:
@@ -551,11 +553,15 @@ class Family(Rows):
         assert self.template is not None
         if self.judge is None or self.template.tracer is None:
             return "its trace has been given up for this call"
+        if self._untraced is not None:
+            return self._untraced
         tracer = self.template.whole
         if tracer is self.template.tracer and self.answers is not None:
             self.compiled = self.answers
             return self.answers
         self.compiled = self._asked(self.judge, tracer, list(map(np.zeros, tracer.widths)))
+        if self.compiled is None:
+            self._untraced = str(tracer.reason)
         return self.compiled or str(tracer.reason)
 
     def _asked(self, judge: Judge, tracer: Tracer, centres: list[Array]) -> Answers | None:

@@ -85,6 +85,7 @@ def test_a_child_runs_and_compiles():
 @needs_fork
 @pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
 def test_threads_compile_run_and_let_go_while_children_do_so_too():
+    affine(1.0)  # a child that is forked while a thread imports waits for Python's own lock
     faults, over = [], threading.Event()
 
     def work(seed):
