@@ -41,7 +41,7 @@ UNTIMED = (NOT_TAKEN, COPY)
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ReadingReport(Shown):
-    """What became of each measurement of one sensor's log, in the log's order.
+    """The measurements of one sensor's log in its order, each kept, or left out and why.
 
     Attributes
     ----------

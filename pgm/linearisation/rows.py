@@ -113,7 +113,7 @@ class Rows:
 
     @cached_property
     def source(self) -> Source:
-        """What this CPD hands to its function with evidence bound, mainly for the text of errors.
+        """The origin of a function with evidence bound, mainly for the text of errors.
 
         It is the CPD, whether it has time, the number of its first run, and the record of its
         trace's answers.

@@ -405,7 +405,7 @@ class BoundFunction(NamedTuple):
         value: Any,
         due: tuple[int, ...],
     ) -> Array:
-        """What a function has returned, sightings stacked; refused if its shape is not `due`."""
+        """The value of a function, sightings stacked; refused if its shape is not `due`."""
         found: Array = value
         if not is_due(value, due):
             found = self._told(role, x).array(function, arguments, value, due)

@@ -60,7 +60,7 @@ class Figures(Shown, Immutable):
 
     @property
     def phrases(self) -> list[str]:
-        """What is worth telling when the status is shown, such as "outside 0.01"."""
+        """The figures in words, for a status that is shown, such as "outside 0.01"."""
         raise NotImplementedError
 
     @property

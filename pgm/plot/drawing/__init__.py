@@ -1,1 +1,1 @@
-"""What all pictures draw with: axes, colours, and the components of a belief to draw."""
+"""Drawing for all pictures: axes, colours, and the components of a belief to draw."""

@@ -120,7 +120,7 @@ class Python:
         return self.held(self.call("PyType_GenericAlloc", kind, 0))
 
     def slot(self, thing: Address, place: int) -> Address:
-        """What a slot of an object has, which the object holds; null where it has nothing.
+        """The value in a slot of an object, which the object holds; null where it is empty.
 
         `place` is that of `place_of_slot`. An attribute that is looked up by name takes 15 ns.
         """
