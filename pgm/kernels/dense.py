@@ -15,7 +15,7 @@ from functools import cached_property, lru_cache
 from math import prod
 from threading import local
 from types import ModuleType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from pgm.kernels.arrays import (
     Mask,
     block,
     frozen,
+    independent,
     make_symmetric,
     multiply,
     times_symmetric,
@@ -54,6 +55,29 @@ class _ArrayMatrix:
         return type(self)(self.array - other.array)
 
 
+class _ComponentsFirst(_ArrayMatrix):
+    """The base of the kinds whose components stand first."""
+
+    __slots__ = ()
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The numbers of rows and columns."""
+        return self.array.shape[:2]
+
+    def kept(self, known: Sequence[Any]) -> Self:
+        """The matrix with zeros in rows that are not `known`, with truths for each."""
+        return type(self)(np.where(np.asarray(known)[:, None], self.array, 0.0))
+
+    def independent(self, known: Sequence[Any]) -> Self:
+        """The symmetric matrix with the rows and columns of I where a component is not `known`."""
+        truths = np.asarray(known)
+        if truths.all():
+            return self
+        eye = _identity(len(truths)).reshape(*self.shape, *(1 for _ in self.array.shape[2:]))
+        return type(self)(np.where(truths[:, None] & truths, self.array, eye))
+
+
 @lru_cache(maxsize=1)
 def _lapack() -> ModuleType:
     """SciPy's module of LAPACK functions, imported at the first call."""
@@ -69,15 +93,10 @@ def _identity(size: int) -> Array:
     return frozen(np.eye(size))
 
 
-class Dense(_ArrayMatrix):
+class Dense(_ComponentsFirst):
     """One matrix, (m, n)."""
 
     __slots__ = ()
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """The numbers of rows and columns."""
-        return self.array.shape
 
     def __getitem__(self, place: tuple[int, int]) -> float:
         found: float = self.array.item(*place)
@@ -198,15 +217,10 @@ def scratch() -> Iterator[None]:
         _scratch.active = False
 
 
-class Runs(_ArrayMatrix):
+class Runs(_ComponentsFirst):
     """The matrices of many runs, (m, n, *batch), or one for all, (m, n, 1)."""
 
     __slots__ = ()
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """The numbers of rows and columns."""
-        return self.array.shape[:2]
 
     def __getitem__(self, place: tuple[int, int]) -> Array:
         found: Array = self.array[place]
@@ -298,6 +312,11 @@ class RunsRoot:
         """The logarithms of |L|, (*batch)."""
         found: Array = self.root.volume
         return found
+
+    @property
+    def precisions(self) -> list[Array]:
+        """The diagonals of the inverses: one over each component's variance given all others."""
+        return self.root.precisions
 
     @property
     def matrix(self) -> Runs:
@@ -400,6 +419,14 @@ class Stack(_ArrayMatrix):
         below = np.concatenate([across.array, own.array], axis=-1)
         return Stack(np.concatenate([above, below], axis=-2))
 
+    def kept(self, known: Mask) -> Stack:
+        """The matrices with zeros in rows that `known` (..., m) does not mark."""
+        return Stack(np.where(known[..., None], self.array, 0.0))
+
+    def independent(self, known: Mask) -> Stack:
+        """The symmetric matrices with the rows and columns of I that `known` (..., n) leaves."""
+        return self if known.all() else Stack(independent(self.array, known), True)
+
     @property
     def diagonal(self) -> list[Array]:
         """The entries on the diagonal."""
@@ -469,6 +496,13 @@ class StackRoot:
     def matrix(self) -> Stack:
         """The roots as matrices."""
         return Stack(self.lower)
+
+    @property
+    def precisions(self) -> list[Array]:
+        """The diagonals of the inverses: one over each component's variance given all others."""
+        eye = np.broadcast_to(_identity(self.lower.shape[-1]), self.lower.shape)
+        white = self.solve(Stack(eye)).array
+        return list(np.moveaxis(np.einsum("...ij,...ij->...j", white, white), -1, 0))
 
     def left(self, right: Stack) -> Array:
         """The size of what earlier components leave of a vector b in determined ones, (..., n)."""

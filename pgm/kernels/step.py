@@ -18,14 +18,7 @@ import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from pgm.kernels.numbers import (
-    Matrix,
-    Number,
-    inner,
-    is_zero,
-    nearest_whole,
-    where,
-)
+from pgm.kernels.numbers import Number, inner, nearest_whole, where
 
 TURN = 2.0 * math.pi
 # A matrix of numbers of any kind; the kinds have their operations in common, and no class.
@@ -186,9 +179,18 @@ def extend(
     cov: AnyMatrix, parents: Sequence[int], matrix: AnyMatrix, noise: AnyMatrix
 ) -> AnyMatrix:
     """The covariance of (x, y) for y = F x[parents] + b + e, from that of x."""
-    every = range(cov.shape[0])
-    own = predict(cov.part(parents, parents), matrix, noise)
-    return cov.bordered(matrix @ cov.part(parents, every), own)
+    rows = cov.part(parents, range(cov.shape[0]))
+    return cov.bordered(*joined(rows, cov.part(parents, parents), matrix, noise))
+
+
+def joined(
+    rows: AnyMatrix, own: AnyMatrix, matrix: AnyMatrix, noise: AnyMatrix
+) -> tuple[AnyMatrix, AnyMatrix]:
+    """The covariance of y = F x[parents] + b + e with all of x, and its own.
+
+    `rows` are the parents' rows of the covariance of x, `own` their columns of these.
+    """
+    return matrix @ rows, predict(own, matrix, noise)
 
 
 class Seen(NamedTuple):
@@ -199,20 +201,14 @@ class Seen(NamedTuple):
     noise: AnyMatrix
 
 
-def seen(known: Sequence[Number], residual: Matrix, matrix: Matrix, noise: Matrix) -> Seen:
+def seen(known: Any, residual: AnyMatrix, matrix: AnyMatrix, noise: AnyMatrix) -> Seen:
     """A measurement in which components that are not `known` are readings of unit noise alone."""
-    size = range(len(known))
-    rest = [where(known[i], residual[i, 0], 0.0) for i in size]
-    slope = [[h if is_zero(h) else where(known[i], h, 0.0) for h in matrix.rows[i]] for i in size]
+    return Seen(residual.kept(known), matrix.kept(known), noise.independent(known))
 
-    def entry(i: int, j: int) -> Number:
-        if i == j:
-            return where(known[i], noise[i, i], 1.0)
-        r = noise[i, j]
-        return r if is_zero(r) else where(known[i], where(known[j], r, 0.0), 0.0)
 
-    spread = Matrix([entry(i, j) for j in size] for i in size)
-    return Seen(Matrix.column(rest), Matrix(slope), spread)
+def known_part(cov: AnyMatrix, known: Any) -> AnyMatrix:
+    """A covariance with zeros in the rows and columns of components that are not `known`."""
+    return cov.kept(known).T.kept(known)
 
 
 def nearest(reading: Number, value: Number) -> Number:
@@ -265,24 +261,14 @@ def regressed(
     return Regressed(root.solve_transposed(moment).T, value, weighed.times(left), moment)
 
 
-def open_share(cov: Matrix) -> Number:
+def open_share(cov: AnyMatrix, varies: Any) -> Number:
     """The least share of a component's variance that the components before it leave open.
 
-    Components without a variance do not count; a share below zero is rounding, or worse.
+    Components count of which `varies` is true, a truth for each: those with a variance. Of what
+    is not positive definite the share is zero.
     """
-    least_share: Number = 1.0
-    unit: list[list[Number]] = []  # of P = U D Uᵀ
-    pivots: list[Number] = []
-    for i, row in enumerate(cov.rows):
-        parts: list[Number] = []  # of U D
-        for j in range(i):
-            parts.append(row[j] - inner(parts, unit[j]))
-        unit.append([part / pivot for part, pivot in zip(parts, pivots, strict=True)])
-        rest, none = row[i] - inner(parts, unit[i]), row[i] == 0.0
-        pivots.append(where(none, 1.0, rest))
-        share = where(none, 1.0, rest / where(none, 1.0, abs(row[i])))
-        least_share = where(share > least_share, least_share, share)
-    return least_share
+    share = cov.independent(varies).root().share
+    return where(share > 0.0, share, 0.0)
 
 
 def inflation(cov: AnyMatrix, root: Any) -> Number:
@@ -296,17 +282,16 @@ def inflation(cov: AnyMatrix, root: Any) -> Number:
 
 def weighed_square(
     residual: AnyMatrix,
-    noise: AnyMatrix,
+    root: Any,
     matrix: AnyMatrix = None,
     cov: AnyMatrix = None,
     error: AnyMatrix = None,
 ) -> Number:
     """The square rᵀ R⁻¹ r of a residual by its noise, of which robust weights are functions.
 
-    Given P it is the square that is expected under a belief, with tr R⁻¹ (H P Hᵀ + Ω) besides, Ω
-    being the covariance of the line's error.
+    `root` is that of R. Given P it is the square that is expected under a belief, with
+    tr R⁻¹ (H P Hᵀ + Ω) besides, Ω being the covariance of the line's error.
     """
-    root = noise.root()
     white = root.solve(residual)
     total = (white.T @ white)[0, 0]
     if cov is None:

@@ -241,4 +241,4 @@ def _told_from_rounding(
         sound.append(
             (variance + least_of[k] > plain * whole) | (abs(variance) > rounding * rounding)
         )
-    return m.kept(sound, error)
+    return step.known_part(error, m.truths(sound, error.shape[0]))

@@ -158,13 +158,14 @@ def square_of(
     """
     size = float(own.shape[0])
     if known is None:
-        return step.weighed_square(left, own, matrix, cov, error), size
+        return step.weighed_square(left, own.root(), matrix, cov, error), size
     # Without a matrix any does, of which nothing is read.
-    seen = w.matrices.seen(known, left, own if matrix is None else matrix, own)
+    truths = w.matrices.truths(known, own.shape[0])
+    seen = step.seen(truths, left, own if matrix is None else matrix, own)
     if error is not None:
-        error = w.matrices.kept(known, error)
+        error = step.known_part(error, truths)
     slope = None if matrix is None else seen.matrix
-    square = step.weighed_square(seen.residual, seen.noise, slope, cov, error)
+    square = step.weighed_square(seen.residual, seen.noise.root(), slope, cov, error)
     return square, size - w.sum([1.0 - truth.number() for truth in known])
 
 

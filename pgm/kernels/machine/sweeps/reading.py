@@ -292,7 +292,7 @@ def read(
             residual = sighting.left - sighting.matrix @ (belief.mean - point.at)
             cov = belief.cov if sensor.loss.expects else None
             square = step.weighed_square(
-                residual, sighting.own, sighting.matrix, cov, sighting.error
+                residual, sighting.own.root(), sighting.matrix, cov, sighting.error
             )
             weight, of = weighing.weigh(sensor, at, square, count, begins)
             noise = sighting.weighed(weight)
@@ -319,7 +319,7 @@ def read(
             w.code.constant(_MILD),
         )
         told.set(sighting.density(after) + surplus_of())
-        mild.set((after.square < _FARTHEST) & _is_positive(w, noise - whole.scaled(part)))
+        mild.set((after.square < _FARTHEST) & ((noise - whole.scaled(part)).root().share > 0.0))
     density, sharp = told.get(), mild.get()
     if sensor.gate is None:
         sure = line.sure & (after.share > NEARLY_SINGULAR) & sharp
@@ -388,10 +388,11 @@ class Sighting(NamedTuple):
         if not sensor.missing:
             return cls(line, left, matrix, line.own, line.error, float(sensor.height))
         known = [value == value for value in m.beside(values)]
-        left, matrix, own = m.seen(known, left, matrix, line.own)
-        error = None if line.error is None else m.kept(known, line.error)
+        truths = m.truths(known, sensor.height)
+        left, matrix, own = step.seen(truths, left, matrix, line.own)
+        error = None if line.error is None else step.known_part(line.error, truths)
         missing = w.sum([1.0 - truth.number() for truth in known])
-        stands = own - m.kept(known, own) if sensor.weighs else None
+        stands = own - step.known_part(own, truths) if sensor.weighs else None
         return cls(line, left, matrix, own, error, float(sensor.height) - missing, stands)
 
     def weighed(self, weight: Any) -> AnyMatrix:
@@ -408,9 +409,3 @@ class Sighting(NamedTuple):
     def noise(self) -> AnyMatrix:
         """The covariance of e."""
         return self.own if self.error is None else self.own + self.error
-
-
-def _is_positive(w: Writer, matrix: AnyMatrix) -> Any:
-    """Whether a matrix is positive definite."""
-    positive: Number = (matrix[0, 0] > 0.0) & (w.matrices.open_share(matrix) > 0.0)
-    return positive
