@@ -176,6 +176,11 @@ class DenseRoot:
         return Dense(_lapack().dtrtrs(self.lower, right.array, 1, 1)[0])
 
 
+def first(array: Array, symmetric: bool = False) -> Dense | Runs:
+    """The matrix (m, n), or those of many runs (m, n, *batch), whose components stand first."""
+    return Dense(array, symmetric) if array.ndim == 2 else Runs(array, symmetric)
+
+
 # The numbers of a step beyond which memory is not kept for the next.
 _KEPT = 1 << 22
 

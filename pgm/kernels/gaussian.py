@@ -29,7 +29,7 @@ from pgm.kernels.arrays import (
     quiet,
     symmetric,
 )
-from pgm.kernels.dense import Dense, DenseRoot, Runs, RunsRoot, scratch
+from pgm.kernels.dense import Dense, DenseRoot, Runs, RunsRoot, first, scratch
 from pgm.kernels.moments import ROUNDING
 from pgm.kernels.numbers import Matrix, Number
 
@@ -83,11 +83,6 @@ def root(cov: Array) -> DenseRoot | RunsRoot | None:
     with np.errstate(invalid="ignore", divide="ignore"):  # such a pivot may have no root
         many = Runs(cov).root()
     return many if (many.share > _REGULAR).all() else None
-
-
-def _kind(array: Array) -> Any:
-    """The kind of matrices (n, n, *batch)."""
-    return Dense if array.ndim == 2 else Runs
 
 
 def is_moderate(mean: Array, cov: Array, before: Array, least: float, far: float) -> bool:
@@ -182,14 +177,33 @@ def extend(
         cov[child, child] = noise
         return
     rows = cov[parents]
-    cross = (_kind(cov)(matrix) @ _kind(cov)(rows)).array
-    own = predict(rows[:, parents], matrix, noise, bare)
-    for i in bare:
-        if not own[i, i].all():
-            cross[i] = np.where(own[i, i] > 0.0, cross[i], 0.0)
-    cov[child] = cross
-    cov[:, child] = cross.swapaxes(0, 1)
+    before = rows[:, parents]
+    with scratch():
+        cross, own = _joined(rows, before, matrix, noise)
+        if bare:
+            own = _certain(own, before, matrix, bare)
+        if any(not own[i, i].all() for i in bare):
+            cross = cross.copy()
+            for i in bare:
+                cross[i] = np.where(own[i, i] > 0.0, cross[i], 0.0)
+        cov[child] = cross
+        cov[:, child] = cross.swapaxes(0, 1)
     cov[child, child] = own
+
+
+def _joined(rows: Array, cov: Array, matrix: Array, noise: Array) -> tuple[Array, Array]:
+    """The covariance of a child y with all of a joint, (d, m, *batch), and its own, (d, d, *batch).
+
+    `rows` (p, m, *batch) are the parents' rows of the joint's covariance, `cov` (p, p, *batch)
+    their own. Of a batch the first is in memory of `scratch`.
+    """
+    quick = _joining(len(matrix), *rows.shape) if rows.ndim == 2 else None
+    if quick is not None:
+        found: tuple[Array, Array] = quick(rows, cov, matrix, noise)
+        return found
+    parts = first(rows), first(cov, symmetric=True), first(matrix), first(noise)
+    cross, own = (each.array for each in step.joined(*parts))
+    return cross, own if rows.ndim > 2 else symmetric(own)
 
 
 class Update(NamedTuple):
@@ -369,6 +383,21 @@ def _predicting(height: int, size: int) -> Callable[..., Any] | None:
         return [written.array(step.predict(*matrices), height, height)], True
 
     shapes = {"cov": (size, size), "matrix": (height, size), "noise": (height, height)}
+    return written.function(shapes, body)
+
+
+@lru_cache(maxsize=64)
+def _joining(height: int, parents: int, size: int) -> Callable[..., Any] | None:
+    """The function `_joined` of d components from p of m; None where they are many."""
+    if not _is_small(parents, height) or height * parents * size > _MOST:
+        return None
+
+    def body(*matrices: Matrix) -> tuple[list[Any], Any]:
+        across, own = step.joined(*matrices)
+        return [written.array(across, height, size), written.array(own, height, height)], True
+
+    shapes = {"rows": (parents, size), "cov": (parents, parents)}
+    shapes |= {"matrix": (height, parents), "noise": (height, height)}
     return written.function(shapes, body)
 
 

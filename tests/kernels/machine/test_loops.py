@@ -113,11 +113,11 @@ def test_roots(n, d, lanes):
     pivots = np.einsum("kii->ki", lower)
     share = (pivots**2 / np.einsum("kii->ki", s)).min(axis=1)
 
-    def make(_, b, s):
+    def make(loops, b, s):
         root = s.root()
         white = root.solve(b.T)
         solved = root.solve_transposed(b.T)
-        told = [root.share, root.volume, s.open_share(), step.inflation(s, root)]
+        told = [root.share, root.volume, open_share(loops, s), step.inflation(s, root)]
         return [white, solved, root.matrix, *told]
 
     due = [np.linalg.solve(lower, turned(b)), np.linalg.solve(turned(lower), turned(b)), lower]
@@ -129,9 +129,21 @@ def test_roots(n, d, lanes):
 @pytest.mark.parametrize("lanes", LANES)
 def test_indefinite_matrices_are_told(lanes):
     s = np.repeat(np.diag([1.0, -1.0, 2.0])[None], lanes, axis=0)
-    found = computed(lambda _, s: [s.root().share, s.open_share()], [(1, 1)] * 2, s, lanes=lanes)
+
+    def make(loops, s):
+        return [s.root().share, open_share(loops, s)]
+
+    found = computed(make, [(1, 1)] * 2, s, lanes=lanes)
     assert not (found[0] > 0.0).any()
-    assert_allclose(found[1], -1.0)
+    assert_allclose(found[1], 0.0)
+    s[:, 1, 1] = 0.0
+    assert_allclose(computed(make, [(1, 1)] * 2, s, lanes=lanes)[1], 1.0)
+
+
+def open_share(loops, cov):
+    """The least share of a variance that is left open, of components with a variance."""
+    varies = [variance != 0.0 for variance in loops.diagonal(cov)]
+    return step.open_share(cov, loops.truths(varies, cov.shape[0]))
 
 
 @pytest.mark.parametrize("lanes", LANES)
@@ -145,11 +157,11 @@ def test_operations_beside_those_of_matrices(n, d, lanes):
     seen = np.where(known & turned(known), s, np.where(np.eye(n) > 0.0, 1.0, 0.0))
 
     def make(loops, a, b, s, v):
-        truths = [x > 0.0 for x in loops.beside(v)]
-        rows = loops.seen(truths, v, a, s)
+        truths = loops.truths([x > 0.0 for x in loops.beside(v)], n)
+        rows = step.seen(truths, v, a, s)
         return [
             *(loops.widened(b, places, n + 2), loops.above(v, b.T.part(range(n), (0,)))),
-            *(loops.shifted(a, v), loops.replaced(v, {0: 7.0}), loops.kept(truths, s)),
+            *(loops.shifted(a, v), loops.replaced(v, {0: 7.0}), step.known_part(s, truths)),
             *(loops.chosen(v[0, 0] > 0.0, a, s), rows.residual, rows.matrix, rows.noise),
         ]
 
