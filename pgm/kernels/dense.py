@@ -460,6 +460,17 @@ class Rounded(Stack):
         return StackRoot(roots.root(self.array, self.scale, self.negligible), self.array)
 
 
+class KnownRoot:
+    """The roots L of matrices A = L Lᵀ whose inverses `white`, L⁻¹ (..., n, n), are known."""
+
+    def __init__(self, white: Array) -> None:
+        self.white = white
+
+    def solve(self, right: Stack) -> Stack:
+        """The X with L X = B."""
+        return Stack(self.white @ right.array)
+
+
 class StackRoot:
     """The roots `lower` (..., n, n) of semidefinite matrices A = L Lᵀ; NaN where one is indefinite.
 

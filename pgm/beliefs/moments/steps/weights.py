@@ -23,8 +23,9 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.cpds import ConditionalGaussian, RobustNoise
-from pgm.kernels import roots, solving
-from pgm.kernels.arrays import Array, Integers, Kind, Mask, independent, inner
+from pgm.kernels import roots, solving, step
+from pgm.kernels.arrays import Array, Integers, Kind, Mask, independent
+from pgm.kernels.dense import KnownRoot, Stack
 
 # Weights that move by no more than this have settled.
 SETTLED = 1e-10
@@ -88,18 +89,15 @@ class Weights:
         H (k, runs, d, m), `cov` P (k or 1, runs, m, m) over the parents' m components. `error` is
         Ω (k, runs, d, d), None for zero. Missing components do not count.
         """
+        off = Stack.column(residual)
+        slope = None if matrix is None else Stack(matrix)
+        around = None if error is None else Stack(error)
         if self.taken is not None:
-            residual = np.where(self.taken, residual, 0.0)
-        white = np.einsum("...ij,...j->...i", self.white, residual)
-        found = inner(white, white)
-        if matrix is None or cov is None:
-            return found
-        spread = np.einsum("...im,...mn,...jn->...ij", matrix, cov, matrix)
-        if error is not None:
-            spread = spread + error
-        if self.taken is not None:
-            spread = np.where(self.taken[..., None] & self.taken[..., None, :], spread, 0.0)
-        found += np.einsum("...ij,...jk,...ik->...", self.white, spread, self.white)
+            off = off.kept(self.taken)
+            slope = None if slope is None else slope.kept(self.taken)
+            around = None if around is None else step.known_part(around, self.taken)
+        belief = None if cov is None else Stack(cov, True)
+        found: Array = step.weighed_square(off, KnownRoot(self.white), slope, belief, around)
         return found
 
     def take(self, square: Array, active: Mask | None = None) -> Array:
