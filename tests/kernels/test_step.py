@@ -49,8 +49,8 @@ def many_digits():
         yield
 
 
-# Lists of kinds: whose numbers are there one by one, and which have a root; pairs in arrays have
-# but products and sums.
+# Kinds whose numbers are there one by one, kinds whose matrices have a root, and all of them: pairs
+# in arrays have products and sums alone.
 STRAIGHT = [Registers(), Packs(), TracedPairs(), PacksOfTracedPairs()]
 LOOPS = [InMemory(), PacksInMemory()]
 BY_ROWS = [Floats(), RowsOfRuns(), Lines(), LinesOfRuns(), Traced(), Pairs(), *STRAIGHT]
