@@ -294,6 +294,42 @@ def inflation(cov: AnyMatrix, root: Any) -> Number:
     return inner(cov.diagonal, root.precisions)
 
 
+class Whitened(NamedTuple):
+    """A measurement's residual by a belief, in units of its noise R = L Lᵀ.
+
+    `residual` is y = L⁻¹ r; `spread`, B = L⁻¹ H P Hᵀ L⁻ᵀ, is the covariance that the belief gives
+    it, and `error`, E = L⁻¹ Ω L⁻ᵀ, that of the line's error: None for what is zero, or does not
+    count.
+    """
+
+    residual: AnyMatrix
+    spread: AnyMatrix = None
+    error: AnyMatrix = None
+
+    @property
+    def square(self) -> Number:
+        """The square yᵀ y, or the one that is expected, with tr (B + E) besides."""
+        total = (self.residual.T @ self.residual)[0, 0]
+        for part in (self.spread, self.error):
+            for variance in () if part is None else part.diagonal:
+                total = total + variance
+        return total
+
+
+def whitened(
+    residual: AnyMatrix,
+    noise: AnyMatrix,
+    matrix: AnyMatrix,
+    cov: AnyMatrix,
+    error: AnyMatrix = None,
+) -> Whitened:
+    """The residual of a measurement with the noise R, and what P and Ω leave open, in its units."""
+    root = noise.root()
+    rows = root.solve(matrix)
+    own = None if error is None else root.solve(root.solve(error).T)
+    return Whitened(root.solve(residual), (rows @ cov).times(rows), own)
+
+
 def weighed_square(
     residual: AnyMatrix,
     noise: AnyMatrix,
@@ -306,15 +342,25 @@ def weighed_square(
     Given P it is the square that is expected under a belief, with tr R⁻¹ (H P Hᵀ + Ω) besides, Ω
     being the covariance of the line's error.
     """
-    root = noise.root()
-    white = root.solve(residual)
-    total = (white.T @ white)[0, 0]
     if cov is None:
-        return total
-    rows = root.solve(matrix)
-    spread_of = (rows @ cov).times(rows).diagonal
-    if error is not None:
-        spread_of += root.solve(root.solve(error).T).diagonal
-    for variance in spread_of:
-        total = total + variance
-    return total
+        return Whitened(noise.root().solve(residual)).square
+    return whitened(residual, noise, matrix, cov, error).square
+
+
+def reweighed(before: Whitened, weight: Number, *, expects: bool) -> Whitened:
+    """The residual by the belief that has taken in its measurement with the noise R / w.
+
+    This is the update seen from the measurement, of as many components as that has. For
+    M = I + w (B + E) the residual is (I + w E) M⁻¹ y, and B becomes (I + w E) M⁻¹ B: products, in
+    place of the update's differences. Covariances count if the square `expects` them.
+    """
+    spread, error = before.spread, before.error
+    whole = spread if error is None else spread + error
+    root = whole.scaled(-weight).one_minus().root()
+
+    def after(matrix: AnyMatrix) -> AnyMatrix:
+        part = root.solve_transposed(root.solve(matrix))
+        return part if error is None else part + error.scaled(weight) @ part
+
+    residual = after(before.residual)
+    return Whitened(residual, after(spread), error) if expects else Whitened(residual)

@@ -524,6 +524,35 @@ def test_the_square_of_robust_weights(kind, size, height, seed):
     assert_due(kind, kind.run(step.weighed_square, *parts), expected, condition=cost)
 
 
+@KINDS
+@SIZES
+@SEEDS
+@pytest.mark.parametrize("expects", [False, True])
+def test_the_square_by_the_belief_that_has_taken_in_its_measurement(
+    kind, size, height, seed, expects
+):
+    _, cov, matrix, residual, noise = drawn(seed, size, height)
+    error, weight = drawn(seed + 7, size, height)[4], 0.3
+    arrays = (residual, noise, matrix, cov, error)[: 5 if expects else 4]
+
+    def square(*parts):
+        return step.reweighed(step.whitened(*parts), weight, expects=expects).square
+
+    @cache
+    def due(k):
+        r, R, H, P, *more = (exact(each, k) for each in arrays)
+        omega = more[0] if more else mp.zeros(height)
+        spread = H * P * H.T
+        keep = identity(height) - spread * (spread + omega + R / mp.mpf(weight)) ** -1
+        left = R**-1 * (keep * spread + omega)
+        trace = sum(left[i, i] for i in range(height)) if expects else 0
+        return (keep * r).T * R**-1 * (keep * r) + mp.matrix([[trace]])
+
+    cost = condition(noise) * condition(matrix @ cov @ matrix.swapaxes(-1, -2) + noise)
+    found = kind.run(square, *(kind.matrix(each) for each in arrays))
+    assert_due(kind, found, due, condition=cost)
+
+
 @ONE_BY_ONE
 @pytest.mark.parametrize(
     "matrix", [[[-1.0]], [[0.0]], [[1.0, 2.0], [2.0, 1.0]], [[2.0, 0.0], [0.0, -1.0]]]

@@ -131,6 +131,7 @@ class Kind:
                     readings=given[None, variable],
                     missing=True,
                     bounds=bounds.get(variable),
+                    lone=False,  # as told by bounds alone, of which each call has others
                     gate=self._gate_of(sensor, table),
                     loss=_loss_of(sensor, table),
                     **_fed(sensor.family, sensor, given, table),

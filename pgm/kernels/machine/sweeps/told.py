@@ -274,6 +274,8 @@ class Sensor(Row):
     bounds : int or None
         The place in the table of the address of the first sighting of each step, and one more;
         None if each step has one.
+    lone : bool
+        Whether no step has more than one, where there are `bounds`.
     gate : Gate or None
         Of a sweep that rejects sightings.
     loss : Loss or None
@@ -286,6 +288,7 @@ class Sensor(Row):
     moved: Array | None = None
     missing: bool = False
     bounds: int | None = None
+    lone: bool = False
     gate: Gate | None = None
     loss: Loss | None = None
     candidates: Candidates | None = None
@@ -334,6 +337,18 @@ class Forward:
     controlled: bool = False
     anchor: tuple[Array, ...] = ()
     asked: Array | None = None
+
+    @property
+    def alone(self) -> Sensor | None:
+        """The sensor of robust noise of which a step has one sighting, or none, weighed by itself.
+
+        Nothing else moves a belief within a step, and no gate asks for the square of a weight 1.
+        """
+        sensor = self.sensors[0] if len(self.sensors) == 1 else None
+        if sensor is None or not sensor.weighs or self.anchor:
+            return None
+        lone = sensor.bounds is None or sensor.lone
+        return sensor if lone and sensor.gate is None else None
 
 
 @dataclass(frozen=True, kw_only=True)
