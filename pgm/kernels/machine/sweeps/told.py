@@ -207,8 +207,8 @@ class Loss:
     `weight(s)` and `surplus(s, w)`, the log-density less that of N(0, R / w), are traces by how
     many components were measured; of just the last where none may be missing. Weights and the
     squares that they are of are kept by row, those of a step control's trials in `trial`. `cost(s)`
-    is twice the loss. `expects` says that squares are expected under the belief; `found` that
-    weights are as kept, and only the surplus is due.
+    is twice the loss. `expects` says that squares are expected under the belief; `lone` that no
+    step has two sightings; `found` that weights are as kept, and only the surplus is due.
     """
 
     weight: tuple[Function, ...]
@@ -217,6 +217,7 @@ class Loss:
     weights: Array
     squares: Array
     expects: bool
+    lone: bool
     found: bool
     trial: tuple[Array, ...] = ()
 
@@ -274,8 +275,6 @@ class Sensor(Row):
     bounds : int or None
         The place in the table of the address of the first sighting of each step, and one more;
         None if each step has one.
-    lone : bool
-        Whether no step has more than one, where there are `bounds`.
     gate : Gate or None
         Of a sweep that rejects sightings.
     loss : Loss or None
@@ -288,7 +287,6 @@ class Sensor(Row):
     moved: Array | None = None
     missing: bool = False
     bounds: int | None = None
-    lone: bool = False
     gate: Gate | None = None
     loss: Loss | None = None
     candidates: Candidates | None = None
@@ -344,10 +342,11 @@ class Forward:
 
         Nothing else moves a belief within a step, and no gate asks for the square of a weight 1.
         """
-        sensor = self.sensors[0] if len(self.sensors) == 1 else None
-        if sensor is None or not sensor.weighs or self.anchor:
+        if len(self.sensors) != 1 or self.anchor:
             return None
-        lone = sensor.bounds is None or sensor.lone
+        (sensor,) = self.sensors
+        loss = sensor.loss
+        lone = loss is not None and loss.lone and not loss.found
         return sensor if lone and sensor.gate is None else None
 
 
