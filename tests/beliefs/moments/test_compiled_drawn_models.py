@@ -224,7 +224,7 @@ def test_many_drawn_models(seed):
     check(seed)
 
 
-@pytest.mark.parametrize("seed", slow_after(2, range(300)))
+@pytest.mark.parametrize("seed", slow_after(1, range(1, 301)))
 def test_drawn_models_of_robust_noise(seed):
     check(seed, Robust)
 

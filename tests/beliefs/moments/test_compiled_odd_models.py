@@ -94,7 +94,7 @@ def test_robust_sightings_of_which_a_step_has_one_and_then_several(
     """One alone is weighed by itself, in code that is not that of several; some are missing."""
     model, values = walk(sight(noise=noise), size), readings(runs)[Z]
     graphs = [pgm.compile(model, steps=6, compiled=choice) for choice in (True, False)]
-    for step in ([1, 2, 3, 4, 5, 6], [1, 2, 2, 4, 4, 4], [0, 1, 3, 4, 5, 6], [1, 2, 3, 4, 5, 6]):
+    for step in ([1, 2, 3, 4, 5, 6], [1, 2, 2, 4, 4, 4], [0, 1, 3, 4, 5, 6]):
         seen = {Z: pgm.sightings(values, step=step)}
         found, due = (
             pgm.infer(graph, seen, schedule=pgm.Smoothing(iterations=iterations), lineariser=rule)
