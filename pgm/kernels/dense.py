@@ -65,11 +65,15 @@ class _ComponentsFirst(_ArrayMatrix):
         """The numbers of rows and columns."""
         return self.array.shape[:2]
 
-    def kept(self, known: Sequence[Any]) -> Self:
+    def beside(self, other: Self) -> Self:
+        """The matrix [A B] of A, this one, and another."""
+        return type(self)(np.concatenate([self.array, other.array], axis=1))
+
+    def kept(self, known: Any) -> Self:
         """The matrix with zeros in rows that are not `known`, with truths for each."""
         return type(self)(np.where(np.asarray(known)[:, None], self.array, 0.0))
 
-    def independent(self, known: Sequence[Any]) -> Self:
+    def independent(self, known: Any) -> Self:
         """The symmetric matrix with the rows and columns of I where a component is not `known`."""
         truths = np.asarray(known)
         if truths.all():
@@ -278,6 +282,8 @@ class Runs(_ComponentsFirst):
 
     def part(self, rows: Sequence[int], columns: Sequence[int]) -> Runs:
         """The entries in some rows and columns."""
+        if isinstance(rows, range) and isinstance(columns, range):  # of which there is a view
+            return Runs(self.array[rows.start : rows.stop, columns.start : columns.stop])
         return Runs(self.array[np.ix_(rows, columns)])
 
     def bordered(self, across: Runs, own: Runs) -> Runs:
@@ -424,6 +430,10 @@ class Stack(_ArrayMatrix):
         below = np.concatenate([across.array, own.array], axis=-1)
         return Stack(np.concatenate([above, below], axis=-2))
 
+    def beside(self, other: Stack) -> Stack:
+        """The matrices [A B] of A, these, and others."""
+        return Stack(np.concatenate([self.array, other.array], axis=-1))
+
     def kept(self, known: Mask) -> Stack:
         """The matrices with zeros in rows that `known` (..., m) does not mark."""
         return Stack(np.where(known[..., None], self.array, 0.0))
@@ -458,17 +468,6 @@ class Rounded(Stack):
     def root(self) -> StackRoot:
         """The lower triangular roots L of A = L Lᵀ, or its pseudo-inverse."""
         return StackRoot(roots.root(self.array, self.scale, self.negligible), self.array)
-
-
-class KnownRoot:
-    """The roots L of matrices A = L Lᵀ whose inverses `white`, L⁻¹ (..., n, n), are known."""
-
-    def __init__(self, white: Array) -> None:
-        self.white = white
-
-    def solve(self, right: Stack) -> Stack:
-        """The X with L X = B."""
-        return Stack(self.white @ right.array)
 
 
 class StackRoot:
@@ -542,3 +541,14 @@ class StackRoot:
             lost, cov = self._lost, np.broadcast_to(self._matrix, self.lower.shape)
             found[lost] = transpose(solving.regression(transpose(right.array[lost]), cov[lost]))
         return Stack(found)
+
+
+class KnownRoot:
+    """The root L of a matrix A = L Lᵀ, or the roots of many, of which L⁻¹ is known."""
+
+    def __init__(self, inverse: Runs | Stack) -> None:
+        self.inverse = inverse
+
+    def solve(self, right: Any) -> Any:
+        """The X with L X = B."""
+        return self.inverse @ right

@@ -42,8 +42,9 @@ _REGULAR = 1e-11
 _MOST = 90
 # The largest factor by which a mild measurement shrinks a variance.
 _MILD = 1e3
-# Of a batch lines of Python are quicker than products of arrays up to n d (n + d) of this size.
-_FEW = 6
+# Of a batch lines of Python are quicker than products of arrays up to n d (n + d) of this size, and
+# so many runs.
+_FEW, _SHORT = 54, 2000
 
 
 def deviations(cov: Array) -> Array:
@@ -292,11 +293,16 @@ def _update_many(
 
     None if a pivot of S is at most `least` times its diagonal entry, in any run.
     """
-    quick = _updating_rows(len(mean), len(residual), least)
-    if quick is not None:
-        with quiet():  # of what is not regular
-            found: tuple[Array, Array, Array] | None = quick(mean, cov, matrix, residual, noise)
-        return found
+    few = cov.shape[-1] <= _SHORT
+    quick = _updating_rows(len(mean), len(residual), least) if few else ()
+    with quiet():  # of what is not regular
+        for function in quick:
+            found: tuple[Array, Array, Array] | None
+            found = function(mean, cov, matrix, residual, noise)
+            if found is not None:
+                return found
+    if quick:
+        return None
     belief, slope, error = Runs(cov, True), Runs(matrix), Runs(noise, True)
     before, off = Runs(mean[:, None]), Runs(residual[:, None])
     with scratch():
@@ -319,18 +325,13 @@ def _is_mild(noise: Array, root: RunsRoot, least: float) -> bool:
     So it is where det S < 1000 det R, R being the `noise` and `root` that of S: as S ≥ R, S is then
     at most 1000 R in every direction.
     """
-    size = len(noise)
-    if noise.shape[-1] == 1:
-        own = Dense(noise[..., 0]).root()
-        share, volume = own.share, own.volume
-    elif size <= 2:  # by determinants, in a fifth of the time
-        whole = noise[0, 0] if size == 1 else noise[0, 0] * noise[1, 1]
-        left = whole if size == 1 else whole - noise[0, 1] * noise[0, 1]
-        share, volume = (left / whole).min(), 0.5 * np.log(left)
-    else:
+    if noise.shape[-1] > 1:
         many = Runs(noise).root()
-        share, volume = many.share.min(), many.volume
-    return bool(share > _MILD * least and (root.volume - volume).max() < 0.5 * log(_MILD))
+        regular, further = many.share.min() > _MILD * least, root.volume - many.volume
+    else:
+        one = Dense(noise[..., 0]).root()
+        regular, further = one.share > _MILD * least, root.volume - one.volume
+    return bool(regular and further.max() < 0.5 * log(_MILD))
 
 
 def _log_density(after: step.Updated, size: int) -> Number:
@@ -358,18 +359,35 @@ def _updating(size: int, height: int) -> Callable[..., Any] | None:
 
 
 @lru_cache(maxsize=64)
-def _updating_rows(size: int, height: int, least: float) -> Callable[..., Any] | None:
-    """The function `_update_many` of n components and d measurements; None where they are many."""
+def _updating_rows(size: int, height: int, least: float) -> tuple[Callable[..., Any], ...]:
+    """The functions `_update_many` of n components and d measurements: of mild ones, and of any.
+
+    There is none where components are many.
+    """
     if not 0 < size * height * (size + height) <= _FEW:
-        return None
+        return ()
 
-    def body(*moments: Matrix) -> tuple[list[Any], Any]:
+    def mild(
+        mean: Matrix, cov: Matrix, matrix: Matrix, residual: Matrix, noise: Matrix
+    ) -> tuple[list[Any], Any]:
+        cross, own = matrix @ cov, noise.root()
+        root = (cross.times(matrix) + noise).root()
+        regular = (root.share > least) & (own.share > _MILD * least)
+        return told(
+            step.lessened(mean, cov, residual, root, cross),
+            regular & (root.volume - own.volume < 0.5 * log(_MILD)),
+        )
+
+    def every(*moments: Matrix) -> tuple[list[Any], Any]:
         after = step.update(*moments)
-        arrays = written.rows(after.mean, size), written.rows(after.cov, size, size)
-        truth = written.Written("({}).all()", after.share > least)
-        return [*arrays, _log_density(after, height)], truth
+        return told(after, after.share > least)
 
-    return written.function(_shapes(size, height), body, along_runs=True)
+    def told(after: step.Updated, truth: Any) -> tuple[list[Any], Any]:
+        arrays = written.rows(after.mean, size), written.rows(after.cov, size, size)
+        return [*arrays, _log_density(after, height)], written.Written("({}).all()", truth)
+
+    shapes = _shapes(size, height)
+    return tuple(written.function(shapes, body, along_runs=True) for body in (mild, every))
 
 
 def _shapes(size: int, height: int) -> dict[str, tuple[int, ...]]:

@@ -168,6 +168,11 @@ class Matrix:
         """The matrix times a number."""
         return Matrix([x * number for x in row] for row in self.rows)
 
+    def beside(self, other: Matrix) -> Matrix:
+        """The matrix [A B] of A, this one, and another."""
+        pairs = zip(self.rows, other.rows, strict=True)
+        return Matrix(((*row, *right) for row, right in pairs), self.width + other.width)
+
     def part(self, rows: Sequence[int], columns: Sequence[int]) -> Matrix:
         """The entries in some rows and columns."""
         return Matrix(([self.rows[i][j] for j in columns] for i in rows), len(columns))

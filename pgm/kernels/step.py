@@ -111,14 +111,16 @@ def given(
 def lessened(
     mean: AnyMatrix, cov: AnyMatrix, residual: AnyMatrix, root: Any, cross: AnyMatrix
 ) -> Updated:
-    """The belief given a measurement as P − (L⁻¹ H P)ᵀ (L⁻¹ H P), L the root of S, C = H P.
+    """The belief given a measurement by differences: m + Cᵀ S⁻¹ r and P − Cᵀ S⁻¹ C, C = H P.
 
-    It takes a third of the products of `given`, and loses as many digits as a variance, in whatever
-    direction, falls by: it is for measurements of which it is known that they are no sharper.
+    `root` is L of S = L Lᵀ: of W = L⁻¹ [r C] the product Wᵀ W has all that changes. It takes a
+    third of the products of `given`, and loses as many digits as a variance, in whatever direction,
+    falls by: it is for measurements of which it is known that they are no sharper.
     """
-    white, part = root.solve(residual), root.solve(cross).T
-    square = (white.T @ white)[0, 0]
-    return Updated(mean + part @ white, cov - part.times(part), square, root.volume, root.share)
+    white = root.solve(residual.beside(cross)).T
+    known, first, rest = white.times(white), range(1), range(1, 1 + cross.shape[1])
+    change, less = known.part(rest, first), known.part(rest, rest)
+    return Updated(mean + change, cov - less, known[0, 0], root.volume, root.share)
 
 
 def gain_back(cov: AnyMatrix, matrix: AnyMatrix, later: AnyMatrix) -> tuple[AnyMatrix, Any]:
@@ -280,26 +282,64 @@ def inflation(cov: AnyMatrix, root: Any) -> Number:
     return inner(cov.diagonal, root.precisions)
 
 
-def weighed_square(
+class Whitened(NamedTuple):
+    """A measurement's residual by a belief, in units of its noise R = L Lᵀ.
+
+    `residual` is y = L⁻¹ r; `spread`, B = L⁻¹ H P Hᵀ L⁻ᵀ, is the covariance that the belief gives
+    it, and `error`, E = L⁻¹ Ω L⁻ᵀ, that of the line's error: None for what is zero, or does not
+    count.
+    """
+
+    residual: AnyMatrix
+    spread: AnyMatrix = None
+    error: AnyMatrix = None
+
+    @property
+    def square(self) -> Number:
+        """The square yᵀ y = rᵀ R⁻¹ r, of which robust weights are functions.
+
+        It is the one that is expected where a belief is told: with tr (B + E) besides.
+        """
+        total = (self.residual.T @ self.residual)[0, 0]
+        for part in (self.spread, self.error):
+            for variance in () if part is None else part.diagonal:
+                total = total + variance
+        return total
+
+
+def whitened(
     residual: AnyMatrix,
     root: Any,
     matrix: AnyMatrix = None,
     cov: AnyMatrix = None,
     error: AnyMatrix = None,
-) -> Number:
-    """The square rᵀ R⁻¹ r of a residual by its noise, of which robust weights are functions.
+) -> Whitened:
+    """The residual of a measurement, and what P and Ω leave open, in units of its noise.
 
-    `root` is that of R. Given P it is the square that is expected under a belief, with
-    tr R⁻¹ (H P Hᵀ + Ω) besides, Ω being the covariance of the line's error.
+    `root` is L of the noise R = L Lᵀ. Without H and P the residual is that of a mean alone.
     """
     white = root.solve(residual)
-    total = (white.T @ white)[0, 0]
     if cov is None:
-        return total
+        return Whitened(white)
     rows = root.solve(matrix)
-    spread_of = (rows @ cov).times(rows).diagonal
-    if error is not None:
-        spread_of += root.solve(root.solve(error).T).diagonal
-    for variance in spread_of:
-        total = total + variance
-    return total
+    own = None if error is None else root.solve(root.solve(error).T)
+    return Whitened(white, (rows @ cov).times(rows), own)
+
+
+def reweighed(before: Whitened, weight: Number, *, expects: bool) -> Whitened:
+    """The residual by the belief that has taken in its measurement with the noise R / w.
+
+    This is the update seen from the measurement, of as many components as that has. For
+    M = I + w (B + E) the residual is (I + w E) M⁻¹ y, and B becomes (I + w E) M⁻¹ B: products, in
+    place of the update's differences. Covariances count if the square `expects` them.
+    """
+    spread, error = before.spread, before.error
+    whole = spread if error is None else spread + error
+    root = whole.scaled(-weight).one_minus().root()
+
+    def after(matrix: AnyMatrix) -> AnyMatrix:
+        part = root.solve_transposed(root.solve(matrix))
+        return part if error is None else part + error.scaled(weight) @ part
+
+    residual = after(before.residual)
+    return Whitened(residual, after(spread), error) if expects else Whitened(residual)

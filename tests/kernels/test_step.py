@@ -411,12 +411,57 @@ def test_the_square_of_robust_weights(kind, size, height, seed):
 
     def both(residual, noise, matrix, cov):
         root = noise.root()
-        plain = step.weighed_square(residual, root)
-        return plain, step.weighed_square(residual, root, matrix, cov)
+        plain = step.whitened(residual, root).square
+        return plain, step.whitened(residual, root, matrix, cov).square
 
     found = kind.run(both, *map(kind.matrix, (residual, noise, matrix, cov)))
     due = squares_of_weights(seed, size, height)
     assert_due(kind, found, due, condition=condition(noise))
+
+
+WEIGHT = 0.3
+
+
+@of_sizes(WITH_ROOTS)
+@SEEDS
+def test_the_square_by_the_belief_that_has_taken_in_its_measurement(kind, size, height, seed):
+    """That of its mean, and those that are expected, without an error of the line and with one."""
+    _, cov, matrix, residual, noise = drawn(seed, size, height)
+
+    def every(residual, noise, matrix, cov, error):
+        root = noise.root()
+        exact = step.whitened(residual, root, matrix, cov)
+        curved = step.whitened(residual, root, matrix, cov, error)
+        given = (exact, False), (exact, True), (curved, True)
+        return tuple(
+            step.reweighed(each, WEIGHT, expects=expects).square for each, expects in given
+        )
+
+    error = error_of(seed, size, height)
+    found = kind.run(every, *map(kind.matrix, (residual, noise, matrix, cov, error)))
+    spread = matrix @ cov @ matrix.swapaxes(-1, -2) + noise
+    cost = condition(noise) * condition(spread)
+    assert_due(kind, found, lambda k: squares_after(seed, size, height, k), condition=cost)
+
+
+def error_of(seed, size, height):
+    """The covariances of a line's error."""
+    return drawn(seed + 7, size, height)[4]
+
+
+@cache
+def squares_after(seed, size, height, run):
+    parts = (*drawn(seed, size, height)[1:], error_of(seed, size, height))
+    cov, matrix, residual, noise, error = (exact(each, run) for each in parts)
+    spread, zero = matrix * cov * matrix.T, mp.zeros(height)
+
+    def square(error, expects):
+        keep = mp.eye(height) - spread * (spread + error + noise / mp.mpf(WEIGHT)) ** -1
+        left = keep * residual
+        open_ = trace(noise**-1 * (keep * spread + error)) if expects else 0
+        return left.T * noise**-1 * left + single(open_)
+
+    return square(zero, False), square(zero, True), square(error, True)
 
 
 @under([kind for kind in WITH_ROOTS if not isinstance(kind, OneDense)])

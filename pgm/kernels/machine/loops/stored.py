@@ -268,6 +268,10 @@ class Stored:
         other.put(found, self.shape[0], 0)
         return found
 
+    def beside(self, other: Stored) -> Stored:
+        """The matrix [A B] of A, this one, and another."""
+        return self.T.above(other.T).T
+
     def kept(self, known: Stored) -> Stored:
         """The matrix with zeros in rows that are not `known`, a row with a truth for each."""
         plain = self.plain()

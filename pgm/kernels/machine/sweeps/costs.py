@@ -47,4 +47,4 @@ def _moved(
     value, sure = expected(w, motion, at, x, cov)
     noise = w.symmetric(motion.kept or motion.noise, at)
     left, root = on_branch(w, child, value, motion.angles) - value, noise.root()
-    return step.weighed_square(left, root), sure & (root.share > REGULAR)
+    return step.whitened(left, root).square, sure & (root.share > REGULAR)
