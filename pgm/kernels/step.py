@@ -213,10 +213,15 @@ def known_part(cov: AnyMatrix, known: Any) -> AnyMatrix:
     return cov.kept(known).T.kept(known)
 
 
+def turns(angle: Number) -> Number:
+    """The whole turns in an angle: less these, it is within half a turn of zero."""
+    return TURN * nearest_whole(angle / TURN)
+
+
 def nearest(reading: Number, value: Number) -> Number:
     """An angle's reading on the branch nearest to a value: moved by whole turns, if it is far."""
     off = reading - value
-    return where(abs(off) > math.pi, reading - TURN * nearest_whole(off / TURN), reading)
+    return where(abs(off) > math.pi, reading - turns(off), reading)
 
 
 class Rule(NamedTuple):
