@@ -227,7 +227,7 @@ def turns(source):
 
 
 def is_turn(node):
-    return named(node).strip("_").lower() in {"turn", "pi", "tau"}
+    return named(node).strip("_") in {"TURN", "pi", "tau"}
 
 
 def gaps(source):
