@@ -290,7 +290,7 @@ class _Pending:
             terms = np.where(square > limit, -np.inf, terms)
         terms = self.with_others(terms)
         if unknown.association == JOINT:
-            terms = self._jointly(pairs, terms, belief.by_run[1], step)
+            terms = self._jointly(pairs, terms, belief.by_run[1], step, bound.first_run)
         self.decide(rows, terms)
         return _taken(graph, bound, lineariser, step, (self.part(rows),), belief, self.gate)
 
@@ -317,7 +317,7 @@ class _Pending:
         self.values[some] = candidates[np.where(seen, likeliest, 0)]
         self.taken[some] = self.reading.taken[some] & seen[..., None]
 
-    def _jointly(self, pairs: _Pairs, terms: Array, cov: Array, step: int) -> Array:
+    def _jointly(self, pairs: _Pairs, terms: Array, cov: Array, step: int, first_run: int) -> Array:
         """Decide about a step's sightings together; returns log-probabilities of the candidates.
 
         The result is 0 for the choice and −∞ for all else, (sightings, runs, k + 2). `terms`, of
@@ -326,7 +326,8 @@ class _Pending:
         the candidates' gate; a joint decision always has such a gate. `pairs` are the innovations
         of each sighting with each candidate, and `cov` is the belief's P (runs, n, n). A sighting
         to which the search gives no candidate is taken for spurious or new, whichever is likelier.
-        A search of too many hypotheses is refused with an EvidenceError.
+        A search of too many hypotheses is refused with an EvidenceError, which counts runs from
+        `first_run`.
         """
         assert self.unknown.gate is not None
         compatible = np.isfinite(terms[..., :-2]) & (pairs.size > 0)
@@ -335,7 +336,7 @@ class _Pending:
         try:
             found = joint_compatibility.decide(weighed, cov, self.unknown.gate)
         except joint_compatibility.TooManyError as error:
-            cpd, (run,) = self.reading.cpd, error.args
+            cpd, run = self.reading.cpd, first_run + error.args[0]
             raise EvidenceError(
                 f"{len(terms)} sightings of {cpd.child!r} at step {step} fit "
                 f"{self.unknown!r} in more than {joint_compatibility.NODES:,} ways (run {run}): "
@@ -344,6 +345,7 @@ class _Pending:
                 variable=cpd.child,
                 cpd=cpd,
                 step=step,
+                run=run,
             ) from None
         others = terms.shape[-1] - 2 + np.argmax(terms[..., -2:], axis=-1)
         taken = np.where(found == joint_compatibility.NOTHING, others, found)
@@ -460,11 +462,12 @@ def _innovations(
     `reading` has a run for each sighting, run of `bound` and candidate, with that candidate as the
     value of the unknown parent; of these runs candidates vary fastest and sightings slowest. `rows`
     is the number of sightings. `belief` is over the slice at `step`, in the runs of `bound`; of
-    `bound` only the number of runs is used. An S that is singular, indefinite or not finite is
-    refused with a NumericalError.
+    `bound` only the number of runs is used, and that of the first, for the texts of errors. An S
+    that is singular, indefinite or not finite is refused with a NumericalError.
     """
     every = reading.values.shape[1]
-    one = BoundEvidence(0, (every,), (), (reading,))
+    lead = rows, bound.runs, every // (rows * bound.runs)
+    one = BoundEvidence(0, lead, (), (reading,), bound.first_run, candidates=True)
     plan = ChainPlan.make(graph, one, lineariser, first=step, prior=False, probe=False)
     means, covs = belief.by_run
     of = np.tile(np.repeat(np.arange(bound.runs), every // (rows * bound.runs)), rows)
