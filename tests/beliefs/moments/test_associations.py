@@ -118,6 +118,23 @@ def test_errors_name_the_run_and_the_candidate(named, message, run):
     assert (refusal.value.step, refusal.value.run) == (1, run)
 
 
+def test_equal_calls_have_equal_answers():
+    """The first one of a graph, too, whose derivatives are those of the trace."""
+    graph = pgm.compile(nonlinear(), 4, compiled=False)
+    first, later = (
+        pgm.infer(graph, open_(), schedule=pgm.Filtering()).associations[z] for _ in range(2)
+    )
+    np.testing.assert_array_equal(first.probability, later.probability)
+    online = pgm.OnlineFilter(nonlinear(), compiled=False)
+    first, later = (
+        online.update(online.initial(), {z: pgm.sightings(SEEN[:2], given={m: pgm.unknown(MARKS)})})
+        for _ in range(2)
+    )
+    np.testing.assert_array_equal(
+        first.associations[z].probability, later.associations[z].probability
+    )
+
+
 def test_probabilities_are_those_of_the_innovations():
     """At step 1 the belief is N((1, 1), .26 I): a twin of three lines."""
     found = pgm.filter(robot(), open_(weights=[1.0, 2.0, 1.0], new=0.1, volume=50.0), steps=3)

@@ -167,6 +167,8 @@ def _by_numpy(
 ) -> None:
     """Decide about all sightings, step by step."""
     plan = _named(graph, bound, lineariser)
+    for each in pending:
+        each.trace(graph, bound, lineariser)
     chain = MomentChain(plan, Filtering(gate=gate), keep=False)
     belief = chain.start()
     for step in counted(range(bound.steps + 1), "associations"):
@@ -197,7 +199,9 @@ def associated_at(
     """
     pending = _pending(bound, gate)
     known = tuple(reading for reading in bound.readings if reading.unknown is None)
-    belief = _taken(graph, bound, lineariser, step, known, belief, gate)
+    for each in pending:
+        each.trace(graph, bound, lineariser, step)
+    belief = _taken(graph, bound, lineariser, step, known, belief, gate, probe=True)
     for each in pending:
         rows = range(len(each.reading.step))
         if len(rows):
@@ -258,6 +262,18 @@ class _Pending:
         """The rows of the sensor's sightings at a step, a range that may be empty."""
         first, last = np.searchsorted(self.reading.step, [step, step + 1]).tolist()
         return range(first, last)
+
+    def trace(
+        self, graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, first: int = 0
+    ) -> None:
+        """Probe the sensor's function and have it traced, for all sightings of a call.
+
+        Otherwise the first call of a graph would take derivatives by differences, and later calls
+        by the trace that the filter has made. `first` is the number of the evidence's step 0.
+        """
+        if len(self.reading.step):
+            tried = _tried(self._expanded(range(1), bound.runs), bound, 1)
+            ChainPlan.make(graph, tried, lineariser, first=first, prior=False)
 
     def associate(
         self,
@@ -419,17 +435,30 @@ def _taken(
     readings: tuple[Reading, ...],
     belief: Moments,
     gate: Asked | None,
+    *,
+    probe: bool = False,
 ) -> Moments:
     """The belief over the slice at `step`, conditioned on measurements of that step, `readings`.
 
     Each reading has its sightings at a step 0; `step` is the step's number in the chain. `gate` is
     the filter's gate, None if all sightings are to be used. The evidence `bound` tells only how
-    many runs there are, and how the user lays them out along axes.
+    many runs there are, and how the user lays them out along axes. `probe` is as of
+    `ChainPlan.make`, for sensors whose functions have not been traced in this call.
     """
     one = BoundEvidence(0, bound.lead, (), readings, bound.first_run)
-    plan = ChainPlan.make(graph, one, lineariser, first=step, prior=False, probe=False)
+    plan = ChainPlan.make(graph, one, lineariser, first=step, prior=False, probe=probe)
     chain = MomentChain(plan, Filtering(gate=gate), keep=False)
     return chain.take(step, belief, chain.readings(0))[0]
+
+
+def _tried(reading: Reading, bound: BoundEvidence, rows: int) -> BoundEvidence:
+    """The evidence of one step with a reading whose sightings are tried with all candidates.
+
+    The `reading` is as of `_innovations`, of so many `rows`; of `bound` the runs are used alone.
+    """
+    candidates = reading.values.shape[1] // (rows * bound.runs)
+    lead = rows, bound.runs, candidates
+    return BoundEvidence(0, lead, (), (reading,), bound.first_run, candidates=True)
 
 
 class _Pairs(NamedTuple):
@@ -466,8 +495,7 @@ def _innovations(
     that is singular, indefinite or not finite is refused with a NumericalError.
     """
     every = reading.values.shape[1]
-    lead = rows, bound.runs, every // (rows * bound.runs)
-    one = BoundEvidence(0, lead, (), (reading,), bound.first_run, candidates=True)
+    one = _tried(reading, bound, rows)
     plan = ChainPlan.make(graph, one, lineariser, first=step, prior=False, probe=False)
     means, covs = belief.by_run
     of = np.tile(np.repeat(np.arange(bound.runs), every // (rows * bound.runs)), rows)
