@@ -15,7 +15,7 @@ from functools import cached_property, lru_cache
 from math import prod
 from threading import local
 from types import ModuleType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from pgm.kernels.arrays import (
     Mask,
     block,
     frozen,
+    independent,
     make_symmetric,
     multiply,
     times_symmetric,
@@ -54,6 +55,33 @@ class _ArrayMatrix:
         return type(self)(self.array - other.array)
 
 
+class _ComponentsFirst(_ArrayMatrix):
+    """The base of the kinds whose components stand first."""
+
+    __slots__ = ()
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The numbers of rows and columns."""
+        return self.array.shape[:2]
+
+    def beside(self, other: Self) -> Self:
+        """The matrix [A B] of A, this one, and another."""
+        return type(self)(np.concatenate([self.array, other.array], axis=1))
+
+    def kept(self, known: Any) -> Self:
+        """The matrix with zeros in rows that are not `known`, with truths for each."""
+        return type(self)(np.where(np.asarray(known)[:, None], self.array, 0.0))
+
+    def independent(self, known: Any) -> Self:
+        """The symmetric matrix with the rows and columns of I where a component is not `known`."""
+        truths = np.asarray(known)
+        if truths.all():
+            return self
+        eye = _identity(len(truths)).reshape(*self.shape, *(1 for _ in self.array.shape[2:]))
+        return type(self)(np.where(truths[:, None] & truths, self.array, eye))
+
+
 @lru_cache(maxsize=1)
 def _lapack() -> ModuleType:
     """SciPy's module of LAPACK functions, imported at the first call."""
@@ -69,15 +97,10 @@ def _identity(size: int) -> Array:
     return frozen(np.eye(size))
 
 
-class Dense(_ArrayMatrix):
+class Dense(_ComponentsFirst):
     """One matrix, (m, n)."""
 
     __slots__ = ()
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """The numbers of rows and columns."""
-        return self.array.shape
 
     def __getitem__(self, place: tuple[int, int]) -> float:
         found: float = self.array.item(*place)
@@ -157,6 +180,11 @@ class DenseRoot:
         return Dense(_lapack().dtrtrs(self.lower, right.array, 1, 1)[0])
 
 
+def first(array: Array, symmetric: bool = False) -> Dense | Runs:
+    """The matrix (m, n), or those of many runs (m, n, *batch), whose components stand first."""
+    return Dense(array, symmetric) if array.ndim == 2 else Runs(array, symmetric)
+
+
 # The numbers of a step beyond which memory is not kept for the next.
 _KEPT = 1 << 22
 
@@ -198,15 +226,10 @@ def scratch() -> Iterator[None]:
         _scratch.active = False
 
 
-class Runs(_ArrayMatrix):
+class Runs(_ComponentsFirst):
     """The matrices of many runs, (m, n, *batch), or one for all, (m, n, 1)."""
 
     __slots__ = ()
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """The numbers of rows and columns."""
-        return self.array.shape[:2]
 
     def __getitem__(self, place: tuple[int, int]) -> Array:
         found: Array = self.array[place]
@@ -259,6 +282,8 @@ class Runs(_ArrayMatrix):
 
     def part(self, rows: Sequence[int], columns: Sequence[int]) -> Runs:
         """The entries in some rows and columns."""
+        if isinstance(rows, range) and isinstance(columns, range):  # of which there is a view
+            return Runs(self.array[rows.start : rows.stop, columns.start : columns.stop])
         return Runs(self.array[np.ix_(rows, columns)])
 
     def bordered(self, across: Runs, own: Runs) -> Runs:
@@ -298,6 +323,11 @@ class RunsRoot:
         """The logarithms of |L|, (*batch)."""
         found: Array = self.root.volume
         return found
+
+    @property
+    def precisions(self) -> list[Array]:
+        """The diagonals of the inverses: one over each component's variance given all others."""
+        return self.root.precisions
 
     @property
     def matrix(self) -> Runs:
@@ -400,6 +430,18 @@ class Stack(_ArrayMatrix):
         below = np.concatenate([across.array, own.array], axis=-1)
         return Stack(np.concatenate([above, below], axis=-2))
 
+    def beside(self, other: Stack) -> Stack:
+        """The matrices [A B] of A, these, and others."""
+        return Stack(np.concatenate([self.array, other.array], axis=-1))
+
+    def kept(self, known: Mask) -> Stack:
+        """The matrices with zeros in rows that `known` (..., m) does not mark."""
+        return Stack(np.where(known[..., None], self.array, 0.0))
+
+    def independent(self, known: Mask) -> Stack:
+        """The symmetric matrices with the rows and columns of I that `known` (..., n) leaves."""
+        return self if known.all() else Stack(independent(self.array, known), True)
+
     @property
     def diagonal(self) -> list[Array]:
         """The entries on the diagonal."""
@@ -470,6 +512,13 @@ class StackRoot:
         """The roots as matrices."""
         return Stack(self.lower)
 
+    @property
+    def precisions(self) -> list[Array]:
+        """The diagonals of the inverses: one over each component's variance given all others."""
+        eye = np.broadcast_to(_identity(self.lower.shape[-1]), self.lower.shape)
+        white = self.solve(Stack(eye)).array
+        return list(np.moveaxis(np.einsum("...ij,...ij->...j", white, white), -1, 0))
+
     def left(self, right: Stack) -> Array:
         """The size of what earlier components leave of a vector b in determined ones, (..., n)."""
         rest = solving.solve_lower(self.lower, right.array)[..., 0]
@@ -492,3 +541,14 @@ class StackRoot:
             lost, cov = self._lost, np.broadcast_to(self._matrix, self.lower.shape)
             found[lost] = transpose(solving.regression(transpose(right.array[lost]), cov[lost]))
         return Stack(found)
+
+
+class KnownRoot:
+    """The root L of a matrix A = L Lᵀ, or the roots of many, of which L⁻¹ is known."""
+
+    def __init__(self, inverse: Runs | Stack) -> None:
+        self.inverse = inverse
+
+    def solve(self, right: Any) -> Any:
+        """The X with L X = B."""
+        return self.inverse @ right

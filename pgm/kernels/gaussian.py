@@ -5,9 +5,9 @@ covariance of its residual z − H m. A component of a prediction F x + b + w, w
 *bare* if w is zero in it, so that the component is that of F x + b.
 
 The arithmetic is that of `step`; each function chooses the fastest kind of matrices: for one small
-Gaussian, lines of Python for its size (`written`); for a larger one LAPACK, for a batch rows of
-runs (`dense`). Where S is nearly singular, all updates are left to `moments`, which tells singular
-covariances from rounding.
+Gaussian, and for updates of up to some thousand small ones, lines of Python for their size
+(`written`); for a larger one LAPACK, for a batch rows of runs (`dense`). Where S is nearly
+singular, all updates are left to `moments`, which tells singular covariances from rounding.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from pgm.kernels.arrays import (
     quiet,
     symmetric,
 )
-from pgm.kernels.dense import Dense, DenseRoot, Runs, RunsRoot, scratch
+from pgm.kernels.dense import Dense, DenseRoot, Runs, RunsRoot, first, scratch
 from pgm.kernels.moments import ROUNDING
 from pgm.kernels.numbers import Matrix, Number
 
@@ -42,8 +42,9 @@ _REGULAR = 1e-11
 _MOST = 90
 # The largest factor by which a mild measurement shrinks a variance.
 _MILD = 1e3
-# Of a batch lines of Python are quicker than products of arrays up to n d (n + d) of this size.
-_FEW = 6
+# Of a batch lines of Python are quicker than products of arrays up to n d (n + d) of this size, and
+# so many runs.
+_FEW, _SHORT = 54, 2000
 
 
 def deviations(cov: Array) -> Array:
@@ -83,11 +84,6 @@ def root(cov: Array) -> DenseRoot | RunsRoot | None:
     with np.errstate(invalid="ignore", divide="ignore"):  # such a pivot may have no root
         many = Runs(cov).root()
     return many if (many.share > _REGULAR).all() else None
-
-
-def _kind(array: Array) -> Any:
-    """The kind of matrices (n, n, *batch)."""
-    return Dense if array.ndim == 2 else Runs
 
 
 def is_moderate(mean: Array, cov: Array, before: Array, least: float, far: float) -> bool:
@@ -182,14 +178,33 @@ def extend(
         cov[child, child] = noise
         return
     rows = cov[parents]
-    cross = (_kind(cov)(matrix) @ _kind(cov)(rows)).array
-    own = predict(rows[:, parents], matrix, noise, bare)
-    for i in bare:
-        if not own[i, i].all():
-            cross[i] = np.where(own[i, i] > 0.0, cross[i], 0.0)
-    cov[child] = cross
-    cov[:, child] = cross.swapaxes(0, 1)
+    before = rows[:, parents]
+    with scratch():
+        cross, own = _joined(rows, before, matrix, noise)
+        if bare:
+            own = _certain(own, before, matrix, bare)
+        if any(not own[i, i].all() for i in bare):
+            cross = cross.copy()
+            for i in bare:
+                cross[i] = np.where(own[i, i] > 0.0, cross[i], 0.0)
+        cov[child] = cross
+        cov[:, child] = cross.swapaxes(0, 1)
     cov[child, child] = own
+
+
+def _joined(rows: Array, cov: Array, matrix: Array, noise: Array) -> tuple[Array, Array]:
+    """The covariance of a child y with all of a joint, (d, m, *batch), and its own, (d, d, *batch).
+
+    `rows` (p, m, *batch) are the parents' rows of the joint's covariance, `cov` (p, p, *batch)
+    their own. Of a batch the first is in memory of `scratch`.
+    """
+    quick = _joining(len(matrix), *rows.shape) if rows.ndim == 2 else None
+    if quick is not None:
+        found: tuple[Array, Array] = quick(rows, cov, matrix, noise)
+        return found
+    parts = first(rows), first(cov, symmetric=True), first(matrix), first(noise)
+    cross, own = (each.array for each in step.joined(*parts))
+    return cross, own if rows.ndim > 2 else symmetric(own)
 
 
 class Update(NamedTuple):
@@ -278,11 +293,16 @@ def _update_many(
 
     None if a pivot of S is at most `least` times its diagonal entry, in any run.
     """
-    quick = _updating_rows(len(mean), len(residual), least)
-    if quick is not None:
-        with quiet():  # of what is not regular
-            found: tuple[Array, Array, Array] | None = quick(mean, cov, matrix, residual, noise)
-        return found
+    few = cov.shape[-1] <= _SHORT
+    quick = _updating_rows(len(mean), len(residual), least) if few else ()
+    with quiet():  # of what is not regular
+        for function in quick:
+            found: tuple[Array, Array, Array] | None
+            found = function(mean, cov, matrix, residual, noise)
+            if found is not None:
+                return found
+    if quick:
+        return None
     belief, slope, error = Runs(cov, True), Runs(matrix), Runs(noise, True)
     before, off = Runs(mean[:, None]), Runs(residual[:, None])
     with scratch():
@@ -339,18 +359,35 @@ def _updating(size: int, height: int) -> Callable[..., Any] | None:
 
 
 @lru_cache(maxsize=64)
-def _updating_rows(size: int, height: int, least: float) -> Callable[..., Any] | None:
-    """The function `_update_many` of n components and d measurements; None where they are many."""
+def _updating_rows(size: int, height: int, least: float) -> tuple[Callable[..., Any], ...]:
+    """The functions `_update_many` of n components and d measurements: of mild ones, and of any.
+
+    There is none where components are many.
+    """
     if not 0 < size * height * (size + height) <= _FEW:
-        return None
+        return ()
 
-    def body(*moments: Matrix) -> tuple[list[Any], Any]:
+    def mild(
+        mean: Matrix, cov: Matrix, matrix: Matrix, residual: Matrix, noise: Matrix
+    ) -> tuple[list[Any], Any]:
+        cross, own = matrix @ cov, noise.root()
+        root = (cross.times(matrix) + noise).root()
+        regular = (root.share > least) & (own.share > _MILD * least)
+        return told(
+            step.lessened(mean, cov, residual, root, cross),
+            regular & (root.volume - own.volume < 0.5 * log(_MILD)),
+        )
+
+    def every(*moments: Matrix) -> tuple[list[Any], Any]:
         after = step.update(*moments)
-        arrays = written.rows(after.mean, size), written.rows(after.cov, size, size)
-        truth = written.Written("({}).all()", after.share > least)
-        return [*arrays, _log_density(after, height)], truth
+        return told(after, after.share > least)
 
-    return written.function(_shapes(size, height), body, along_runs=True)
+    def told(after: step.Updated, truth: Any) -> tuple[list[Any], Any]:
+        arrays = written.rows(after.mean, size), written.rows(after.cov, size, size)
+        return [*arrays, _log_density(after, height)], written.Written("({}).all()", truth)
+
+    shapes = _shapes(size, height)
+    return tuple(written.function(shapes, body, along_runs=True) for body in (mild, every))
 
 
 def _shapes(size: int, height: int) -> dict[str, tuple[int, ...]]:
@@ -369,6 +406,21 @@ def _predicting(height: int, size: int) -> Callable[..., Any] | None:
         return [written.array(step.predict(*matrices), height, height)], True
 
     shapes = {"cov": (size, size), "matrix": (height, size), "noise": (height, height)}
+    return written.function(shapes, body)
+
+
+@lru_cache(maxsize=64)
+def _joining(height: int, parents: int, size: int) -> Callable[..., Any] | None:
+    """The function `_joined` of d components from p of m; None where they are many."""
+    if not _is_small(parents, height) or height * parents * size > _MOST:
+        return None
+
+    def body(*matrices: Matrix) -> tuple[list[Any], Any]:
+        across, own = step.joined(*matrices)
+        return [written.array(across, height, size), written.array(own, height, height)], True
+
+    shapes = {"rows": (parents, size), "cov": (parents, parents)}
+    shapes |= {"matrix": (height, parents), "noise": (height, height)}
     return written.function(shapes, body)
 
 

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
 import numpy as np
 
-from pgm.kernels.arrays import (
-    Array,
-    Integers,
-)
+from pgm.kernels import step, written
+from pgm.kernels.arrays import Array, Integers, components_last, quiet
+from pgm.kernels.dense import Runs, Stack
+from pgm.kernels.numbers import Matrix
 from pgm.kernels.roots import NEGLIGIBLE
+
+# Components up to which one covariance is for lines of Python.
+_FEW = 6
 
 
 def square_within(probability: float, dimension: Integers) -> Array:
@@ -21,39 +28,34 @@ def square_within(probability: float, dimension: Integers) -> Array:
     return np.asarray(chdtri(dimension, 1.0 - probability), dtype=np.float64)
 
 
-def squares(residual: Array, cov: Array) -> Array:
-    """The squared distances νᵀ S⁻¹ ν, (k, *batch), of k stacked innovations ν ~ N(0, S).
+def squares(residual: Array, cov: Array) -> Array | float:
+    """The squared distances νᵀ S⁻¹ ν, (*batch), of innovations ν ~ N(0, S).
 
-    ν is `residual` (k, d, *batch), S `cov` (k, d, d, *batch). Components are eliminated one after
-    another, in the whole stack at once. A component that earlier components determine, its pivot in
-    S being at most 10⁻¹³ of its variance, adds nothing.
+    ν is `residual` (d, *batch), S `cov` (d, d, *batch). A component that earlier components
+    determine, its pivot in S being at most 10⁻¹³ of its variance, adds nothing. The square is NaN
+    where S is indefinite.
     """
-    size = residual.shape[1]
-    if size == 1:
-        return _share(residual[:, 0], cov[:, 0, 0], cov[:, 0, 0])
-    residual, cov = residual.copy(), cov.copy()
-    diagonal = np.einsum("kii...->ki...", cov).copy()
-    total = np.zeros(residual[:, 0].shape)
-    for j in range(size):
-        pivot, left = cov[:, j, j].copy(), residual[:, j].copy()
-        total = total + _share(left, pivot, diagonal[:, j])
-        if j + 1 == size:
-            break
-        proper = pivot > NEGLIGIBLE * diagonal[:, j]
-        factor = cov[:, j + 1 :, j] / np.where(proper, pivot, np.inf)[:, None]
-        residual[:, j + 1 :] -= factor * left[:, None]
-        cov[:, j + 1 :, j + 1 :] -= factor[:, :, None] * cov[:, None, j, j + 1 :]
-    return total
+    if cov.ndim == 2:
+        one: float | None = _one(len(cov))(residual, cov) if len(cov) <= _FEW else None
+        if one is not None:
+            return one
+    else:
+        with quiet():  # of what is not regular
+            found = step.innovation(Runs(residual[:, None]), Runs(cov, True))
+        if (found.share > NEGLIGIBLE).all():
+            many: Array = found.square
+            return many
+    parts = Stack.column(components_last(residual, 1)), Stack(components_last(cov, 2), True)
+    careful: Array = step.innovation(*parts).square
+    return careful
 
 
-def _share(left: Array, pivot: Array, diagonal: Array) -> Array:
-    """The term `left`² / `pivot` of one component in the squared distances, (k, *batch).
+@lru_cache(maxsize=64)
+def _one(size: int) -> Callable[[Array, Array], float | None]:
+    """The function `squares` of one regular S of d components; None where it is not regular."""
 
-    `left` is the component of the innovation less its mean given the earlier components, `pivot`
-    its variance given them, and `diagonal` its whole variance, (k, *batch) each. The term is zero
-    where earlier components determine this one.
-    """
-    proper = pivot > NEGLIGIBLE * diagonal
-    if proper.all():
-        return left * left / pivot
-    return np.where(proper, left * left / np.where(proper, pivot, 1.0), 0.0)
+    def body(residual: Matrix, cov: Matrix) -> tuple[list[Any], Any]:
+        found = step.innovation(residual, cov)
+        return [found.square], found.share > NEGLIGIBLE
+
+    return written.function({"residual": (size,), "cov": (size, size)}, body)

@@ -152,13 +152,9 @@ def log_density(residual: Array, cov: Array) -> Array:
 
     NaN where `cov` (..., n, n) is singular or indefinite.
     """
-    lower = roots.root(cov)
-    singular = roots.determined(lower).any(axis=-1)
-    white = solving.solve_lower(lower, residual[..., None])[..., 0]
-    value = -0.5 * (
-        inner(white, white) + solving.log_determinant(lower) + residual.shape[-1] * LOG_2PI
-    )
-    return np.where(singular, np.nan, value)
+    found = step.innovation(Stack.column(residual), Stack(cov, True))
+    value = -0.5 * (found.square + residual.shape[-1] * LOG_2PI) - found.volume
+    return np.where(found.share > 0.0, value, np.nan)
 
 
 def principal_axes(cov: Array) -> tuple[Array, Array]:

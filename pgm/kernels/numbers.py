@@ -168,6 +168,11 @@ class Matrix:
         """The matrix times a number."""
         return Matrix([x * number for x in row] for row in self.rows)
 
+    def beside(self, other: Matrix) -> Matrix:
+        """The matrix [A B] of A, this one, and another."""
+        pairs = zip(self.rows, other.rows, strict=True)
+        return Matrix(((*row, *right) for row, right in pairs), self.width + other.width)
+
     def part(self, rows: Sequence[int], columns: Sequence[int]) -> Matrix:
         """The entries in some rows and columns."""
         return Matrix(([self.rows[i][j] for j in columns] for i in rows), len(columns))
@@ -177,6 +182,20 @@ class Matrix:
         above = [(*row, *right) for row, right in zip(self.rows, across.columns, strict=True)]
         below = [(*row, *right) for row, right in zip(across.rows, own.rows, strict=True)]
         return Matrix([*above, *below])
+
+    def kept(self, known: Sequence[Number]) -> Matrix:
+        """The matrix with zeros in rows that are not `known`, a truth for each."""
+        pairs = zip(known, self.rows, strict=True)
+        rows = ([x if is_zero(x) else where(truth, x, 0.0) for x in row] for truth, row in pairs)
+        return Matrix(rows, self.width)
+
+    def independent(self, known: Sequence[Number]) -> Matrix:
+        """The symmetric matrix with the rows and columns of I where a component is not `known`."""
+        both = self.kept(known).T.kept(known)
+        return Matrix(
+            [where(truth, x, 1.0) if i == j else x for j, x in enumerate(row)]
+            for i, (truth, row) in enumerate(zip(known, both.rows, strict=True))
+        )
 
     @property
     def diagonal(self) -> list[Number]:

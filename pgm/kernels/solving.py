@@ -89,20 +89,6 @@ def regression(cross: Array, cov: Array) -> Array:
     return found
 
 
-def gain(cross: Array, lower: Array, cov: Array | None = None) -> Array:
-    """The gain C P⁺, P = L Lᵀ, of a cross-covariance C, (..., m, n), with rows in the range of P.
-
-    `cov`, if given, is P itself: where its root is NaN by rounding, the gain is computed from the
-    eigenvalues of P.
-    """
-    result = transpose(solve(lower, transpose(cross)))
-    if cov is not None:
-        lost = np.isnan(lower).any(axis=(-2, -1))
-        if lost.any():
-            result[lost] = regression(cross[lost], cov[lost])
-    return result
-
-
 def whiten(lower: Array, residual: Array) -> Array:
     """The whitened residual: the s (..., n) with L s = r, for r = `residual` (..., n).
 

@@ -18,14 +18,7 @@ import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from pgm.kernels.numbers import (
-    Matrix,
-    Number,
-    inner,
-    is_zero,
-    nearest_whole,
-    where,
-)
+from pgm.kernels.numbers import Number, inner, nearest_whole, where
 
 TURN = 2.0 * math.pi
 # A matrix of numbers of any kind; the kinds have their operations in common, and no class.
@@ -118,14 +111,16 @@ def given(
 def lessened(
     mean: AnyMatrix, cov: AnyMatrix, residual: AnyMatrix, root: Any, cross: AnyMatrix
 ) -> Updated:
-    """The belief given a measurement as P − (L⁻¹ H P)ᵀ (L⁻¹ H P), L the root of S, C = H P.
+    """The belief given a measurement by differences: m + Cᵀ S⁻¹ r and P − Cᵀ S⁻¹ C, C = H P.
 
-    It takes a third of the products of `given`, and loses as many digits as a variance, in whatever
-    direction, falls by: it is for measurements of which it is known that they are no sharper.
+    `root` is L of S = L Lᵀ: of W = L⁻¹ [r C] the product Wᵀ W has all that changes. It takes a
+    third of the products of `given`, and loses as many digits as a variance, in whatever direction,
+    falls by: it is for measurements of which it is known that they are no sharper.
     """
-    white, part = root.solve(residual), root.solve(cross).T
-    square = (white.T @ white)[0, 0]
-    return Updated(mean + part @ white, cov - part.times(part), square, root.volume, root.share)
+    white = root.solve(residual.beside(cross)).T
+    known, first, rest = white.times(white), range(1), range(1, 1 + cross.shape[1])
+    change, less = known.part(rest, first), known.part(rest, rest)
+    return Updated(mean + change, cov - less, known[0, 0], root.volume, root.share)
 
 
 def gain_back(cov: AnyMatrix, matrix: AnyMatrix, later: AnyMatrix) -> tuple[AnyMatrix, Any]:
@@ -186,9 +181,18 @@ def extend(
     cov: AnyMatrix, parents: Sequence[int], matrix: AnyMatrix, noise: AnyMatrix
 ) -> AnyMatrix:
     """The covariance of (x, y) for y = F x[parents] + b + e, from that of x."""
-    every = range(cov.shape[0])
-    own = predict(cov.part(parents, parents), matrix, noise)
-    return cov.bordered(matrix @ cov.part(parents, every), own)
+    rows = cov.part(parents, range(cov.shape[0]))
+    return cov.bordered(*joined(rows, cov.part(parents, parents), matrix, noise))
+
+
+def joined(
+    rows: AnyMatrix, own: AnyMatrix, matrix: AnyMatrix, noise: AnyMatrix
+) -> tuple[AnyMatrix, AnyMatrix]:
+    """The covariance of y = F x[parents] + b + e with all of x, and its own.
+
+    `rows` are the parents' rows of the covariance of x, `own` their columns of these.
+    """
+    return matrix @ rows, predict(own, matrix, noise)
 
 
 class Seen(NamedTuple):
@@ -199,26 +203,25 @@ class Seen(NamedTuple):
     noise: AnyMatrix
 
 
-def seen(known: Sequence[Number], residual: Matrix, matrix: Matrix, noise: Matrix) -> Seen:
+def seen(known: Any, residual: AnyMatrix, matrix: AnyMatrix, noise: AnyMatrix) -> Seen:
     """A measurement in which components that are not `known` are readings of unit noise alone."""
-    size = range(len(known))
-    rest = [where(known[i], residual[i, 0], 0.0) for i in size]
-    slope = [[h if is_zero(h) else where(known[i], h, 0.0) for h in matrix.rows[i]] for i in size]
+    return Seen(residual.kept(known), matrix.kept(known), noise.independent(known))
 
-    def entry(i: int, j: int) -> Number:
-        if i == j:
-            return where(known[i], noise[i, i], 1.0)
-        r = noise[i, j]
-        return r if is_zero(r) else where(known[i], where(known[j], r, 0.0), 0.0)
 
-    spread = Matrix([entry(i, j) for j in size] for i in size)
-    return Seen(Matrix.column(rest), Matrix(slope), spread)
+def known_part(cov: AnyMatrix, known: Any) -> AnyMatrix:
+    """A covariance with zeros in the rows and columns of components that are not `known`."""
+    return cov.kept(known).T.kept(known)
+
+
+def turns(angle: Number) -> Number:
+    """The whole turns in an angle: less these, it is within half a turn of zero."""
+    return TURN * nearest_whole(angle / TURN)
 
 
 def nearest(reading: Number, value: Number) -> Number:
     """An angle's reading on the branch nearest to a value: moved by whole turns, if it is far."""
     off = reading - value
-    return where(abs(off) > math.pi, reading - TURN * nearest_whole(off / TURN), reading)
+    return where(abs(off) > math.pi, reading - turns(off), reading)
 
 
 class Rule(NamedTuple):
@@ -265,24 +268,14 @@ def regressed(
     return Regressed(root.solve_transposed(moment).T, value, weighed.times(left), moment)
 
 
-def open_share(cov: Matrix) -> Number:
+def open_share(cov: AnyMatrix, varies: Any) -> Number:
     """The least share of a component's variance that the components before it leave open.
 
-    Components without a variance do not count; a share below zero is rounding, or worse.
+    Components count of which `varies` is true, a truth for each: those with a variance. Of what
+    is not positive definite the share is zero.
     """
-    least_share: Number = 1.0
-    unit: list[list[Number]] = []  # of P = U D Uᵀ
-    pivots: list[Number] = []
-    for i, row in enumerate(cov.rows):
-        parts: list[Number] = []  # of U D
-        for j in range(i):
-            parts.append(row[j] - inner(parts, unit[j]))
-        unit.append([part / pivot for part, pivot in zip(parts, pivots, strict=True)])
-        rest, none = row[i] - inner(parts, unit[i]), row[i] == 0.0
-        pivots.append(where(none, 1.0, rest))
-        share = where(none, 1.0, rest / where(none, 1.0, abs(row[i])))
-        least_share = where(share > least_share, least_share, share)
-    return least_share
+    share = cov.independent(varies).root().share
+    return where(share > 0.0, share, 0.0)
 
 
 def inflation(cov: AnyMatrix, root: Any) -> Number:
@@ -294,27 +287,64 @@ def inflation(cov: AnyMatrix, root: Any) -> Number:
     return inner(cov.diagonal, root.precisions)
 
 
-def weighed_square(
+class Whitened(NamedTuple):
+    """A measurement's residual by a belief, in units of its noise R = L Lᵀ.
+
+    `residual` is y = L⁻¹ r; `spread`, B = L⁻¹ H P Hᵀ L⁻ᵀ, is the covariance that the belief gives
+    it, and `error`, E = L⁻¹ Ω L⁻ᵀ, that of the line's error: None for what is zero, or does not
+    count.
+    """
+
+    residual: AnyMatrix
+    spread: AnyMatrix = None
+    error: AnyMatrix = None
+
+    @property
+    def square(self) -> Number:
+        """The square yᵀ y = rᵀ R⁻¹ r, of which robust weights are functions.
+
+        It is the one that is expected where a belief is told: with tr (B + E) besides.
+        """
+        total = (self.residual.T @ self.residual)[0, 0]
+        for part in (self.spread, self.error):
+            for variance in () if part is None else part.diagonal:
+                total = total + variance
+        return total
+
+
+def whitened(
     residual: AnyMatrix,
-    noise: AnyMatrix,
+    root: Any,
     matrix: AnyMatrix = None,
     cov: AnyMatrix = None,
     error: AnyMatrix = None,
-) -> Number:
-    """The square rᵀ R⁻¹ r of a residual by its noise, of which robust weights are functions.
+) -> Whitened:
+    """The residual of a measurement, and what P and Ω leave open, in units of its noise.
 
-    Given P it is the square that is expected under a belief, with tr R⁻¹ (H P Hᵀ + Ω) besides, Ω
-    being the covariance of the line's error.
+    `root` is L of the noise R = L Lᵀ. Without H and P the residual is that of a mean alone.
     """
-    root = noise.root()
     white = root.solve(residual)
-    total = (white.T @ white)[0, 0]
     if cov is None:
-        return total
+        return Whitened(white)
     rows = root.solve(matrix)
-    spread_of = (rows @ cov).times(rows).diagonal
-    if error is not None:
-        spread_of += root.solve(root.solve(error).T).diagonal
-    for variance in spread_of:
-        total = total + variance
-    return total
+    own = None if error is None else root.solve(root.solve(error).T)
+    return Whitened(white, (rows @ cov).times(rows), own)
+
+
+def reweighed(before: Whitened, weight: Number, *, expects: bool) -> Whitened:
+    """The residual by the belief that has taken in its measurement with the noise R / w.
+
+    This is the update seen from the measurement, of as many components as that has. For
+    M = I + w (B + E) the residual is (I + w E) M⁻¹ y, and B becomes (I + w E) M⁻¹ B: products, in
+    place of the update's differences. Covariances count if the square `expects` them.
+    """
+    spread, error = before.spread, before.error
+    whole = spread if error is None else spread + error
+    root = whole.scaled(-weight).one_minus().root()
+
+    def after(matrix: AnyMatrix) -> AnyMatrix:
+        part = root.solve_transposed(root.solve(matrix))
+        return part if error is None else part + error.scaled(weight) @ part
+
+    residual = after(before.residual)
+    return Whitened(residual, after(spread), error) if expects else Whitened(residual)

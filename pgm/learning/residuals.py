@@ -26,6 +26,8 @@ from pgm.beliefs.moments.outcomes.families import FamilyBelief
 from pgm.cpds import AffineCPD
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, Mask, components_last, quiet, symmetric, transpose
+from pgm.kernels.moments import predict
+from pgm.kernels.solving import regression
 from pgm.linearisation.family import Family
 from pgm.variables import Variable
 
@@ -180,8 +182,7 @@ def _expected(found: Residuals, taken: Mask) -> Residuals:
         rows, seen = (taken == pattern).all(axis=-1), np.flatnonzero(pattern)
         lost = np.flatnonzero(~pattern)
         own = noise[rows]
-        known = np.linalg.pinv(own[:, seen[:, None], seen], hermitian=True)
-        gain = own[:, lost[:, None], seen] @ known
+        gain = regression(own[:, lost[:, None], seen], own[:, seen[:, None], seen])
         keep = np.zeros((len(own), height, height))
         keep[:, seen, seen] = 1.0
         keep[:, lost[:, None], seen] = gain
@@ -195,7 +196,7 @@ def _expected(found: Residuals, taken: Mask) -> Residuals:
         (change @ found.mean[..., None])[..., 0],
         change @ found.line,
         found.cov,
-        change @ found.error @ transpose(change) + added,
+        predict(found.error, change, added),
         found.regressors,
         found.noise,
         found.hidden,

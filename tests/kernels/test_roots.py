@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from pgm.kernels import roots, solving
+from pgm.kernels import roots, solving, step
+from pgm.kernels.dense import Stack
 from tests.dense import algebra, definite, matrices, random_covariance
 
 # Batches that are solved matrix by matrix, and ones that are solved column by column.
@@ -191,7 +192,7 @@ def test_what_is_left_outside_the_range():
 def test_the_gain_regresses_one_block_of_a_covariance_on_another(lead, rank):
     cov = random_covariance(np.random.default_rng(rank), 5, rank, lead)
     cross, rest = cov[..., :2, 2:], cov[..., 2:, 2:]
-    gain = solving.gain(cross, roots.root(rest))
+    gain = step.gain(Stack(rest).root(), Stack(cov[..., 2:, :2])).array
     assert_allclose(gain @ rest, cross, atol=1e-7)
     explained = gain @ cross.swapaxes(-1, -2)
     inverse = np.linalg.pinv(rest, hermitian=True, rcond=1e-10)

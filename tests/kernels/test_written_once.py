@@ -1,4 +1,9 @@
-"""The steps of a chain are written once: no other function of the package has their formulas."""
+"""The steps of a chain are written once: no other function of the package has their formulas.
+
+A formula is looked for by its shape: products of matrices as `factors`, without transposes, in
+whatever notation (`@`, `dot`, `einsum`, `times`, `sandwich`). Functions that are found, and have
+something else in mind, are listed by name with what that is.
+"""
 
 import ast
 from functools import cache
@@ -9,16 +14,17 @@ import pytest
 import pgm
 
 PACKAGE = Path(pgm.__file__).parent
+STEP = "kernels/step.py"
 
 
-def functions(source, *words):
-    """The functions, as trees, of a file in which one of some words stands."""
-    if any(word in source for word in words):
-        yield from (each for each in ast.walk(ast.parse(source)) if is_function(each))
+# ---- a function's formulas
 
 
-def is_function(node):
-    return isinstance(node, ast.FunctionDef)
+@cache
+def functions(source):
+    """The functions of a file, as trees, each with all of its parts."""
+    found = (each for each in ast.walk(ast.parse(source)) if isinstance(each, ast.FunctionDef))
+    return [(each, list(ast.walk(each))) for each in found]
 
 
 @cache
@@ -28,223 +34,240 @@ def everywhere(find):
     return {(place, name) for place, path in paths for name in find(path.read_text("utf-8"))}
 
 
-# ---- a sum of squares, (I − A) P (I − A)ᵀ
-
-# Distances with their mean taken off, and a projection: neither has a gain.
-OTHERS = {("viewer/placing.py", "_stressed"), ("kernels/rows.py", "_eliminate_exact")}
-
-
-def sandwiches(source):
-    """The names of functions that write (I − A) P (I − A)ᵀ: one minus A, used on both sides."""
-    for function in functions(source, "one_minus", "eye("):
-        kept = {
-            target.id
-            for line in ast.walk(function)
-            if isinstance(line, ast.Assign) and is_one_minus(line.value)
-            for target in line.targets
-            if isinstance(target, ast.Name)
-        }
-        found = (e for e in ast.walk(function) if isinstance(e, ast.Call | ast.BinOp))
-        if any(is_sandwich(each, kept) for each in found):
+def found_in(source, is_found):
+    """The names of the functions in which a part is found."""
+    for function, parts in functions(source):
+        if any(is_found(part, function) for part in parts):
             yield function.name
+
+
+def called(node):
+    """The name of a function that is called, and of what it is an attribute; or nothing."""
+    if not isinstance(node, ast.Call):
+        return "", ""
+    if isinstance(node.func, ast.Attribute):
+        return node.func.attr, named(node.func.value)
+    return named(node.func), ""
+
+
+def named(node):
+    """The last name of an expression."""
+    return getattr(node, "attr", getattr(node, "id", ""))
+
+
+def is_method(function):
+    return isinstance(function, ast.Attribute) and named(function.value) not in MODULES
+
+
+PRODUCTS = {"dot", "times", "matmul", "multiply", "times_transposed", "times_symmetric", "apply"}
+PRODUCTS |= {"einsum", "inner"}
+MODULES = {"np", "arrays"}
+TURNED = {"transpose", "swapaxes", "ascontiguousarray"}
+
+
+def factors(node):
+    """The factors of a product of matrices, without transposes; a single one of another."""
+    if isinstance(node, ast.Attribute) and node.attr in {"T", "mT", "array"}:
+        return factors(node.value)
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.MatMult):
+        return factors(node.left) + factors(node.right)
+    name, _ = called(node)
+    own = [node.func.value] if name and is_method(node.func) else []
+    if name == "sandwich":
+        outer, inner = map(factors, node.args)
+        return outer + inner + outer
+    if name in TURNED:
+        return factors((own + node.args)[0])
+    if name in PRODUCTS:
+        matrices = [each for each in own + node.args if not isinstance(each, ast.Constant)]
+        return [factor for each in matrices for factor in factors(each)]
+    return [ast.unparse(node)]
+
+
+def is_sandwich(node, least=3):
+    """Whether an expression is A P Aᵀ, or of two factors A Aᵀ."""
+    product = factors(node)
+    return len(product) >= least and product[0] == product[-1]
+
+
+def summed(node):
+    """The sign and the two sides of a sum or a difference, in place too; or None."""
+    name, _ = called(node)
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add | ast.Sub):
+        return type(node.op), node.left, node.right
+    if isinstance(node, ast.AugAssign) and isinstance(node.op, ast.Add | ast.Sub):
+        return type(node.op), node.target, node.value
+    if name in {"add", "subtract"} and len(node.args) > 1:
+        return {"add": ast.Add, "subtract": ast.Sub}[name], *node.args[:2]
+    return None
+
+
+# ---- the formulas
+
+
+def predictions(source):
+    """Functions that write A P Aᵀ + N, be it a prediction or a sum of squares."""
+
+    def is_found(part, function):
+        found = summed(part)
+        if not found or found[0] is ast.Sub:
+            return False
+        return any(
+            is_sandwich(side) or ast.unparse(side) in sandwiches(function) for side in found[1:]
+        )
+
+    return found_in(source, is_found)
+
+
+@cache
+def sandwiches(function):
+    """The names of what is A P Aᵀ in a function."""
+    lines = (line for line in ast.walk(function) if isinstance(line, ast.Assign))
+    return {ast.unparse(to) for line in lines if is_sandwich(line.value) for to in line.targets}
+
+
+def differences(source):
+    """Functions that write P − P Hᵀ S⁻¹ H P, P − W Wᵀ or P − G H P."""
+
+    def is_found(part, _):
+        found = summed(part)
+        if not found or found[0] is ast.Add:
+            return False
+        product = factors(found[2])
+        ends = {product[0], product[-1]}
+        return len(product) > 1 and (len(ends) == 1 or not ends.isdisjoint(factors(found[1])))
+
+    return found_in(source, is_found)
+
+
+def complements(source):
+    """Functions that write (I − A) P, whatever comes after it."""
+
+    def is_found(part, function):
+        return is_product(part) and {factors(part)[0]} & complementary(function)
+
+    return found_in(source, is_found)
+
+
+def is_product(node):
+    return len(factors(node)) > 1
+
+
+@cache
+def complementary(function):
+    """The names and expressions of I − A in a function."""
+    found = set()
+    for line in ast.walk(function):
+        if is_one_minus(line):
+            found.add(ast.unparse(line))
+        if isinstance(line, ast.Assign) and is_one_minus(line.value):
+            found |= {ast.unparse(target) for target in line.targets}
+    return found
 
 
 def is_one_minus(node):
     """Whether an expression is `….one_minus()`, `one_minus(…)` or `….eye(…) - …`."""
-    if isinstance(node, ast.Call):
-        return getattr(node.func, "attr", getattr(node.func, "id", "")) == "one_minus"
-    return (
-        isinstance(node, ast.BinOp)
-        and isinstance(node.op, ast.Sub)
-        and isinstance(node.left, ast.Call)
-        and getattr(node.left.func, "attr", getattr(node.left.func, "id", "")) == "eye"
-    )
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Sub):
+        return called(node.left)[0] in {"eye", "identity"}
+    return called(node)[0] == "one_minus"
 
 
-def is_sandwich(node, kept):
-    """Whether a product has a name of `kept` on both sides, or is a call `sandwich(kept, …)`."""
-    if isinstance(node, ast.Call):
-        name = getattr(node.func, "attr", getattr(node.func, "id", ""))
-        first = node.args and isinstance(node.args[0], ast.Name) and node.args[0].id in kept
-        inside = isinstance(node.func, ast.Attribute) and names(node.func.value) & kept
-        return bool(first and (name == "sandwich" or inside))
-    if not isinstance(node.op, ast.MatMult):
-        return False
-    return bool(names(node.left) & names(node.right) & kept)
+SOLVERS = {"solve", "cholesky", "inv", "pinv", "lstsq", "eigh", "eig", "svd", "qr", "slogdet"}
+SOLVERS |= {"det", "solve_triangular", "cho_factor", "cho_solve", "ldl", "eigvalsh"}
+OWN_SOLVERS = {"solve_lower", "solve_upper", "regression", "whiten", "regular_root"}
 
 
-def names(node):
-    return {each.id for each in ast.walk(node) if isinstance(each, ast.Name)}
+def solutions(source):
+    """Functions that solve by matrices, or factorise them, without a `root`'s own methods."""
+
+    def is_found(part, _):
+        name, of = called(part)
+        if name in OWN_SOLVERS or name.startswith(("dpotr", "dtrtr", "dposv", "dsyev")):
+            return True
+        return name in SOLVERS and of in {"linalg", "solving", "scipy", "lapack", ""}
+
+    return found_in(source, is_found)
 
 
-# Bounds of rounding, and expected squares.
-OF_BOUNDS = {
-    ("beliefs/moments/digits/careful_belief.py", "through"),
-    ("beliefs/moments/digits/adjoint_belief.py", "past"),
-    ("learning/gaussian.py", "_left"),
-}
+def factorisations(source):
+    """Functions that subtract products of a matrix's own rows, one after another."""
+
+    def is_found(part, _):
+        return isinstance(part, ast.For | ast.comprehension) and any(
+            is_own_product(each) for each in ast.walk(part)
+        )
+
+    return found_in(source, is_found)
 
 
-def sums(source, least=2):
-    """The names of functions that write A P Aᵀ + B R Bᵀ; or, at `least` one, A P Aᵀ + N."""
-    for function in functions(source, ".T", ".mT", ".times(", "sandwich("):
-        every = (e for e in ast.walk(function) if isinstance(e, ast.BinOp))
-        added = (e for e in every if isinstance(e.op, ast.Add))
-        if any(squared(e.left) + squared(e.right) >= least for e in added):
-            yield function.name
+def is_own_product(node):
+    """Whether a product is of two parts of one array."""
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult):
+        product = [ast.unparse(node.left), ast.unparse(node.right)]
+    else:
+        product = factors(node) if isinstance(node, ast.BinOp | ast.Call) else []
+    arrays = {factor.split("[")[0] for factor in product}
+    parts = len(product) > 1 and len(set(product)) > 1 and all("[" in each for each in product)
+    return parts and len(arrays) == 1 and "(" not in arrays.pop()
 
 
-def predictions(source):
-    """The names of functions that write A P Aᵀ + N."""
-    yield from sums(source, 1)
+def turns(source):
+    """Functions that round a number of whole turns."""
+    whole = {"rint", "nearest_whole", "round", "floor", "mod", "remainder", "fmod", "around"}
+
+    def is_found(part, _):
+        if isinstance(part, ast.BinOp) and isinstance(part.op, ast.Mod | ast.FloorDiv):
+            return any(map(is_turn, ast.walk(part.right)))
+        name, _ = called(part)
+        if name == "apply":
+            name = getattr(part.args[0], "value", "")
+        return name in whole and any(map(is_turn, ast.walk(part)))
+
+    return found_in(source, is_found)
 
 
-def squared(node):
-    """Whether an expression is A P Aᵀ: `A @ P @ A.T`, `(A @ P).times(A)`, or `sandwich(A, P)`."""
-    product = end = None
-    if isinstance(node, ast.BinOp) and isinstance(node.right, ast.Attribute):
-        if node.right.attr in {"T", "mT"}:
-            product, end = node.left, node.right.value
-    elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute):
-        if node.func.attr == "times":
-            product, end = node.func.value, node.args[0]
-    elif isinstance(node, ast.Call):
-        return getattr(node.func, "id", "") == "sandwich"
-    matmul = isinstance(product, ast.BinOp) and isinstance(product.op, ast.MatMult)
-    return matmul and ast.unparse(product.left) == ast.unparse(end)
+def is_turn(node):
+    return named(node).strip("_") in {"TURN", "pi", "tau"}
 
 
-def test_a_sum_of_squares_is_written_once():
-    assert everywhere(sandwiches) == OTHERS
-    assert everywhere(sums) == {("kernels/step.py", "squares_by")}
+def gaps(source):
+    """Functions that put an identity in place of what is missing."""
 
+    def is_found(part, _):
+        eye = "eye", "identity", "_identity"
+        return (
+            called(part)[0] == "where"
+            and len(part.args) == 3
+            and any(called(each)[0] in eye or named(each) in eye for each in part.args[1:])
+        )
 
-def test_a_prediction_is_written_once():
-    found = everywhere(predictions) - everywhere(sums) - OF_BOUNDS
-    assert found == {("kernels/step.py", "predict")}
-
-
-@pytest.mark.parametrize(
-    "lines",
-    [
-        "keep = np.eye(3) - gain @ matrix\n    return keep @ cov @ keep.T",
-        "keep = one_minus(multiply(gain, matrix))\n    return sandwich(keep, cov)",
-        "k = (g @ h).one_minus()\n    return (k @ p).times(k)",
-        "keep = np.eye(3) - gain[..., None] * row\n    return keep @ cov @ keep.mT + own",
-    ],
-)
-def test_another_is_found(lines):
-    assert list(sandwiches(f"def twice(gain, matrix, cov):\n    {lines}\n")) == ["twice"]
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        "keep @ cov @ keep.mT + gain @ other @ gain.mT",
-        "(keep @ cov).times(keep) + (gain @ other).times(gain)",
-        "sandwich(keep, cov) + sandwich(gain, other)",
-    ],
-)
-def test_another_of_any_matrices_is_found(line):
-    assert list(sums(f"def twice(keep, gain, cov, other):\n    return {line}\n")) == ["twice"]
-
-
-@pytest.mark.parametrize("line", ["noise + wide @ covs[of] @ wide.mT", "(f @ p).times(f) + noise"])
-def test_another_prediction_is_found(line):
-    source = f"def twice(f, p, wide, covs, of, noise):\n    return {line}\n"
-    assert list(predictions(source)) == ["twice"]
-    assert not list(sums(source))
-
-
-# ---- the error of a regression, X W Xᵀ
-
-# Weighed squares that are no error of a regression: of points and of residuals without values;
-# eigenvalues; the information of scalars; expected counts.
-OF_OTHERS = {
-    *(("linearisers/points.py", "fault"), ("kernels/regression.py", "fit")),
-    ("kernels/semidefinite.py", "semidefinite"),
-    ("beliefs/moments/digits/careful_chain.py", "regular"),
-    ("beliefs/moments/digits/careful_belief.py", "informed"),
-    *(("learning/steps.py", "likeliest"), ("learning/steps.py", "at")),
-}
+    return found_in(source, is_found)
 
 
 def weighed_squares(source):
-    """The names of functions that write Xᵀ W X with weights of its rows, as a regression has it."""
-    for function in functions(source, ".T", ".mT", "transpose(", "swapaxes(", "einsum("):
-        if any(is_weighed_square(each) for each in ast.walk(function)):
-            yield function.name
+    """Functions that write Xᵀ W X with weights W of rows, the error of a regression."""
+    return found_in(source, lambda part, _: is_weighed_square(part))
 
 
 def is_weighed_square(node):
     """Whether a product has a matrix on one side, and on the other the same times weights."""
     if isinstance(node, ast.BinOp) and isinstance(node.op, ast.MatMult):
         sides = node.left, node.right
-    elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.args:
-        first = node.args[-2] if len(node.args) > 1 else node.func.value
-        sides = first, node.args[-1]
-        if node.func.attr not in {"dot", "times", "matmul", "einsum"}:
-            return False
+    elif called(node)[0] in {"dot", "times", "matmul", "einsum"} and node.args:
+        sides = (node.args[-2] if len(node.args) > 1 else node.func.value), node.args[-1]
     else:
         return False
     for one, other in (sides, sides[::-1]):
-        products = [n for n in ast.walk(other) if isinstance(n, ast.BinOp) and times(n)]
-        if products:
-            matrix = unturned(one)
-            if any(matrix in parts(each) for each in products):
-                return True
+        products = (n for n in ast.walk(other) if isinstance(n, ast.BinOp))
+        weighed = (n for n in products if isinstance(n.op, ast.Mult))
+        parts = {ast.unparse(side) for each in weighed for side in (each.left, each.right)}
+        if len(factors(one)) == 1 and factors(one)[0] in parts:
+            return True
     return False
 
 
-def times(node):
-    """Whether an operation is a product of numbers."""
-    return isinstance(node.op, ast.Mult)
-
-
-def unturned(node):
-    """The text of a matrix, or of what it is the transpose of."""
-    if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "transpose":
-        node = node.args[0]
-    if isinstance(node, ast.Attribute) and node.attr in {"T", "mT"}:
-        node = node.value
-    return ast.unparse(node)
-
-
-def parts(node):
-    """The texts of the factors of a product of numbers."""
-    return {ast.unparse(each) for each in (node.left, node.right)}
-
-
-def test_the_error_of_a_regression_is_written_once():
-    assert everywhere(weighed_squares) == OF_OTHERS
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        "transpose(weights[:, None] * left) @ left",
-        "(left if signs is None else signs[:, None] * left).T.dot(left)",
-        'np.einsum("ikr,jkr->ijr", left if signs is None else signs[:, None] * left, left)',
-        "transpose(left) @ (weights[:, None] * left)",
-    ],
-)
-def test_another_regression_is_found(line):
-    source = f"def twice(left, weights, signs):\n    return {line}\n"
-    assert list(weighed_squares(source)) == ["twice"]
-
-
-# ---- kinds of matrices
-
-KINDS = {
-    ("kernels/numbers.py", "Matrix"),
-    *(("kernels/dense.py", name) for name in ("Dense", "Runs", "Stack")),
-    ("kernels/machine/loops/stored.py", "Stored"),
-    ("kernels/extended.py", "Twofold"),
-}
-
-
 def kinds(source):
-    """The names of classes with products, and products that are symmetric, of their own."""
+    """Classes with products of matrices of their own."""
     for each in ast.walk(ast.parse(source)) if "__matmul__" in source else ():
         if isinstance(each, ast.ClassDef):
             methods = {line.name for line in each.body if isinstance(line, ast.FunctionDef)}
@@ -252,5 +275,166 @@ def kinds(source):
                 yield each.name
 
 
-def test_a_kind_of_matrices_is_written_once():
-    assert everywhere(kinds) == KINDS
+# ---- where each is, and what else has its shape
+
+DIGITS = "beliefs/moments/digits/"
+
+
+def listed(*groups):
+    """Files and names, of groups that have the names by file."""
+    every = (item for group in groups for item in group.items())
+    return {(place, name) for place, names in every for name in names.split()}
+
+
+PREDICTIONS = listed(
+    {STEP: "predict squares_by"},
+    # Bounds of rounding, and expected squares of residuals.
+    {f"{DIGITS}adjoint_belief.py": "past", f"{DIGITS}careful_belief.py": "through"},
+    {"learning/gaussian.py": "_left"},
+    # Information of two canonical forms.
+    {"kernels/canonical.py": "combine"},
+)
+DIFFERENCES = listed(
+    # Factorisations, one number after another.
+    {"kernels/numbers.py": "__init__", "kernels/machine/loops/roots.py": "root rows"},
+    # Beliefs given what an adjoint pass says, which has no gain.
+    {f"{DIGITS}adjoint.py": "_across", f"{DIGITS}adjoint_belief.py": "given"},
+    # Information: what is left of it, and what has changed.
+    {"kernels/canonical.py": "_backward_indefinite marginalise"},
+    {"kernels/row_messages.py": "_moved change"},
+    # A projection, and squares of draws.
+    {"kernels/rows.py": "_eliminate_exact _eliminate_proper"},
+    {"beliefs/particles/guided_proposal.py": "steered"},
+)
+COMPLEMENTS = listed(
+    # A transition given a measurement, and a projection.
+    {"beliefs/moments/passes/messages.py": "absorb_readings"},
+    {"kernels/rows.py": "_eliminate_exact"},
+)
+FACTORISATIONS = listed({"kernels/roots.py": "_semidefinite_root regular_root"})
+# Beside the step: wrapping to [−π, π) with its end, and bins around a circle.
+TURNS = listed({STEP: "turns"}, {"kernels/angles.py": "wrap", "kernels/bins.py": "keys"})
+GAPS = listed(
+    {"kernels/arrays.py": "independent", "kernels/dense.py": "independent"},
+    # Of infinite variances, which do not count.
+    {"beliefs/moments/steps/cost.py": "squares"},
+)
+WEIGHED = listed(
+    # Of points without values, and of eigenvalues.
+    {"linearisers/points.py": "fault", "kernels/regression.py": "fit"},
+    {"kernels/semidefinite.py": "semidefinite", f"{DIGITS}careful_chain.py": "regular"},
+    # The information of scalars, expected counts, and distances.
+    {f"{DIGITS}careful_belief.py": "informed", "learning/steps.py": "likeliest at"},
+    {"viewer/placing.py": "_stressed"},
+)
+KINDS = listed(
+    {"kernels/numbers.py": "Matrix", "kernels/dense.py": "Dense Runs Stack"},
+    {"kernels/machine/loops/stored.py": "Stored", "kernels/extended.py": "Twofold"},
+)
+# What solves or factorises but by the roots of `step`, which no update of a belief does.
+SOLUTIONS = listed(
+    # The roots of the kinds themselves, and equations of arrays by them.
+    {"kernels/dense.py": "__init__ left solve solve_transposed"},
+    {"kernels/solving.py": "_solve regression solve whiten", "kernels/roots.py": "root"},
+    {"kernels/semidefinite.py": "semidefinite"},
+    # Densities, divergences and draws.
+    {"kernels/moments.py": "kl principal_axes"},
+    {"kernels/normal_density.py": "off whitened whitener", "factors/arrays.py": "covariance_fault"},
+    {"cpds/conditional.py": "_robust", "beliefs/points/laws.py": "log_density"},
+    {"beliefs/moments/steps/weights.py": "of", "posteriors/innovations.py": "whitened"},
+    {"consistency/errors.py": "nees_and_dof", "consistency/ranking.py": "_by_sighting"},
+    {"beliefs/particles/guided_proposal.py": "_whitened steered"},
+    {"inference/audit/corrected.py": "_from_gaussian"},
+    {"beliefs/moments/association/joint_compatibility.py": "__init__"},
+    # Information: canonical forms, rows of square roots, elements of a scan.
+    {"kernels/canonical.py": "_backward_indefinite _invertible_root _split backward combine"},
+    {"kernels/canonical.py": "from_affine from_moments marginalise to_moments"},
+    {"kernels/rows.py": "_eliminate_proper _svd triangular"},
+    {"kernels/elements.py": "_meet compose moved"},
+    {"beliefs/gaussian/potentials.py": "_factor", "beliefs/gaussian/joints.py": "_gain"},
+    {"beliefs/moments/passes/likelihoods.py": "of"},
+    {"beliefs/moments/passes/messages.py": "likelihoods"},
+    # Unknown directions, exact relations, bounds of rounding, and whether messages settle.
+    {f"{DIGITS}careful_belief.py": "solved", f"{DIGITS}reversal_rounding.py": "injected"},
+    {"beliefs/moments/smoothers/exact_relations.py": "_left_open"},
+    {"beliefs/gaussian/walks.py": "spectral_radius"},
+    # The points of a rule, and the cells of a grid.
+    {"kernels/regression.py": "_line fit range_inverse"},
+    {"beliefs/grid/belief.py": "non_gaussianity", "beliefs/grid/groups.py": "parted"},
+    {"beliefs/grid/sensors.py": "terms", "beliefs/grid/values.py": "deviations"},
+    {"beliefs/grid/wide_prior.py": "wide"},
+    # Learning, recorded information, and pictures.
+    {"learning/gaussian.py": "_by_row _least _regressed gradient"},
+    {"learning/steps.py": "__init__ _lower _require_rank at gradient likeliest maximised"},
+    {"learning/residuals.py": "_expected", "recordings/drives/pose_graph.py": "covariances"},
+    {"plot/diagrams/layering.py": "along", "viewer/placing.py": "_stressed"},
+    # A step of a control, whose function has the name `solve`.
+    {"kernels/machine/sweeps/control.py": "step"},
+)
+
+
+@pytest.mark.parametrize(
+    ("find", "due"),
+    [
+        *((predictions, PREDICTIONS), (differences, DIFFERENCES), (complements, COMPLEMENTS)),
+        *((solutions, SOLUTIONS), (factorisations, FACTORISATIONS), (turns, TURNS), (gaps, GAPS)),
+        *((weighed_squares, WEIGHED), (kinds, KINDS)),
+    ],
+    ids=lambda each: getattr(each, "__name__", ""),
+)
+def test_each_step_is_written_once(find, due):
+    assert everywhere(find) == due
+
+
+OTHERS = [
+    (predictions, "keep @ cov @ keep.mT + gain @ other @ gain.mT"),
+    (predictions, "(keep @ cov).times(keep) + (gain @ other).times(gain)"),
+    (predictions, "sandwich(keep, cov) + sandwich(gain, other)"),
+    (predictions, "noise + wide @ covs[of] @ wide.mT"),
+    (predictions, "matrix.dot(cov).dot(matrix.T) + noise"),
+    (predictions, "np.add(np.einsum('ij,jk,lk->il', f, cov, f), noise)"),
+    (predictions, "row @ cov @ row + variance"),
+    (differences, "cov - gain @ spread @ gain.T"),
+    (differences, "cov - gain @ matrix @ cov"),
+    (differences, "cov - white.T @ white"),
+    (differences, "np.subtract(cov, np.einsum('ki,kj->ij', white, white))"),
+    (differences, "cov - (matrix @ cov).T @ solved @ matrix @ cov"),
+    (complements, "(np.eye(3) - gain @ matrix) @ cov"),
+    (complements, "(gain @ matrix).one_minus() @ cov"),
+    (complements, "(gain @ matrix).one_minus().times(other)"),
+    (solutions, "np.linalg.solve(spread, matrix @ cov).T"),
+    (solutions, "residual @ np.linalg.solve(spread, residual)"),
+    (solutions, "cov @ matrix.T @ inv(spread)"),
+    (solutions, "scipy.linalg.cho_solve((lower, True), cross)"),
+    (turns, "residual - 2.0 * np.pi * np.round(residual / (2.0 * np.pi))"),
+    (turns, "(residual + np.pi) % (2.0 * np.pi) - np.pi"),
+    (turns, "angle - _TURN * (angle / _TURN).apply('rint')"),
+    (gaps, "np.where(known[:, None] & known, noise, np.eye(3))"),
+    (weighed_squares, "transpose(weights[:, None] * left) @ left"),
+    (weighed_squares, "(left if signs is None else signs[:, None] * left).T.dot(left)"),
+    (weighed_squares, "np.einsum('ikr,jkr->ijr', signs[:, None] * left, left)"),
+    (weighed_squares, "transpose(left) @ (weights[:, None] * left)"),
+]
+
+
+@pytest.mark.parametrize(("find", "line"), OTHERS)
+def test_another_is_found(find, line):
+    assert list(find(f"def twice(*given):\n    return {line}\n")) == ["twice"]
+
+
+@pytest.mark.parametrize(
+    ("find", "lines"),
+    [
+        (predictions, "cov = matrix @ cov @ matrix.T\n    cov += noise\n    return cov"),
+        (complements, "keep = np.eye(3) - gain @ matrix\n    return keep @ cov @ keep.T"),
+        (complements, "keep = one_minus(multiply(gain, matrix))\n    return sandwich(keep, cov)"),
+        (differences, "cov -= gain @ spread @ gain.T"),
+        (
+            factorisations,
+            "for i in range(3):\n        for j in range(i):\n            "
+            "low[i, j] = (a[i, j] - low[i, :j] @ low[j, :j]) / low[j, j]",
+        ),
+    ],
+)
+def test_others_of_several_lines_are_found(find, lines):
+    assert list(find(f"def twice(gain, matrix, cov, noise, a, low):\n    {lines}\n")) == ["twice"]

@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import Array
+from pgm.kernels.step import turns
 
 # Numbers of a block of cells, which fit the cache.
 BLOCK = 1 << 15
@@ -45,7 +45,7 @@ class Term(NamedTuple):
         if self.other is not None:
             found = found - _some(self.other, first)
         if self.angle:
-            found = found - TURN * np.rint(found / TURN)
+            found = found - turns(found)
         found = found * (self.scale * math.sqrt(0.5))
         found *= found
         return found

@@ -19,6 +19,7 @@ from pgm.cpds import GaussianCPD
 from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import LOG_2PI
 from pgm.kernels.lattice import Span
+from pgm.kernels.step import turns
 
 # From this standard deviation s on, in cells, of each component given the others, the density at
 # centres is a normal on the lattice: its sum and moments are right to e^(−2π²s²).
@@ -50,15 +51,15 @@ def wide(group: Group, run: int, window: Window) -> Dense | None:
     mean = mean_at(cpd, {}, {}, 0, run)[0]
     total = np.zeros((1,) * len(lattice.axes))
     # A wide angle goes round the circle.
-    turns = []
+    shifts = []
     for k, axis in enumerate(group.axes):
         far = int(np.ceil(9.0 * np.sqrt(cov[k, k]) / TURN)) if lattice.axes[axis].angle else 0
-        turns.append(range(-far, far + 1))
+        shifts.append(range(-far, far + 1))
     centre = list(mean)
     for k, axis in enumerate(group.axes):
         if lattice.axes[axis].angle:
-            centre[k] = mean[k] - TURN * np.rint(mean[k] / TURN)
-    for shift in itertools.product(*turns):
+            centre[k] = mean[k] - turns(mean[k])
+    for shift in itertools.product(*shifts):
         exponent = np.zeros((1,) * len(lattice.axes))
         offsets = []
         for k, axis in enumerate(group.axes):

@@ -35,9 +35,9 @@ from pgm.beliefs.points.cloud import Cloud, uniform
 from pgm.beliefs.points.laws import GaussianLaw, Law, Root, Some, States
 from pgm.beliefs.points.model import ParticleModel
 from pgm.beliefs.points.streams import BACKWARD, stream
-from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.resampling import RESAMPLERS, indices, systematic
+from pgm.kernels.step import turns
 from pgm.progress import counted
 
 # Densities that are held at a time, where all pairs are asked for.
@@ -319,7 +319,7 @@ class _Density:
                 means, root = known
                 residual = np.subtract(child, np.take(means, place, axis=1))
                 for k in np.flatnonzero(law.cpd.child.angle_mask):
-                    residual[k] -= TURN * np.rint(residual[k] / TURN)
+                    residual[k] -= turns(residual[k])
                 total += root.log_density(residual, some)
                 continue
             if before is None:

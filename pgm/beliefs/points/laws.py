@@ -26,8 +26,8 @@ from pgm.cpds.conditional import evaluate
 from pgm.errors import LinearisationError, ModelError, NumericalError
 from pgm.factors.arrays import IMPROPER
 from pgm.kernels import normal_density, roots
-from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask
+from pgm.kernels.step import turns
 from pgm.linearisers.calls import Call
 from pgm.linearisers.numbering import Numbering
 from pgm.variables import Variable
@@ -218,7 +218,7 @@ class GaussianLaw(Law):
             root = root.marginal(taken)
         residual = np.subtract(child, mean)
         for k in np.flatnonzero(angles):
-            residual[k] -= TURN * np.rint(residual[k] / TURN)
+            residual[k] -= turns(residual[k])
         return root.log_density(residual, some)
 
     def _within(self, root: Root, row: int, some: Some, child: States) -> Array:
@@ -237,7 +237,7 @@ class GaussianLaw(Law):
         if self.cpd.child.angle_mask.any():
             wrapped = residual.copy()
             for k in np.flatnonzero(self.cpd.child.angle_mask):
-                wrapped[k] -= TURN * np.rint(wrapped[k] / TURN)
+                wrapped[k] -= turns(wrapped[k])
             found = np.where(np.isneginf(found), root.within(wrapped, error, some), found)
         return found
 

@@ -27,6 +27,7 @@ from pgm.errors import ModelError
 from pgm.factors.scope import listed, places_of
 from pgm.kernels.angles import TURN, wrap
 from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.step import turns
 from pgm.posteriors.summaries import moments_of, spread
 
 
@@ -247,7 +248,7 @@ class ParticleBelief(PointMassBelief):
             about = values[cloud.starts[:-1]]
             offset = np.subtract(values, cloud.spread(about), out=apart[k])
             if part.angle:
-                offset -= TURN * np.rint(offset / TURN)
+                offset -= turns(offset)
                 # Within a quarter of a turn no two are so far apart that the middle matters.
                 if max(offset.max(), -offset.min()) > 0.25 * TURN:
                     sine, cosine = cloud.summed(
@@ -255,7 +256,7 @@ class ParticleBelief(PointMassBelief):
                     )
                     about = np.arctan2(sine, cosine)
                     np.subtract(values, cloud.spread(about), out=offset)
-                    offset -= TURN * np.rint(offset / TURN)
+                    offset -= turns(offset)
             shift = cloud.summed(weights * offset)
             mean[k] = about + shift
             if part.angle:

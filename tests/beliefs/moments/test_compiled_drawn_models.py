@@ -6,6 +6,7 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
+from crossed import slow_after
 
 import pgm
 
@@ -27,6 +28,7 @@ RULES = [
     pgm.Unscented(alpha=0.1),
     pgm.GaussHermite(3),
 ]
+LOSSES = [pgm.StudentT(4.0), pgm.StudentT(1.0), pgm.Huber(1.5), pgm.Cauchy(2.0)]
 
 
 def covariance(rng, scale, singular=False):
@@ -43,6 +45,8 @@ def covariance(rng, scale, singular=False):
 class Drawn:
     """A model of one or two states and up to three sensors, with its evidence."""
 
+    sensors_below = 0, 4
+
     def __init__(self, seed):
         self.rng = rng = np.random.default_rng(seed)
         n, m = int(rng.integers(1, 5)), int(rng.integers(1, 3))
@@ -58,7 +62,7 @@ class Drawn:
         self.x, self.u = pgm.Variable("x", names, angles), pgm.Variable("u", tuple("vw"[:m]))
         self.y = pgm.Variable("y") if rng.random() < 0.25 else None
         self.hidden = rng.random() < 0.3  # the control
-        self.sensors = [self.sensor(k) for k in range(rng.integers(0, 4))]
+        self.sensors = [self.sensor(k) for k in range(rng.integers(*self.sensors_below))]
         self.network = pgm.DynamicBayesianNetwork(*self.states(m), self.sensors)
         inputs = rng.normal(size=(*self.runs, self.steps, m)) * rng.choice([0.1, 1.0, 3.0])
         self.evidence = {} if self.hidden else {self.u: inputs}
@@ -110,14 +114,19 @@ class Drawn:
         unit = np.where(z.angle_mask, 1.0, 10.0 ** rng.choice([0, 0, rng.integers(-5, 6)]))
         noise = 10.0 ** rng.uniform(-7, 1) * covariance(rng, unit)
         if self.y is None and rng.random() < 0.3:
-            return pgm.LinearGaussianCPD(z, {x: unit[:, None] * matrix / scale}, cov=noise)
+            slope = unit[:, None] * matrix / scale
+            return pgm.LinearGaussianCPD(z, {x: slope}, cov=noise, noise=self.loss())
 
         def see(state, *more):
             found = curve(((state - far) / scale) @ matrix.T)
             return unit * (found + 0.3 * more[0] if more else found)
 
         given = (x, self.y) if self.y is not None and rng.random() < 0.5 else (x,)
-        return pgm.NonlinearGaussianCPD(z, given, see, cov=noise)
+        return pgm.NonlinearGaussianCPD(z, given, see, cov=noise, noise=self.loss())
+
+    def loss(self):
+        """A sensor's robust noise."""
+        return
 
     def readings(self):
         """Readings drawn from the model, some of them, or components of them, missing.
@@ -177,8 +186,18 @@ class Drawn:
         return worst
 
 
-def check(seed):
-    model = Drawn(seed)
+class Robust(Drawn):
+    """A model of one or two sensors of robust noise."""
+
+    sensors_below = 1, 3
+
+    def loss(self):
+        """A sensor's robust noise."""
+        return LOSSES[self.rng.integers(len(LOSSES))]
+
+
+def check(seed, drawn=Drawn):
+    model = drawn(seed)
     rule, smooth = RULES[seed % len(RULES)], bool(seed % 2)
     (plain, warned), (fast, told) = (
         model.solved(rule, smooth, compiled) for compiled in (False, True)
@@ -203,6 +222,11 @@ def test_drawn_models(seed):
 @pytest.mark.parametrize("seed", range(100, 1100))
 def test_many_drawn_models(seed):
     check(seed)
+
+
+@pytest.mark.parametrize("seed", slow_after(1, range(1, 301)))
+def test_drawn_models_of_robust_noise(seed):
+    check(seed, Robust)
 
 
 @pytest.mark.slow

@@ -80,6 +80,31 @@ def test_what_a_gate_rejects_has_an_innovation(infer, iterations, runs, noise):
 
 
 @crossed(
+    ("iterations", "runs", "size", "rule", "noise"),
+    [1, 3],
+    [(), (9,)],
+    [2, 8],
+    [pgm.Taylor(), pgm.Unscented(), pgm.MonteCarlo(40)],
+    [pgm.Huber(1.345), pgm.StudentT(4.0)],
+)
+@pytest.mark.filterwarnings("ignore::pgm.ConvergenceWarning")
+def test_robust_sightings_of_which_a_step_has_one_and_then_several(
+    iterations, runs, size, rule, noise
+):
+    """One alone is weighed by itself, in code that is not that of several; some are missing."""
+    model, values = walk(sight(noise=noise), size), readings(runs)[Z]
+    graphs = [pgm.compile(model, steps=6, compiled=choice) for choice in (True, False)]
+    for step in ([1, 2, 3, 4, 5, 6], [1, 2, 2, 4, 4, 4], [0, 1, 3, 4, 5, 6]):
+        seen = {Z: pgm.sightings(values, step=step)}
+        found, due = (
+            pgm.infer(graph, seen, schedule=pgm.Smoothing(iterations=iterations), lineariser=rule)
+            for graph in graphs
+        )
+        assert_posterior(found, due)
+        assert_allclose(found.weights[Z], due.weights[Z], atol=1e-8)
+
+
+@crossed(
     ("iterations", "infer", "runs", "rule"),
     [1, 3],
     [pgm.filter, pgm.smooth],

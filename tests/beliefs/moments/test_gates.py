@@ -259,18 +259,21 @@ def test_an_infinite_prediction_is_not_judged():
         readings[2] = 90.0
 
 
-def test_squared_lengths_by_elimination():
+@pytest.mark.parametrize("batch", [(), (1,), (5,), (3, 5)])
+def test_squared_lengths(batch):
     rng = np.random.default_rng(0)
-    root, off = rng.normal(size=(3, 4, 4, 5)), rng.normal(size=(3, 4, 5))
-    cov = np.einsum("kijr,kljr->kilr", root, root)
-    due = [
-        [off[k, :, r] @ np.linalg.solve(cov[k, :, :, r], off[k, :, r]) for r in range(5)]
-        for k in range(3)
-    ]
+    root, off = rng.normal(size=(4, 4, *batch)), rng.normal(size=(4, *batch))
+    cov = np.einsum("ij...,lj...->il...", root, root)
+    due = np.empty(batch)
+    for place in np.ndindex(batch):
+        own = off[:, *place]
+        due[place] = own @ np.linalg.solve(cov[:, :, *place], own)
     assert_allclose(mahalanobis.squares(off, cov), due, rtol=1e-7)
-    cov[:, 3], cov[:, :, 3], off[:, 3] = cov[:, 0], cov[:, :, 0], off[:, 0]  # determined
-    part = mahalanobis.squares(off[:, :3], cov[:, :3, :3])
+    cov[3], cov[:, 3], off[3] = cov[0], cov[:, 0], off[0]  # determined
+    cov[3, 3] = cov[0, 0]
+    part = mahalanobis.squares(off[:3], cov[:3, :3])
     assert_allclose(mahalanobis.squares(off, cov), part, rtol=1e-6)
+    assert np.isnan(mahalanobis.squares(off, -cov)).all()
 
 
 A, B = pgm.variables("a b")

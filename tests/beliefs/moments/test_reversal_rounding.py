@@ -13,7 +13,7 @@ from precise import Reference, floats
 
 import pgm
 from pgm.beliefs.moments.digits import reversal_rounding
-from pgm.kernels import along_runs
+from pgm.kernels import shares
 
 x = pgm.Variable("x", tuple("abcd"))
 STEPS = 30
@@ -187,7 +187,7 @@ def test_inflation_is_the_trace_of_the_inverse_of_correlations():
         np.fill_diagonal(correlation, 1.0)
         singular = np.linalg.matrix_rank(correlation) < 4
         due.append(np.inf if singular else np.trace(np.linalg.inv(correlation)))
-    found = along_runs.inflation(np.moveaxis(covs, 0, -1).copy())
+    found = shares.inflation(np.moveaxis(covs, 0, -1).copy())
     assert found[2] > 1e14
     np.testing.assert_allclose(np.delete(found, 2), np.delete(due, 2), rtol=1e-10)
 

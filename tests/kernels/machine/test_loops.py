@@ -1,25 +1,18 @@
-"""Matrices in the memory of machine code, and sweeps over them, against NumPy."""
+"""Matrices in the memory of machine code, and sweeps over them, against NumPy.
+
+The steps over them are in `test_step.py`, as those over all kinds.
+"""
 
 import numpy as np
 import pytest
 from crossed import slow_after
+from machine_code import over_matrices
 from numpy.testing import assert_allclose
 
 import pgm
-
-pytest.importorskip("llvmlite", reason="LLVM is driven by llvmlite")
-
 from pgm.kernels import step
-from pgm.kernels.machine.emitter.kinds import ADDRESS
-from pgm.kernels.machine.emitter.memory import Memory, Runs
-from pgm.kernels.machine.emitter.module import Module
-from pgm.kernels.machine.loops.frame import Frame
-from pgm.kernels.machine.loops.layout import Layout
 from pgm.kernels.machine.loops.loops import Loops
-from pgm.kernels.machine.loops.stored import Space, Stored
-from pgm.kernels.machine.loops.transfers import read, write
 from pgm.kernels.machine.sweeps import chain as sweeps
-from pgm.kernels.numbers import Matrix
 
 SIZES = slow_after(
     6,
@@ -28,40 +21,12 @@ SIZES = slow_after(
 LANES = (1, 8)
 
 
-def computed(make, shapes, *arrays, lanes, level=1):
-    """What `make` writes of matrices, (lanes, height, width) each, in room that begins as NaN."""
-    module = Module()
-    code = module.function("made", [ADDRESS] * (len(arrays) + len(shapes) + 1), lanes=lanes)
-    *places, room = code.arguments
-    frame = Frame(code, room)
-    loops = Loops(code, frame)
-    space = Space(code, frame, Layout.of(lanes))
-    runs = Runs.APART if lanes > 1 else Runs.BESIDE
-
-    def cells(place, shape):
-        return Memory(code, place, runs=runs, apart=code.whole(int(np.prod(shape))))
-
-    given = [
-        read(space, cells(place, array.shape[1:]), *array.shape[1:])
-        for place, array in zip(places, arrays, strict=False)
-    ]
-    for place, shape, each in zip(places[len(arrays) :], shapes, make(loops, *given), strict=True):
-        if isinstance(each, Stored):
-            assert each.shape == shape
-            write(space, cells(place, shape), each)
-        else:
-            cells(place, shape).store(0, each)
-    function = module.compile(level).callable("made")
-    found = [np.zeros((lanes, *shape)) for shape in shapes]
-    room = np.full(frame.size + 8, np.nan)
-    start = room.ctypes.data + -room.ctypes.data % 64
-    function(*(array.ctypes.data for array in (*arrays, *found)), start)
-    return found
-
-
 def assert_computed(make, due, *arrays, lanes):
-    found = computed(make, [each.shape[1:] for each in due], *arrays, lanes=lanes)
+    """What `make` gives of matrices in memory is due, (lanes, m, n) each."""
+    shapes = [each.shape[1:] for each in arrays]
+    found = over_matrices(make, shapes, matrices=Loops, lanes=lanes)(*arrays)
     for place, (one, other) in enumerate(zip(found, due, strict=True)):
+        assert one.shape == other.shape
         size = np.abs(other).max(initial=1e-300)
         assert_allclose(one / size, other / size, atol=1e-12, err_msg=f"result {place}")
 
@@ -113,11 +78,11 @@ def test_roots(n, d, lanes):
     pivots = np.einsum("kii->ki", lower)
     share = (pivots**2 / np.einsum("kii->ki", s)).min(axis=1)
 
-    def make(_, b, s):
+    def make(loops, b, s):
         root = s.root()
         white = root.solve(b.T)
         solved = root.solve_transposed(b.T)
-        told = [root.share, root.volume, s.open_share(), step.inflation(s, root)]
+        told = [root.share, root.volume, open_share(loops, s), step.inflation(s, root)]
         return [white, solved, root.matrix, *told]
 
     due = [np.linalg.solve(lower, turned(b)), np.linalg.solve(turned(lower), turned(b)), lower]
@@ -126,12 +91,10 @@ def test_roots(n, d, lanes):
     assert_computed(make, due, b, s, lanes=lanes)
 
 
-@pytest.mark.parametrize("lanes", LANES)
-def test_indefinite_matrices_are_told(lanes):
-    s = np.repeat(np.diag([1.0, -1.0, 2.0])[None], lanes, axis=0)
-    found = computed(lambda _, s: [s.root().share, s.open_share()], [(1, 1)] * 2, s, lanes=lanes)
-    assert not (found[0] > 0.0).any()
-    assert_allclose(found[1], -1.0)
+def open_share(loops, cov):
+    """The least share of a variance that is left open, of components with a variance."""
+    varies = [variance != 0.0 for variance in loops.diagonal(cov)]
+    return step.open_share(cov, loops.truths(varies, cov.shape[0]))
 
 
 @pytest.mark.parametrize("lanes", LANES)
@@ -145,11 +108,11 @@ def test_operations_beside_those_of_matrices(n, d, lanes):
     seen = np.where(known & turned(known), s, np.where(np.eye(n) > 0.0, 1.0, 0.0))
 
     def make(loops, a, b, s, v):
-        truths = [x > 0.0 for x in loops.beside(v)]
-        rows = loops.seen(truths, v, a, s)
+        truths = loops.truths([x > 0.0 for x in loops.beside(v)], n)
+        rows = step.seen(truths, v, a, s)
         return [
             *(loops.widened(b, places, n + 2), loops.above(v, b.T.part(range(n), (0,)))),
-            *(loops.shifted(a, v), loops.replaced(v, {0: 7.0}), loops.kept(truths, s)),
+            *(loops.shifted(a, v), loops.replaced(v, {0: 7.0}), step.known_part(s, truths)),
             *(loops.chosen(v[0, 0] > 0.0, a, s), rows.residual, rows.matrix, rows.noise),
         ]
 
@@ -159,28 +122,6 @@ def test_operations_beside_those_of_matrices(n, d, lanes):
     due += [np.where(known & turned(known), s, 0.0), np.where(v[:, :1] > 0.0, a, s)]
     due += [np.where(known, v, 0.0), np.where(known, a, 0.0), seen]
     assert_computed(make, due, a, b, s, v, lanes=lanes)
-
-
-@pytest.mark.parametrize("lanes", LANES)
-@pytest.mark.parametrize(("n", "d"), [(1, 1), (4, 2), (6, 3), (12, 12), (30, 7)])
-def test_steps_are_those_of_floats(n, d, lanes):
-    a, b, s, v = drawn(n, d, lanes)
-    noise = np.repeat((0.3 * np.eye(d))[None], lanes, axis=0)
-    residual = b @ v + 0.1
-
-    def steps(f, h, p, m, r, z):
-        updated = step.update(m, p, h, z, r)
-        ahead = step.predict(p, f, p)
-        back = step.back(m, p, f, p, (m, ahead), (m + m, p))
-        return [*updated[:4], ahead, *step.reverse(m, p, f, p, m, ahead)[:3], *back[:2]]
-
-    given = a, b, s, v, noise, residual
-    due = []
-    for run in range(lanes):
-        found = steps(*(Matrix(each[run].tolist()) for each in given))
-        due.append([np.array(x.rows if isinstance(x, Matrix) else [[x]]) for x in found])
-    due = [np.array(each) for each in zip(*due, strict=True)]
-    assert_computed(lambda _, *matrices: steps(*matrices), due, *given, lanes=lanes)
 
 
 def named(name, size):

@@ -51,9 +51,11 @@ from pgm.compile import DynamicGraph
 from pgm.errors import EvidenceError, NumericalError, PgmError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.evidence.values import JOINT, SUM
-from pgm.kernels import mahalanobis, moments, roots, solving
+from pgm.kernels import mahalanobis, moments
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, quiet, vacant
+from pgm.kernels.dense import Stack
 from pgm.kernels.semirings import log_sum
+from pgm.kernels.step import innovation
 from pgm.linearisers import Lineariser
 from pgm.posteriors.associations import Associations, collected
 from pgm.progress import counted
@@ -510,9 +512,10 @@ def _innovations(
     noises = np.broadcast_to(
         noise.reshape(height, height, -1).transpose(2, 0, 1), (every, height, height)
     )
-    innovation = moments.predict(covs[of], wide, noises)
-    lower = roots.root(innovation)
-    if not roots.is_proper(lower) or roots.determined(lower).any():
+    spread = moments.predict(covs[of], wide, noises)
+    left = residual.reshape(height, -1).T
+    found = innovation(Stack.column(left), Stack(spread, True))
+    if not (found.share > 0.0).all():
         raise NumericalError(
             f"{reading.cpd!r}: at step {step} an innovation has no variance in a component, or two "
             "that are one, so that candidates cannot be compared; give the sensor some noise",
@@ -520,16 +523,13 @@ def _innovations(
             cpd=reading.cpd,
             step=step,
         )
-    left = residual.reshape(height, -1).T
-    white = solving.whiten(lower, left)
-    square = np.einsum("bi,bi->b", white, white)
     count = reading.taken[0].sum(axis=-1)
     # A missing component is one of unit variance without a residual.
-    density = -0.5 * (square + solving.log_determinant(lower) + count * LOG_2PI)
+    density = -0.5 * (found.square + count * LOG_2PI) - found.volume
     shape = rows, bound.runs, -1
     return _Pairs(
         density.reshape(shape),
-        square.reshape(shape),
+        found.square.reshape(shape),
         count.reshape(shape),
         np.broadcast_to(wide, (every, height, size)).reshape(*shape, height, size),
         left.reshape(*shape, height),

@@ -26,8 +26,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.kernels import mahalanobis
-from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask
+from pgm.kernels import mahalanobis, step
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, apply
+from pgm.kernels.dense import Stack
 
 # Hypotheses, whole ones and parts, that a step of a run may take to look at.
 NODES = 20_000
@@ -90,14 +91,15 @@ def _within(pairs: Pairs, chosen: Integers, cov: Array, limits: Array, runs: Int
         seen = own != NOTHING
         place = k, runs, np.where(seen, own, 0)
         H = pairs.matrix[place] * seen[:, None, None]
-        step = _paired(H, pairs.residual[place] * seen[:, None], pairs.noise[place], spread, shift)
-        spread, shift, square = step.cov, step.shift, square + step.square
+        left = pairs.residual[place] * seen[:, None]
+        known = _paired(H, left, pairs.noise[place], spread, shift)
+        spread, shift, square = known.cov, known.shift, square + known.square
         dof += np.where(seen, pairs.size[k, runs], 0)
     within: Mask = square <= limits[dof]
     return within
 
 
-class _Step(NamedTuple):
+class _Paired(NamedTuple):
     """Beliefs given one pairing more, with the pairing's Mahalanobis square and log-density.
 
     `shift` (..., n) is the mean less the predicted one, `cov` (..., n, n) the covariance. `square`
@@ -111,21 +113,18 @@ class _Step(NamedTuple):
     density: Array
 
 
-def _paired(matrix: Array, residual: Array, noise: Array, cov: Array, shift: Array) -> _Step:
+def _paired(matrix: Array, residual: Array, noise: Array, cov: Array, shift: Array) -> _Paired:
     """Condition beliefs N(shift, cov), counted from the predicted mean, on one pairing each.
 
     `shift` is (..., n), `cov` (..., n, n). `matrix` is H (..., d, n), `residual` (..., d) the
     innovation at the predicted mean and `noise` R (..., d, d). With ν = `residual` − H · `shift`
     and S = H · `cov` · Hᵀ + R, the square is νᵀ S⁻¹ ν and the density −½ (νᵀ S⁻¹ ν + ln |S|).
     """
-    cross = matrix @ cov
-    spread = cross @ matrix.mT + noise
-    left = residual - np.einsum("...dn,...n->...d", matrix, shift)
-    solved = np.linalg.solve(spread, np.concatenate([cross, left[..., None]], axis=-1))
-    square = np.einsum("...d,...d->...", left, solved[..., -1])
-    moved = shift + np.einsum("...dn,...d->...n", cross, solved[..., -1])
-    density = -0.5 * (square + np.linalg.slogdet(spread)[1])
-    return _Step(moved, cov - cross.mT @ solved[..., :-1], square, density)
+    left = residual - apply(matrix, shift)
+    parts = Stack(cov, True), Stack(matrix), Stack.column(left), Stack(noise, True)
+    found = step.update(Stack.column(shift), *parts)
+    density = -0.5 * found.square - found.volume
+    return _Paired(found.mean.vector, found.cov.array, found.square, density)
 
 
 class _Search:
@@ -196,12 +195,12 @@ class _Search:
         some = np.array([c for c in self.choices[depth].tolist() if c not in chosen], dtype=np.intp)
         if some.size:
             own = k, self.run, some
-            step = _paired(pairs.matrix[own], pairs.residual[own], pairs.noise[own], cov, shift)
-            weight = step.density + pairs.log_weight[some] - 0.5 * count * LOG_2PI
+            known = _paired(pairs.matrix[own], pairs.residual[own], pairs.noise[own], cov, shift)
+            weight = known.density + pairs.log_weight[some] - 0.5 * count * LOG_2PI
             for c in np.argsort(-weight, kind="stable").tolist():
-                further = square + float(step.square[c])
+                further = square + float(known.square[c])
                 if further <= self.limits[dof + self.ahead[depth]]:
-                    here = step.shift[c], step.cov[c], further, dof + count
+                    here = known.shift[c], known.cov[c], further, dof + count
                     self._descend(
                         depth + 1, *here, score + float(weight[c]), [*chosen, int(some[c])]
                     )

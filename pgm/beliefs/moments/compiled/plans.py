@@ -228,7 +228,7 @@ def decisive(
             sensor.family.cpd,
             _gate(sensor, gate, stored=stored),
             _missing(sensor, gate, stored=stored),
-            _single(sensor.bounds, plan.steps),
+            *_sightings(sensor),
             _group(sensor),
             sensor.form if isinstance(sensor, OpenSensor) else None,
         )
@@ -278,8 +278,17 @@ def _group(sensor: Sensor) -> Hashable:
     return (int(counts.max()), bool(counts.all())) if sensor.is_correlated else None
 
 
-def _single(bounds: Sequence[int], steps: int) -> bool:
-    return list(bounds) == list(range(steps + 2))
+def _sightings(sensor: Sensor) -> tuple[bool, bool]:
+    """Whether each step has one sighting; and of robust noise, whether none has more."""
+    return _single(sensor.edges), sensor.robust and _lone(sensor)
+
+
+def _single(edges: Integers64) -> bool:
+    return bool((np.diff(edges) == 1).all())
+
+
+def _lone(sensor: Sensor) -> bool:
+    return bool((np.diff(sensor.edges) <= 1).all())
 
 
 def motion_of(
@@ -333,9 +342,7 @@ def sensor_of(
         readings=table.of(sensor, attrgetter(readings)),
         moved=table.of(sensor, attrgetter("moved")) if kept else None,
         missing=missing,
-        bounds=None
-        if _single(sensor.bounds, plan.steps)
-        else table.at_of(sensor, attrgetter("edges")),
+        bounds=None if _single(sensor.edges) else table.at_of(sensor, attrgetter("edges")),
         gate=None if probability is None else _gate_of(probability, sensor, table),
         loss=loss,
         candidates=_candidates_of(sensor, table) if isinstance(sensor, OpenSensor) else None,
@@ -372,7 +379,7 @@ def vector_of(
     def array(name: str) -> told.Array:
         return table.of(group, attrgetter(name))
 
-    sensor, whole = group.sensor, _single(group.edges.tolist(), plan.steps)
+    sensor, whole = group.sensor, _single(group.edges)
     found: dict[str, Any]
     if stored:
         found = {name: array(f"known.{name}") for name in Stored._fields}
@@ -455,6 +462,7 @@ def robust_noise_of(
         kept,
         squares,
         expects=family.expects,
+        lone=_lone(sensor),
         found=found,
         trial=tuple(table.of(table.record, itemgetter(name)) for name in trial),
     )

@@ -333,6 +333,20 @@ class Component(NamedTuple):
     drift: Array
 
 
+class _Reciprocal(NamedTuple):
+    """The root of variances S = 1 S 1, of which `weight` is 1/S (runs,), or zero."""
+
+    weight: Twofold
+
+    def solve(self, right: Twofold) -> Twofold:
+        """The X with 1 X = B."""
+        return right
+
+    def solve_transposed(self, right: Twofold) -> Twofold:
+        """The X with S X = B; zero where S does not count."""
+        return right * self.weight[:, None, None]
+
+
 def take(
     belief: Belief, row: Twofold, value: Twofold, noise: Twofold, seen: Mask
 ) -> tuple[Belief, Component, Array, Mask]:
@@ -370,7 +384,7 @@ def take(
     innovation = -(row[:, None, :] @ columns)[:, 0]
     innovation[:, 0] = innovation[:, 0] + value
     missed = np.abs(innovation.hi[:, :1])
-    gain = cross * weight[:, None]
+    gain = step.gain(_Reciprocal(weight), cross[:, None, :])[..., 0]
     keep = (gain[..., None] @ row[:, None, :]).one_minus()
     # A change E of P changes G by (1 − G h) E hᵀ/S.
     kept = through(keep.hi, rounding)

@@ -40,8 +40,8 @@ from pgm.beliefs.moments.digits import reversal_rounding
 from pgm.beliefs.moments.passes.forward import Filtered, Forward
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.vector import stacks
-from pgm.kernels import along_runs, last_place, moments, roots
-from pgm.kernels.arrays import Array, apply, deviation, variances
+from pgm.kernels import last_place, moments, roots, shares
+from pgm.kernels.arrays import Array, apply, components_first, deviation, variances
 
 # The largest ratio at which float64 leaves all the digits that are promised.
 MODERATE = 2e7
@@ -141,11 +141,7 @@ def _is_regular(cov: Array, limit: float) -> bool:
 
     `cov` are covariances (T+1, runs, n, n); it must be so in all of them.
     """
-    size = cov.shape[-1]
-    last = np.moveaxis(cov, (-2, -1), (0, 1)).reshape(size, size, -1)
-    if np.shares_memory(last, cov):
-        last = last.copy()
-    return along_runs.open_share(last) * limit > 1.0
+    return shares.open_share(components_first(cov, 2)) * limit > 1.0
 
 
 def _hold(before: Array, after: Array, limit: float) -> bool:

@@ -42,12 +42,13 @@ import numpy as np
 
 from pgm.beliefs.moments.passes.backward import between_slices
 from pgm.beliefs.moments.steps.plan import ChainPlan
-from pgm.kernels import along_runs
+from pgm.kernels import shares
 from pgm.kernels.arrays import (
     Array,
     Integers,
     Mask,
     apply,
+    components_first,
     deviation,
     multiply,
     sandwich,
@@ -102,8 +103,8 @@ def accumulated(predicted: Array) -> Array:
     length = max(_CHUNK // (runs * size * size), 1)
     for first in range(0, steps, length):
         rows = slice(first, min(first + length, steps))
-        last = np.array(np.moveaxis(predicted[1:][rows], (-2, -1), (0, 1)), order="C")
-        added[rows] = along_runs.inflation(last.reshape(size, size, -1)).reshape(-1, runs)
+        together = np.ascontiguousarray(components_first(predicted[1:][rows], 2))
+        added[rows] = shares.inflation(together)
     added *= added
     return _EPS * np.cumsum(added[::-1], axis=0)[::-1]
 

@@ -44,7 +44,7 @@ def of_update(
     matrix, residual, noise, missing = vector([part.seen for part in parts], mean)
     spread = gaussian.predict(cov, matrix, noise)
     residual = np.broadcast_to(residual, (len(residual), *mean.shape[1:]))
-    nis = mahalanobis.squares(residual[None], spread[None]).reshape(-1)
+    nis = np.reshape(mahalanobis.squares(residual, spread), -1)
     dof = np.full(nis.shape, len(residual), dtype=np.intp)
     if missing is not None:
         dof -= np.asarray(missing, dtype=np.intp)

@@ -132,7 +132,7 @@ class Kind:
                     missing=True,
                     bounds=bounds.get(variable),
                     gate=self._gate_of(sensor, table),
-                    loss=_loss_of(sensor, table),
+                    loss=_loss_of(sensor, table, lone=variable not in bounds),
                     **_fed(sensor.family, sensor, given, table),
                 )
             )
@@ -196,12 +196,12 @@ def marginal_of(variable: Variable) -> Callable[[bytes], Gaussian]:
     return python.bound(machine, marginal.MARGINAL, own)
 
 
-def _loss_of(sensor: Sensor, table: _Constants) -> told.Loss | None:
+def _loss_of(sensor: Sensor, table: _Constants, *, lone: bool) -> told.Loss | None:
     """The robust noise of a sensor, whose weights are found anew at each step."""
     if not sensor.robust:
         return None
     loss = robust_noise_of(sensor, table, missing=True, found=False, controlled=False)
-    return replace(loss, weights=table.room(1), squares=table.room(1))
+    return replace(loss, lone=lone, weights=table.room(1), squares=table.room(1))
 
 
 def _kept(motion: told.Motion, table: _Constants) -> told.Motion:

@@ -11,9 +11,11 @@ from pgm.beliefs.moments.passes.forward import Forward
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.beliefs.moments.steps.vector import stacks
-from pgm.kernels import moments, roots, solving
+from pgm.kernels import moments
 from pgm.kernels.angles import nearest_branch
-from pgm.kernels.arrays import Array, Integers, block, inner
+from pgm.kernels.arrays import Array, Integers, block
+from pgm.kernels.dense import Stack
+from pgm.kernels.step import innovation
 from pgm.posteriors.innovations import Innovations
 
 
@@ -75,8 +77,8 @@ def by_step(plan: ChainPlan, sensors: list[Sensor], forward: Forward) -> tuple[A
         else:
             ahead = forward.diffuse.at(steps)
             residual, spread, unknown = ahead.innovations(matrix, residual, noise)
-        white = solving.whiten(roots.root(spread), residual)
-        seen = white.shape[-1] - missing - unknown
+        square = innovation(Stack.column(residual), Stack(spread, True)).square
+        seen = residual.shape[-1] - missing - unknown
         dof[steps] = seen
-        nis[steps] = np.where(seen > 0, inner(white, white), np.nan)
+        nis[steps] = np.where(seen > 0, square, np.nan)
     return nis, dof

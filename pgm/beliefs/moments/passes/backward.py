@@ -21,11 +21,13 @@ import numpy as np
 
 from pgm.beliefs.moments.compiled import sweep as compiled
 from pgm.beliefs.moments.steps.plan import ChainPlan
-from pgm.kernels import moments, roots, solving
+from pgm.kernels import moments, roots
 from pgm.kernels.arrays import Array, Index, apply, block, room, sandwich, transpose
+from pgm.kernels.dense import Stack, StackRoot
 from pgm.kernels.moments import Conditional
 from pgm.kernels.prefixes import gather, in_chunks, levels, prefixes, take
 from pgm.kernels.segment_maps import Moments, compose_conditionals, push_moments
+from pgm.kernels.step import gain as gain_of
 from pgm.schedules import sweep as loops
 
 # From this many runs on, a sweep along rows of runs beats a scan along rows of steps, which does
@@ -221,7 +223,8 @@ def _given_states(plan: ChainPlan, forward: Ahead) -> Conditional | None:
     size, front = layout.slice_size, layout.state_size
     gain = np.zeros((*forward.mean.shape[:-1], size, front))
     gain[..., states, :] = np.eye(front)
-    gain[..., controls, :] = solving.gain(block(forward.cov, controls, states), lower, known)
+    cross = Stack(block(forward.cov, states, controls))
+    gain[..., controls, :] = gain_of(StackRoot(lower, known), cross).array
     offset = forward.mean - apply(gain, forward.mean[..., states])
     nothing = np.zeros((front, front))
     left = moments.squares(forward.cov, gain, np.eye(size)[states], nothing)

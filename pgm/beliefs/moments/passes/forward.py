@@ -27,7 +27,7 @@ from pgm.beliefs.moments.steps.diffuse import Diffuse
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.readings import Moments
 from pgm.errors import PgmError
-from pgm.kernels import along_runs
+from pgm.kernels import shares
 from pgm.kernels.arrays import Array, stacked, vacant
 from pgm.posteriors.status import Status
 from pgm.progress import counted
@@ -147,14 +147,14 @@ class Watch:
         regular = mild and not (spread > _GROWN * self._level).any()
         if not regular:
             self._level = spread.copy()
-            self._see(along_runs.open_share(predicted.copy()))
+            self._see(shares.open_share(predicted))
         if not mild:
-            self._see(along_runs.least_left(predicted, known))
+            self._see(shares.least_left(predicted, known))
         if not self._step:
             self._level = np.einsum("iir->ir", known).copy()
         if not regular or last or (self._step and self._step % _EVERY == 0):
             self._level = np.minimum(self._level, np.einsum("iir->ir", known))
-            self._see(along_runs.open_share(known.copy()))
+            self._see(shares.open_share(known))
         self._step += 1
 
     def _see(self, share: float) -> None:

@@ -22,14 +22,15 @@ from pgm.beliefs.moments.steps.plan import ChainPlan, Link
 from pgm.beliefs.moments.steps.readings import Moments
 from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.errors import ModelError, NumericalError
-from pgm.kernels import roots, solving
+from pgm.kernels import roots
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import (
     Array,
     block,
     components_last,
-    inner,
 )
+from pgm.kernels.dense import Stack
+from pgm.kernels.step import innovation
 from pgm.linearisation.family import Family
 from pgm.schedules.damping import LevenbergMarquardt
 from pgm.schedules.iteration import Point
@@ -195,11 +196,10 @@ def squares(residual: Array, cov: Array) -> Array | None:
     if flat.any():
         residual = np.where(flat, 0.0, residual)
         cov = np.where(flat[..., None] | flat[..., None, :], np.eye(flat.shape[-1]), cov)
-    lower = roots.root(cov)
-    if not roots.is_proper(lower):
+    found = innovation(Stack.column(residual), Stack(cov, True))
+    if np.isnan(found.share).any():
         return None
-    white = solving.whiten(lower, residual)
-    total: Array = inner(white, white).sum(axis=0)
+    total: Array = found.square.sum(axis=0)
     return total
 
 

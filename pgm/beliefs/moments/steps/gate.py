@@ -18,19 +18,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from math import inf
 
 import numpy as np
+import numpy.typing as npt
 
 from pgm.beliefs.moments.steps.diffuse import Diffuse
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.readings import Reading
-from pgm.beliefs.moments.steps.vector import Measured
+from pgm.beliefs.moments.steps.vector import Measured, masked
 from pgm.beliefs.moments.steps.weights import by_sighting, own_blocks
 from pgm.errors import EvidenceError
 from pgm.factors.scope import namesake
-from pgm.kernels import mahalanobis
-from pgm.kernels.arrays import Array, Integers, Mask, independent, within
+from pgm.kernels import gaussian, mahalanobis, step
+from pgm.kernels.arrays import Array, Integers, Kind, Mask, within
+from pgm.kernels.dense import Stack
 from pgm.networks import DynamicBayesianNetwork
 from pgm.posteriors.gate_record import GateRecord
 from pgm.schedules.gates import gate_of
@@ -112,9 +113,9 @@ def _decided(
     """
     one_run = mean.ndim == 1 and diffuse is None
     if one_run and seen.taken is None and len(seen.value) == part.sensor.height:
-        one = _one(gate, part, seen, mean, cov)
-        if one is not None:
-            return one
+        accepted = _accepted(gate, part, seen, mean, cov)
+        if accepted is not None:
+            return accepted
     sensor, record, batch = part.sensor, part.sensor.gated, mean.shape[1:]
     rows, height = slice(part.at.first, part.at.last), sensor.height
     count = len(seen.value) // height
@@ -148,31 +149,20 @@ def _decided(
     return part.seen
 
 
-def _one(gate: float, part: Reading, seen: Measured, mean: Array, cov: Array) -> Measured | None:
-    """Gate one sighting of one run, with one or two components, all measured: the usual case.
+def _accepted(
+    gate: float, part: Reading, seen: Measured, mean: Array, cov: Array
+) -> Measured | None:
+    """Gate one sighting of one run, all of whose components are measured: the usual case.
 
-    An accepted sighting is recorded, and returned as it is. The result is None if the sighting may
-    have to be rejected, has more components, or has a nearly singular S: then `_decided` goes on.
+    An accepted sighting is recorded, and returned as it is. The result is None if the sighting is
+    rejected: then `_decided` goes on.
     """
     sensor, record = part.sensor, part.sensor.gated
     if not sensor.whole:
         mean, cov = mean[sensor.parents], within(cov, sensor.parents)
-    left, matrix = seen.residual(mean), seen.matrix
-    spread = matrix.dot(cov).dot(matrix.T)
-    spread += seen.noise
-    height = len(left)
-    if height == 1:
-        (a,), s = left.tolist(), spread.item()
-        square = a * a / s if s > 0.0 else inf
-    elif height == 2:
-        (a, b), (s, c, _, d) = left.tolist(), spread.ravel().tolist()
-        volume = s * d - c * c
-        square = (
-            (a * a * d - 2.0 * a * b * c + b * b * s) / volume if volume > s * d * _WELL else inf
-        )
-    else:
-        return None
-    if not square <= limits(gate, height).item(height):
+    spread = gaussian.predict(cov, seen.matrix, seen.noise)
+    square = mahalanobis.squares(seen.residual(mean), spread)
+    if not square <= limits(gate, sensor.height).item(sensor.height):
         return None
     found = np.array([square])
     part.gate, part.gated, part.seen = gate, (_TAKEN, found), seen
@@ -184,10 +174,8 @@ def _one(gate: float, part: Reading, seen: Measured, mean: Array, cov: Array) ->
     return seen
 
 
-# The mask of rejected sightings where one is accepted; and |S| of two components, as a share of the
-# product of their variances, from which on S is safely regular.
+# The mask of rejected sightings where one is accepted.
 _TAKEN: Mask = np.zeros(1, dtype=bool)
-_WELL = 1e-6
 
 
 def squares(seen: Measured, mean: Array, cov: Array, count: int) -> tuple[Array, Integers]:
@@ -199,25 +187,24 @@ def squares(seen: Measured, mean: Array, cov: Array, count: int) -> tuple[Array,
     *batch).
     """
     sensor, height = seen.sensor, len(seen.value) // count
+    matrix, residual, noise, _ = masked(seen, mean)
     if not sensor.whole:
-        mean, cov = mean[sensor.parents], within(cov, sensor.parents)
-    batch = mean.shape[1:]
-    matrix = seen.matrix.reshape(count, height, *seen.matrix.shape[1:])
-    taken = None if seen.taken is None else seen.taken.reshape(count, height, *seen.taken.shape[1:])
-    if batch:
-        spread = np.einsum("kinr,nmr,kjmr->kijr", matrix, cov, matrix, optimize=_PATH)
-    else:
-        spread = matrix @ cov @ matrix.swapaxes(1, 2)
-    own = seen.noise.reshape(count, height, count, height, *seen.noise.shape[2:])
-    spread = spread + np.einsum("kikj...->kij...", own)
-    residual = np.broadcast_to(seen.residual(mean), (count * height, *batch))
-    residual = residual.reshape(count, height, *batch)
-    if taken is None:
-        return mahalanobis.squares(residual, spread), np.full((count, *batch), height)
-    both = taken[:, :, None] & taken[:, None]
-    eye = np.eye(height).reshape(1, height, height, *(1 for _ in batch))
-    square = mahalanobis.squares(np.where(taken, residual, 0.0), np.where(both, spread, eye))
-    return square, np.broadcast_to(taken.sum(axis=1), (count, *batch))
+        cov = within(cov, sensor.parents)
+    # The sightings are an axis of the batch.
+    slopes = np.moveaxis(matrix.reshape(count, height, *matrix.shape[1:]), 0, 2)
+    blocks = noise.reshape(count, height, count, height, *noise.shape[2:])
+    own = np.einsum("kikj...->ijk...", blocks)
+    spread = gaussian.predict(cov[:, :, None], slopes, own)
+    shape = count, *mean.shape[1:]
+    each = _by_component(np.broadcast_to(residual, (count * height, *shape[1:])), height)
+    square = np.asarray(mahalanobis.squares(each, spread))
+    number = height if seen.taken is None else _by_component(seen.taken, height).sum(axis=0)
+    return square, np.broadcast_to(number, shape)
+
+
+def _by_component(array: npt.NDArray[Kind], height: int) -> npt.NDArray[Kind]:
+    """A stacked array (k d, *batch) of k sightings as (d, k, *batch); `height` is d."""
+    return array.reshape(-1, height, *array.shape[1:]).swapaxes(0, 1)
 
 
 def _diffuse_squares(seen: Measured, mean: Array, belief: Diffuse) -> tuple[Array, Integers]:
@@ -235,19 +222,13 @@ def _diffuse_squares(seen: Measured, mean: Array, belief: Diffuse) -> tuple[Arra
     number: Integers | int = height
     if seen.taken is not None:
         taken = by_sighting(seen.taken, height, 0)
-        matrix = np.where(taken[..., None], matrix, 0.0)
-        residual, noise = np.where(taken, residual, 0.0), independent(noise, taken)
+        found = step.seen(taken, Stack.column(residual), Stack(matrix), Stack(noise))
+        residual, matrix, noise = found.residual.vector, found.matrix.array, found.noise.array
         number = taken.sum(axis=-1)
     residual, spread, unknown = belief.of(sensor.parents).innovations(matrix, residual, noise)
-    square = mahalanobis.squares(
-        np.moveaxis(residual, -1, 1), np.moveaxis(spread, (-2, -1), (1, 2))
-    )
+    square = step.innovation(Stack.column(residual), Stack(spread, True)).square
     count = np.broadcast_to(number - unknown, square.shape)
     return square.reshape(-1, *batch), count.reshape(-1, *batch)
-
-
-# Along the covariance first, then along the rows.
-_PATH = ["einsum_path", (0, 1), (0, 1)]
 
 
 @lru_cache(maxsize=64)

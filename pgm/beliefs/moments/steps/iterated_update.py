@@ -31,7 +31,7 @@ from pgm.beliefs.moments.steps.vector import Measured
 from pgm.beliefs.moments.steps.weights import SETTLED
 from pgm.errors import NumericalError
 from pgm.kernels.angles import difference
-from pgm.kernels.arrays import Array, Kind, Mask, components_first, components_last
+from pgm.kernels.arrays import Array, Kind, Mask, components_first, components_last, independent
 from pgm.schedules.iteration import Anchor, Point, Solution, iterate
 from pgm.schedules.schedule import TOLERANCE, Filtering
 
@@ -216,9 +216,7 @@ class UpdateProblem(ABC, Generic[U]):
             noise = _as_point(seen.noise, 2)
             if seen.taken is not None:
                 taken = _as_point(seen.taken, 1)
-                left = np.where(taken, left, 0.0)
-                both = taken[..., None] & taken[..., None, :]
-                noise = np.where(both, noise, np.eye(noise.shape[-1]))
+                left, noise = np.where(taken, left, 0.0), independent(noise, taken)
             total = total + cost.weighted(family, left, noise)
         return total
 

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.beliefs.moments.steps.weights import Weights
-from pgm.kernels import roots
+from pgm.kernels import roots, step
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import (
     Array,
@@ -32,6 +32,7 @@ from pgm.kernels.arrays import (
     components_last,
     independent,
 )
+from pgm.kernels.dense import Stack
 from pgm.linearisation.family import Family
 from pgm.linearisation.rows import At
 from pgm.linearisers import BoundFunction, Taylor
@@ -308,13 +309,9 @@ class Sensor:
         noise, taken = family.noise[rows], self._taken(rows)
         if taken is None:
             return Seen(matrix, offset, value, noise, None)
-        return Seen(
-            np.where(taken[..., None], matrix, 0.0),
-            np.where(taken, offset, 0.0),
-            np.where(taken, value, 0.0),
-            independent(noise, taken),
-            taken,
-        )
+        found = step.seen(taken, Stack.column(value), Stack(matrix), Stack(noise))
+        parts = found.matrix.array, np.where(taken, offset, 0.0), found.residual.vector
+        return Seen(*parts, found.noise.array, taken)
 
     def noise(self, rows: slice | Integers) -> Array:
         """The noise covariances (k, runs, d, d) of rows; missing components have unit variance."""
@@ -362,8 +359,8 @@ def linearise_grouped(
     ]
     at = mean[..., parents]
     numbers = family.step[rows[:, 0]]
-    step = int(numbers[0]) if numbers.size == 1 else np.broadcast_to(numbers[:, None], at.shape[:2])
-    function = BoundFunction(template, known, 2, step, count, True, family.source)
+    told = int(numbers[0]) if numbers.size == 1 else np.broadcast_to(numbers[:, None], at.shape[:2])
+    function = BoundFunction(template, known, 2, told, count, True, family.source)
     line = family.checked(function, at, block(cov, parents, parents))
     value, error = components_last(line.value, 1), line.error
     groups, runs, height = len(steps), at.shape[1], template.child.dimension

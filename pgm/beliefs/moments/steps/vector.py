@@ -18,7 +18,9 @@ import numpy as np
 
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.sensor import Sensor
+from pgm.kernels import step
 from pgm.kernels.arrays import Array, Integers, Mask, apply, times
+from pgm.kernels.dense import first
 
 
 class Measured(NamedTuple):
@@ -101,14 +103,14 @@ class Vector(NamedTuple):
 def vector(parts: Sequence[Measured], mean: Array) -> Vector:
     """Sightings of some sensors as one `Vector`, of residuals at a slice's mean (n, *batch)."""
     if len(parts) == 1:
-        only, sensor = _masked(parts[0], mean), parts[0].sensor
+        only, sensor = masked(parts[0], mean), parts[0].sensor
         if sensor.whole:
             return only
         wide = np.zeros((len(only.residual), len(mean), *only.matrix.shape[2:]))
         wide[:, sensor.parents] = only.matrix
         return Vector(wide, only.residual, only.noise, only.missing)
     size, batch = len(mean), mean.shape[1:]
-    found = [_masked(seen, mean) for seen in parts]
+    found = [masked(seen, mean) for seen in parts]
     lost = [each.missing for each in found if each.missing is not None]
     missing = sum(lost[1:], lost[0]) if lost else None
     height = sum(len(each.residual) for each in found)
@@ -121,7 +123,7 @@ def vector(parts: Sequence[Measured], mean: Array) -> Vector:
     return Vector(matrix, residual, noise, missing)
 
 
-def _masked(seen: Measured, mean: Array) -> Vector:
+def masked(seen: Measured, mean: Array) -> Vector:
     """The sightings of a sensor as a `Vector` over the sensor's parents alone, not the whole slice.
 
     `mean` (n, *batch) is the slice's. A missing component has H = 0, no residual, and unit variance
@@ -131,13 +133,11 @@ def _masked(seen: Measured, mean: Array) -> Vector:
     if seen.taken is None:
         return Vector(seen.matrix, residual, seen.noise, None)
     taken = seen.taken
-    eye = np.eye(len(taken)).reshape(*seen.noise.shape[:2], *(1 for _ in mean.shape[1:]))
-    return Vector(
-        np.where(taken[:, None], seen.matrix, 0.0),
-        np.where(taken, residual, 0.0),
-        np.where(taken[:, None] & taken[None], seen.noise, eye),
-        np.broadcast_to((~taken).sum(axis=0), mean.shape[1:]),
+    residual, matrix, noise = step.seen(
+        taken, first(residual[:, None]), first(seen.matrix), first(seen.noise)
     )
+    missing = np.broadcast_to((~taken).sum(axis=0), mean.shape[1:])
+    return Vector(matrix.array, residual.array[:, 0], noise.array, missing)
 
 
 class Stack(NamedTuple):
@@ -192,8 +192,8 @@ def _stack(
     top = 0
     for sensor, height, count in zip(sensors, heights, counts, strict=True):
         own = slice(top, top + height)
-        for group, step in enumerate(steps.tolist()):
-            between = sensor.between(step)
+        for group, number in enumerate(steps.tolist()):
+            between = sensor.between(number)
             if between is not None:
                 noise[group, :, own, own] = between
         bounds = np.asarray(sensor.bounds)[steps]

@@ -18,13 +18,15 @@ The sightings of a sensor at one step are also stacked to vectors of D = k d com
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from pgm.cpds import ConditionalGaussian, RobustNoise
-from pgm.kernels import roots, solving
-from pgm.kernels.arrays import Array, Integers, Kind, Mask, independent, inner
+from pgm.kernels import roots, solving, step
+from pgm.kernels.arrays import Array, Integers, Kind, Mask, components_first, independent
+from pgm.kernels.dense import KnownRoot, Runs, Stack
 
 # Weights that move by no more than this have settled.
 SETTLED = 1e-10
@@ -88,18 +90,22 @@ class Weights:
         H (k, runs, d, m), `cov` P (k or 1, runs, m, m) over the parents' m components. `error` is
         Ω (k, runs, d, d), None for zero. Missing components do not count.
         """
+        # Of one run a few small matrices, of many runs rows of these.
+        kind = Stack if residual.shape[1] == 1 else Runs
+
+        def of(array: Array) -> Any:
+            return kind(array if kind is Stack else components_first(array, 2))
+
+        off, white = of(residual[..., None]), KnownRoot(of(self.white))
+        slope, belief, around = (
+            None if part is None else of(part) for part in (matrix, cov, error)
+        )
         if self.taken is not None:
-            residual = np.where(self.taken, residual, 0.0)
-        white = np.einsum("...ij,...j->...i", self.white, residual)
-        found = inner(white, white)
-        if matrix is None or cov is None:
-            return found
-        spread = np.einsum("...im,...mn,...jn->...ij", matrix, cov, matrix)
-        if error is not None:
-            spread = spread + error
-        if self.taken is not None:
-            spread = np.where(self.taken[..., None] & self.taken[..., None, :], spread, 0.0)
-        found += np.einsum("...ij,...jk,...ik->...", self.white, spread, self.white)
+            known = self.taken if kind is Stack else components_first(self.taken, 1)
+            off = off.kept(known)
+            slope = None if slope is None else slope.kept(known)
+            around = None if around is None else step.known_part(around, known)
+        found: Array = step.whitened(off, white, slope, belief, around).square
         return found
 
     def take(self, square: Array, active: Mask | None = None) -> Array:

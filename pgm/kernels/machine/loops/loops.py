@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
-from pgm.kernels import step
 from pgm.kernels.machine.emitter.code import Code
 from pgm.kernels.machine.emitter.functions import Function
 from pgm.kernels.machine.emitter.kinds import ADDRESS, WHOLE
@@ -113,27 +112,16 @@ class Loops:
         """The matrix whose columns stand at some places among `width`, with zeros elsewhere."""
         return matrix.widened(places, width)
 
-    def seen(
-        self, known: Sequence[Number], residual: Stored, matrix: Stored, noise: Stored
-    ) -> step.Seen:
-        """A measurement of which some components are known; see `step.seen`."""
-        truths = self._row(known, noise.shape[0])
-        alone = self._row([1.0 - each.number() for each in known], noise.shape[0])
-        spread = noise.kept(truths).T.kept(truths).raised(alone)
-        return step.Seen(residual.kept(truths), matrix.kept(truths), spread)
-
-    def kept(self, truths: Sequence[Number], matrix: Stored) -> Stored:
-        """The symmetric matrix with zeros in rows and columns whose truth does not hold."""
-        row = self._row(truths, matrix.shape[0])
-        return matrix.kept(row).T.kept(row)
+    def truths(self, beside: Sequence[Number], size: int) -> Stored:
+        """Truths about a vector's numbers, side by side, as the steps take them: a row."""
+        found = self._space.new(1, size)
+        for q, truth in enumerate(beside):
+            found.view.put(0, q, truth)
+        return found
 
     def chosen(self, truth: Number, one: Stored, other: Stored) -> Stored:
         """One matrix where a truth holds, another elsewhere."""
         return one.chosen(truth, other)
-
-    def open_share(self, cov: Stored) -> Number:
-        """The least share of a variance that is left open; see `step.open_share`."""
-        return cov.open_share()
 
     # Functions, each one that is called with addresses
 
@@ -228,13 +216,6 @@ class Loops:
             for j, number in enumerate(row):
                 if isinstance(number, Number):
                     view.put_entry(i, j, number)
-
-    def _row(self, numbers: Sequence[Number], width: int) -> Stored:
-        """Numbers side by side, in memory."""
-        found = self._space.new(1, width)
-        for q, number in enumerate(numbers):
-            found.view.put(0, q, number)
-        return found
 
 
 class Held:

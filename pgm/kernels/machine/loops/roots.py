@@ -8,7 +8,7 @@ from pgm.kernels.machine.emitter.code import Code
 from pgm.kernels.machine.emitter.elementary import elementary
 from pgm.kernels.machine.emitter.numbers import Number
 from pgm.kernels.machine.loops.views import Index, View, size_of, tiled
-from pgm.kernels.numbers import inner, inverse, least, sqrt, where
+from pgm.kernels.numbers import inner, inverse, least, sqrt
 
 # Rows that are eliminated at once.
 _TALL = 4
@@ -135,23 +135,6 @@ def volume(code: Code, pivots: View, out: View) -> None:
     if rest:
         total.set(total.get() + elementary("log", pivots.entry(0, pivots.width - 1)))
     out.put_entry(0, 0, total.get())
-
-
-def open_share(code: Code, a: View, lines: View, unit: View, out: View) -> None:
-    """The least share that components before it leave of one's variance, as `step.open_share`."""
-    least_share = code.variable(out.one(1.0))
-    with code.loop(a.height) as i:
-        with code.loop(a.packs, i // a.layout.across) as q:
-            (line,) = _rest(a, lines, i, 1, q, 1, i, 0, _across(unit))
-            _put(lines, i, q, [line])
-        rest, own = lines.entry(i, i), a.entry(i, i)
-        none = own == 0.0
-        share = where(none, 1.0, rest / where(none, 1.0, abs(own)))
-        least_share.set(where(share > least_share.get(), least_share.get(), share))
-        pivot = where(none, 1.0, rest)
-        with code.loop(a.packs, i // a.layout.across) as q:
-            unit.put(i, q, lines.pack(i, q) / pivot)
-    out.put_entry(0, 0, least_share.get())
 
 
 def _tile(out: View) -> tuple[int, int]:

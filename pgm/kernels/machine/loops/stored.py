@@ -268,13 +268,22 @@ class Stored:
         other.put(found, self.shape[0], 0)
         return found
 
-    def kept(self, truths: Stored) -> Stored:
-        """The matrix with zeros in rows whose truth, in a row of entries, does not hold."""
+    def beside(self, other: Stored) -> Stored:
+        """The matrix [A B] of A, this one, and another."""
+        return self.T.above(other.T).T
+
+    def kept(self, known: Stored) -> Stored:
+        """The matrix with zeros in rows that are not `known`, a row with a truth for each."""
         plain = self.plain()
         found = self.space.new(*self.shape)
         given = [plain.height, self.space.layout.packs(plain.width)]
-        self.space.call("kept", moves.kept, plain, truths, found, given=given)
+        self.space.call("kept", moves.kept, plain, known, found, given=given)
         return found
+
+    def independent(self, known: Stored) -> Stored:
+        """The symmetric matrix with the rows and columns of I where a component is not `known`."""
+        ones = self.space.constant([[1.0] * self.height], self.height)
+        return self.kept(known).T.kept(known).raised(ones - known)
 
     def chosen(self, truth: Number, other: Stored) -> Stored:
         """The matrix where a truth holds, and another elsewhere."""
@@ -317,14 +326,6 @@ class Stored:
     def root(self) -> StoredRoot:
         """The lower triangular root L of a symmetric matrix A = L Lᵀ."""
         return StoredRoot(self.plain())
-
-    def open_share(self) -> Number:
-        """The least share of a variance that is left open; see `step.open_share`."""
-        plain, new = self.plain(), self.space.new
-        share = new(1, 1)
-        rows = new(*self.shape), new(*self.shape)
-        self.space.call("open share", roots.open_share, plain, *rows, share)
-        return share[0, 0]
 
     @property
     def _straight(self) -> Stored:

@@ -19,7 +19,8 @@ from pgm.kernels.machine.emitter.wholes import Whole
 from pgm.kernels.machine.sweeps.called import Rows
 from pgm.kernels.machine.sweeps.lines import held
 from pgm.kernels.machine.sweeps.outliers import limit_of
-from pgm.kernels.machine.sweeps.reading import Point, Sighting, Taken, read, taken
+from pgm.kernels.machine.sweeps.reading import Taken, read, taken
+from pgm.kernels.machine.sweeps.sighting import Point, Sighting
 from pgm.kernels.machine.sweeps.told import Forward, Sensor, chosen
 from pgm.kernels.machine.sweeps.writer import Writer
 from pgm.kernels.numbers import least, most, where
@@ -53,7 +54,7 @@ def associated(w: Writer, chain: Forward, at: Whole, mean: AnyMatrix, cov: AnyMa
             found.doubt(_choose(w, sensor, row, point))
             likeliest = chosen(sensor)
             sighting = Sighting.of(w, likeliest, row, point)
-            read(w, likeliest, row, sighting, found, point, None, fresh=sensor.bounds is None)
+            read(w, likeliest, row, sighting, found, point, fresh=sensor.bounds is None)
     return found
 
 

@@ -46,5 +46,5 @@ def _moved(
     """The cost of a CPD of a transition at a row, and whether it is right, so far as is told."""
     value, sure = expected(w, motion, at, x, cov)
     noise = w.symmetric(motion.kept or motion.noise, at)
-    square = step.weighed_square(on_branch(w, child, value, motion.angles) - value, noise)
-    return square, sure & (noise.root().share > REGULAR)
+    left, root = on_branch(w, child, value, motion.angles) - value, noise.root()
+    return step.whitened(left, root).square, sure & (root.share > REGULAR)

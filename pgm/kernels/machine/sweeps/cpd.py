@@ -17,7 +17,7 @@ from pgm.kernels.machine.sweeps.called import Rows, tangent, values_at
 from pgm.kernels.machine.sweeps.lines import held
 from pgm.kernels.machine.sweeps.told import Points, Row, Sensor
 from pgm.kernels.machine.sweeps.writer import Writer
-from pgm.kernels.numbers import inner, nearest_whole, where
+from pgm.kernels.numbers import inner, where
 from pgm.kernels.step import AnyMatrix
 
 # As of `gaussian` and `linearisers.regression`: the least share of a root that is regular; and the
@@ -210,7 +210,7 @@ def _about(
             lines = m.beside(moves @ slope.part((i,), range(mean.shape[0])).T)
             for variable, x, line in zip(wrapped[i], columns[i], lines, strict=True):
                 rest = x - line
-                turned = rest - step.TURN * nearest_whole(rest / step.TURN) + line
+                turned = rest - step.turns(rest) + line
                 variable.set(where(far[i], turned, x))
     return m.with_columns(off, {i: [x.get() for x in wrapped[i]] for i in row.angles})
 
@@ -241,4 +241,4 @@ def _told_from_rounding(
         sound.append(
             (variance + least_of[k] > plain * whole) | (abs(variance) > rounding * rounding)
         )
-    return m.kept(sound, error)
+    return step.known_part(error, m.truths(sound, error.shape[0]))

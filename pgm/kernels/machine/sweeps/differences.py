@@ -14,7 +14,7 @@ from pgm.kernels.machine.emitter.code import Code
 from pgm.kernels.machine.emitter.kinds import ADDRESS, WHOLE
 from pgm.kernels.machine.emitter.memory import Memory
 from pgm.kernels.machine.loops.transfers import inside, lie, place
-from pgm.kernels.numbers import least, most, nearest_whole, sqrt, where
+from pgm.kernels.numbers import least, most, sqrt, where
 
 # As of `differences`: the least step, as a part of a deviation, in itself, and beside a number; and
 # the multiples of a step at which a function is called.
@@ -71,7 +71,7 @@ def slopes(
                 a, b, c, d = (values.load((first + k) * height + i) for k in range(4))
                 near, far = a - b, c - d
                 if i in angles:
-                    near, far = _wrapped(near), _wrapped(far)
+                    near, far = near - step.turns(near), far - step.turns(far)
                 slope.store(j + i * size, (8.0 * near - far) / (12.0 * taken))
 
     _shared(f"slopes {size} {height} {tuple(angles)}", write, points, values, value, slope)
@@ -110,7 +110,3 @@ def _steps(code: Code, mean: Memory, cov: Memory, size: int) -> Memory:
         due = most(most(_PART * length, code.constant(_STEP)), _BESIDE * abs(number))
         steps.store(i, (number + due) - number)
     return steps
-
-
-def _wrapped(angle: Any) -> Any:
-    return angle - step.TURN * nearest_whole(angle / step.TURN)

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
-from pgm.kernels import step
 from pgm.kernels.machine.emitter.code import Code
 from pgm.kernels.machine.emitter.functions import Function
 from pgm.kernels.machine.emitter.memory import Memory
@@ -107,26 +106,15 @@ class Lines:
         rows = ([row[own[j]] if j in own else 0.0 for j in size] for row in matrix.rows)
         return Matrix(rows, width)
 
-    def seen(
-        self, known: Sequence[Number], residual: Matrix, matrix: Matrix, noise: Matrix
-    ) -> step.Seen:
-        """A measurement of which some components are known; see `step.seen`."""
-        return step.seen(known, residual, matrix, noise)
-
-    def kept(self, truths: Sequence[Number], matrix: Matrix) -> Matrix:
-        """The symmetric matrix with zeros in rows and columns whose truth does not hold."""
-        size = range(len(truths))
-        return Matrix([where(truths[i] & truths[j], matrix[i, j], 0.0) for j in size] for i in size)
+    def truths(self, beside: Sequence[Number], size: int) -> Sequence[Number]:
+        """Truths about a vector's numbers, side by side, as the steps take them."""
+        return beside
 
     def chosen(self, truth: Number, one: Matrix, other: Matrix) -> Matrix:
         """One matrix where a truth holds, another elsewhere."""
         rows = zip(one.rows, other.rows, strict=True)
         found = ([where(truth, x, y) for x, y in zip(*both, strict=True)] for both in rows)
         return Matrix(found, one.width)
-
-    def open_share(self, cov: Matrix) -> Any:
-        """The least share of a variance that is left open; see `step.open_share`."""
-        return step.open_share(cov)
 
     # Functions
 

@@ -15,7 +15,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
-from pgm.kernels import step
 from pgm.kernels.machine.emitter.functions import Function
 from pgm.kernels.machine.emitter.memory import Memory
 from pgm.kernels.machine.emitter.numbers import Number
@@ -101,17 +100,11 @@ class Matrices(Protocol):
     def widened(self, matrix: Any, places: Sequence[int], width: int) -> AnyMatrix:
         """The matrix whose columns stand at some places among `width`, with zeros elsewhere."""
 
-    def seen(self, known: Sequence[Number], residual: Any, matrix: Any, noise: Any) -> step.Seen:
-        """A measurement, some components of which are known; see `step.seen`."""
-
-    def kept(self, truths: Sequence[Number], matrix: Any) -> AnyMatrix:
-        """The symmetric matrix with zeros in rows and columns whose truth does not hold."""
+    def truths(self, beside: Sequence[Number], size: int) -> Any:
+        """Truths about a vector's numbers, side by side, as the steps take them."""
 
     def chosen(self, truth: Number, one: Any, other: Any) -> AnyMatrix:
         """One matrix where a truth holds, another elsewhere."""
-
-    def open_share(self, cov: Any) -> Any:
-        """The least share of a variance that is left open; see `step.open_share`."""
 
     # Functions
 

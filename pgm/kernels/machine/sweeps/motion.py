@@ -14,7 +14,7 @@ from pgm.kernels.machine.sweeps.cpd import Line, keep, linearised, value_at
 from pgm.kernels.machine.sweeps.lines import held
 from pgm.kernels.machine.sweeps.told import Forward, Motion
 from pgm.kernels.machine.sweeps.writer import Writer
-from pgm.kernels.numbers import Matrix, inner, most, nearest_whole, sqrt, where
+from pgm.kernels.numbers import Matrix, inner, most, sqrt, where
 from pgm.kernels.step import AnyMatrix
 
 # As of `gaussian` and `moments`.
@@ -100,9 +100,9 @@ def _on_chart(
         here = value_at(w, motion, at, mean)
         further = value_at(w, motion, at, m.replaced(mean, turned))
         for new, old, _ in motion.turning:
-            turns = nearest_whole((found[new] - before[old, 0]) / step.TURN)
+            nearer = found[new] - step.turns(found[new] - before[old, 0])
             wraps = abs(further[new, 0] - here[new, 0]) < pi
-            charted[new].set(where(wraps, found[new] - step.TURN * turns, found[new]))
+            charted[new].set(where(wraps, nearer, found[new]))
     return m.replaced(value, {new: variable.get() for new, variable in charted.items()})
 
 

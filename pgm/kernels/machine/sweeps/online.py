@@ -237,4 +237,4 @@ def _is_moderate(w: Writer, mean: AnyMatrix, cov: AnyMatrix, before: AnyMatrix) 
     for x, variance, old in zip(m.beside(mean), m.diagonal(cov), m.diagonal(before), strict=True):
         none = (x == 0.0) & (variance == 0.0) & (old == 0.0)  # as behind the last component
         found.append(none | ((variance > _REGULAR * old) & (x * x < _FAR * variance)))
-    return w.together(and_, found) & (m.open_share(cov) > _REGULAR)
+    return w.together(and_, found) & (w.open_share(cov) > _REGULAR)

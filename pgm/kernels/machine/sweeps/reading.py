@@ -9,17 +9,18 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from pgm.kernels import step
-from pgm.kernels.arrays import LOG_2PI
 from pgm.kernels.gaussian import NEARLY_SINGULAR
 from pgm.kernels.machine.emitter.numbers import Number
 from pgm.kernels.machine.emitter.wholes import Whole
-from pgm.kernels.machine.sweeps.called import Rows, rows_of
+from pgm.kernels.machine.sweeps.called import rows_of
 from pgm.kernels.machine.sweeps.control import Anchor, Control, Solve, tried
-from pgm.kernels.machine.sweeps.cpd import REGULAR, Line, keep, linearised, readings
+from pgm.kernels.machine.sweeps.cpd import REGULAR
 from pgm.kernels.machine.sweeps.matrices import Belief
-from pgm.kernels.machine.sweeps.outliers import REWEIGHINGS, Weighing, gated, kept_surplus, surplus
+from pgm.kernels.machine.sweeps.outliers import gated, kept_surplus, surplus
 from pgm.kernels.machine.sweeps.settling import Settling, moved
+from pgm.kernels.machine.sweeps.sighting import Point, Sighting
 from pgm.kernels.machine.sweeps.told import Forward, Sensor
+from pgm.kernels.machine.sweeps.weighing import REWEIGHINGS, Weighed, Weighing, weighed_alone
 from pgm.kernels.machine.sweeps.writer import Writer
 from pgm.kernels.numbers import least, where
 from pgm.kernels.step import AnyMatrix
@@ -107,22 +108,6 @@ class Taken:
         self._settled.set(settled)
 
 
-class Point(NamedTuple):
-    """Where the measurements of a step are linearised, and what they are taken into.
-
-    `mean` and `cov` are the predicted moments, `at` and `about` those of the linearisation. `first`
-    is whether this is the first linearisation, None if there is one alone. An `anchor` is taken in
-    as well.
-    """
-
-    mean: AnyMatrix
-    cov: AnyMatrix
-    at: AnyMatrix
-    about: AnyMatrix
-    first: Number | None
-    anchor: Anchor | None = None
-
-
 def taken(
     w: Writer, chain: Forward, at: Whole, mean: AnyMatrix, cov: AnyMatrix, *, decided: bool = False
 ) -> Taken:
@@ -132,7 +117,7 @@ def taken(
     """
     found = Taken(w, mean, cov)
     weighing = None
-    if any(sensor.weighs for sensor in chain.sensors):
+    if chain.alone is None and any(sensor.weighs for sensor in chain.sensors):
         weighing = Weighing(w, mean, cov)
     anchor = None
     if chain.anchor:
@@ -203,7 +188,10 @@ def _trial(w: Writer, chain: Forward, at: Whole, mean: AnyMatrix, cov: AnyMatrix
 def _solved(
     w: Writer, chain: Forward, at: Whole, found: Taken, point: Point, weighing: Weighing | None
 ) -> None:
-    """Take in the measurements of a step, the robust ones by weights that have settled."""
+    """Take in the measurements of a step, the robust ones by weights that have settled.
+
+    They settle in turns of a `weighing`, unless the only one is weighed before it is taken in.
+    """
     if weighing is None:
         found.begin(point.mean, point.cov)
         _once(w, chain, at, found, point, None)
@@ -255,12 +243,19 @@ def _once(
 ) -> None:
     """Take in the measurements of a step, linearised at a point, where that is not `shown`."""
     fresh = point.first is None  # no measurement has moved the belief from the point yet
+    again = None if weighing is None else weighing.again
     for sensor in chain.sensors:
         fresh = fresh and sensor.bounds is None
         with w.each_sighting(sensor, at) as row:
             rows = rows_of(w, sensor, at, row)
-            sighting = shown.get(sensor) or Sighting.of(w, sensor, row, point, weighing, rows)
-            read(w, sensor, row, sighting, found, point, weighing, fresh=fresh)
+            sighting = shown.get(sensor) or Sighting.of(w, sensor, row, point, again, rows)
+            weighed = None
+            if sensor.weighs and weighing is not None:
+                weighed = weighing.weigh(sensor, row, sighting, point)
+            elif sensor.weighs:
+                weighed, settled = weighed_alone(w, sensor, row, sighting, point)
+                found.settle(settled)
+            read(w, sensor, row, sighting, found, point, weighed, weighing, fresh=fresh)
         fresh = False
     if point.anchor is not None:
         found.hold(point.anchor)
@@ -273,28 +268,22 @@ def read(
     sighting: Sighting,
     found: Taken,
     point: Point,
-    weighing: Weighing | None,
+    weighed: Weighed | None = None,
+    weighing: Weighing | None = None,
     *,
     fresh: bool = False,
 ) -> None:
-    """Take in a sighting; `fresh` says that no other of its step is taken in yet."""
+    """Take in a sighting, as it was `weighed` if its noise is robust, in a turn of a `weighing`.
+
+    `fresh` says that no other of its step is taken in yet.
+    """
     line, noise = sighting.line, sighting.noise
-    begins = point.first
-    if weighing is not None:
-        begins = ~weighing.again if begins is None else begins & ~weighing.again
     surplus_of: Callable[[], Any] = float
     if sensor.loss is not None:
         count = sighting.count
         if sensor.weighs:
-            assert weighing is not None
-            assert begins is not None
-            belief = weighing.belief
-            residual = sighting.left - sighting.matrix @ (belief.mean - point.at)
-            cov = belief.cov if sensor.loss.expects else None
-            square = step.weighed_square(
-                residual, sighting.own, sighting.matrix, cov, sighting.error
-            )
-            weight, of = weighing.weigh(sensor, at, square, count, begins)
+            assert weighed is not None
+            weight, of = weighed
             noise = sighting.weighed(weight)
             noise = noise if sighting.error is None else noise + sighting.error
             if sensor.kept is not None:  # of components that are missing, or rejected, as well
@@ -319,7 +308,7 @@ def read(
             w.code.constant(_MILD),
         )
         told.set(sighting.density(after) + surplus_of())
-        mild.set((after.square < _FARTHEST) & _is_positive(w, noise - whole.scaled(part)))
+        mild.set((after.square < _FARTHEST) & ((noise - whole.scaled(part)).root().share > 0.0))
     density, sharp = told.get(), mild.get()
     if sensor.gate is None:
         sure = line.sure & (after.share > NEARLY_SINGULAR) & sharp
@@ -330,6 +319,7 @@ def read(
     if not fresh:
         alone = step.innovation(sighting.left, whole)
         square, share = alone.square, least(alone.share, after.share)
+    begins = point.first if weighing is None else weighing.begins(point)
     rejected = gated(w, sensor, at, square, sighting.count, begins)
     sure = line.sure & (share > NEARLY_SINGULAR) & (rejected | sharp)
     found.take(
@@ -344,73 +334,3 @@ def read(
         rejected.number(),
         where(sighting.count > 0.0, 1.0, 0.0),
     )
-
-
-class Sighting(NamedTuple):
-    """A sighting as linearised: z = value + H (x − m) + e over the whole slice.
-
-    `left` is z − value, `own` and `error` are the covariances of the noise and of the line's error,
-    None for zero, and `count` is how many components were measured; others say nothing. `stands` is
-    the part of `own` that stands for these, None where there are none. `line` is the linearisation
-    by itself, over the sensor's parents.
-    """
-
-    line: Line
-    left: AnyMatrix
-    matrix: AnyMatrix
-    own: AnyMatrix
-    error: AnyMatrix | None
-    count: Any
-    stands: AnyMatrix | None = None
-
-    @classmethod
-    def of(
-        cls,
-        w: Writer,
-        sensor: Sensor,
-        at: Whole,
-        point: Point,
-        weighing: Weighing | None = None,
-        rows: Rows | None = None,
-    ) -> Sighting:
-        """A sensor's sighting at a row, linearised at a point, its angles on the nearest branch.
-
-        `rows` tell the CPD's own row, and those that are linearised with it; see `linearised`.
-        """
-        m, parents = w.matrices, sensor.parents
-        x = point.at.part(parents, (0,))
-        again = None if weighing is None else weighing.again
-        about, of = point.about.part(parents, parents), at if rows is None else rows.at
-        line = linearised(w, sensor, of, x, about, again, rows)
-        keep(w, sensor, at, x, line)
-        values = readings(w, sensor, at, line.value)
-        left, matrix = values - line.value, m.widened(line.matrix, parents, point.at.shape[0])
-        if not sensor.missing:
-            return cls(line, left, matrix, line.own, line.error, float(sensor.height))
-        known = [value == value for value in m.beside(values)]
-        left, matrix, own = m.seen(known, left, matrix, line.own)
-        error = None if line.error is None else m.kept(known, line.error)
-        missing = w.sum([1.0 - truth.number() for truth in known])
-        stands = own - m.kept(known, own) if sensor.weighs else None
-        return cls(line, left, matrix, own, error, float(sensor.height) - missing, stands)
-
-    def weighed(self, weight: Any) -> AnyMatrix:
-        """The covariance of the noise by a weight, which is not of what was not measured."""
-        if self.stands is None:
-            return self.own.scaled(1.0 / weight)
-        return (self.own - self.stands).scaled(1.0 / weight) + self.stands
-
-    def density(self, of: step.Updated | step.Innovation) -> Any:
-        """The log-density of what was measured, by how likely it is."""
-        return -0.5 * (of.square + LOG_2PI * self.count) - of.volume
-
-    @property
-    def noise(self) -> AnyMatrix:
-        """The covariance of e."""
-        return self.own if self.error is None else self.own + self.error
-
-
-def _is_positive(w: Writer, matrix: AnyMatrix) -> Any:
-    """Whether a matrix is positive definite."""
-    positive: Number = (matrix[0, 0] > 0.0) & (w.matrices.open_share(matrix) > 0.0)
-    return positive

@@ -15,7 +15,6 @@ from pgm.kernels.machine.sweeps.cpd import Line, keep, linearised, readings
 from pgm.kernels.machine.sweeps.outliers import is_rejected, square_of, weight_of
 from pgm.kernels.machine.sweeps.told import Array, Forward, Linearised, Motion, Sensor
 from pgm.kernels.machine.sweeps.writer import Writer
-from pgm.kernels.numbers import nearest_whole
 from pgm.kernels.step import AnyMatrix
 
 # A number from which on little or nothing can be told.
@@ -133,5 +132,5 @@ def _on_chart(w: Writer, motion: Motion, line: Line, child: AnyMatrix) -> Line:
     value, near = line.value, {}
     for k in motion.angles:
         x = value[k, 0]
-        near[k] = x + step.TURN * nearest_whole((child[k, 0] - x) / step.TURN)
+        near[k] = x + step.turns(child[k, 0] - x)
     return line._replace(value=w.matrices.replaced(value, near))

@@ -207,8 +207,8 @@ class Loss:
     `weight(s)` and `surplus(s, w)`, the log-density less that of N(0, R / w), are traces by how
     many components were measured; of just the last where none may be missing. Weights and the
     squares that they are of are kept by row, those of a step control's trials in `trial`. `cost(s)`
-    is twice the loss. `expects` says that squares are expected under the belief; `found` that
-    weights are as kept, and only the surplus is due.
+    is twice the loss. `expects` says that squares are expected under the belief; `lone` that no
+    step has two sightings; `found` that weights are as kept, and only the surplus is due.
     """
 
     weight: tuple[Function, ...]
@@ -217,6 +217,7 @@ class Loss:
     weights: Array
     squares: Array
     expects: bool
+    lone: bool
     found: bool
     trial: tuple[Array, ...] = ()
 
@@ -334,6 +335,19 @@ class Forward:
     controlled: bool = False
     anchor: tuple[Array, ...] = ()
     asked: Array | None = None
+
+    @property
+    def alone(self) -> Sensor | None:
+        """The sensor of robust noise of which a step has one sighting, or none, weighed by itself.
+
+        Nothing else moves a belief within a step, and no gate asks for the square of a weight 1.
+        """
+        if len(self.sensors) != 1 or self.anchor:
+            return None
+        (sensor,) = self.sensors
+        loss = sensor.loss
+        lone = loss is not None and loss.lone and not loss.found
+        return sensor if lone and sensor.gate is None else None
 
 
 @dataclass(frozen=True, kw_only=True)

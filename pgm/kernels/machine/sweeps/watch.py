@@ -59,9 +59,9 @@ class Watch:
             low = (doubtful | often) & (left < known)
             level.set(where(low, left, known))
         with w.code.when(w.code.some(doubtful)), m.scratch():
-            found = m.open_share(before)
+            found = w.open_share(before)
             closest.set(where(doubtful & (found < closest.get()), found, closest.get()))
         with w.code.when(w.code.some(doubtful | often)), m.scratch():
-            found = m.open_share(after)
+            found = w.open_share(after)
             closest.set(where((doubtful | often) & (found < closest.get()), found, closest.get()))
         self._closest.set(least(closest.get(), self.closest))

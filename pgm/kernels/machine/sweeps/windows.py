@@ -86,7 +86,7 @@ class _Window:
             belief.set(after.mean, after.cov)
             self._be_sure(after.sure)
         found = taken(w, ahead, self._newest, belief.mean, belief.cov)
-        share = step.open_share(belief.cov)
+        share = w.open_share(belief.cov)
         self._be_sure(found.sure & (share > MODERATE))
 
     def settle(self) -> None:
@@ -185,7 +185,7 @@ class _Window:
             w.keep(chain.known[1], spread, at)
             w.at(chain.density, at).store(0, found.density)
             self._density.set(self._density.get() + found.density)
-            self._doubt(found.sure & hold(w, cov, spread) & (step.open_share(spread) > MODERATE))
+            self._doubt(found.sure & hold(w, cov, spread) & (w.open_share(spread) > MODERATE))
             self._doubt(~is_far(w, known, spread))
             belief.set(known, spread)
         return belief

@@ -10,6 +10,7 @@ from math import prod
 from operator import add
 from typing import Any
 
+from pgm.kernels import step
 from pgm.kernels.machine.emitter.code import Code
 from pgm.kernels.machine.emitter.functions import Function
 from pgm.kernels.machine.emitter.memory import Cells, Memory, Runs
@@ -149,6 +150,12 @@ class Writer:
     def sum(self, numbers: Sequence[Any]) -> Any:
         """The sum of numbers that are side by side, of zero where there is nothing to add."""
         return self.together(add, numbers) if numbers else self.code.constant(0.0)
+
+    def open_share(self, cov: AnyMatrix) -> Number:
+        """The least share of a variance that is left open; see `step.open_share`."""
+        varies = [variance != 0.0 for variance in self.matrices.diagonal(cov)]
+        found: Number = step.open_share(cov, self.matrices.truths(varies, cov.shape[0]))
+        return found
 
     @property
     def true(self) -> Number:
