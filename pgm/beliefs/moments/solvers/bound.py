@@ -20,8 +20,9 @@ import numpy as np
 
 from pgm.beliefs.moments.compiled import sweep
 from pgm.beliefs.moments.compiled.judged import evaluated, standing
-from pgm.beliefs.moments.compiled.plans import Get, Integers64, Uncompiled
-from pgm.beliefs.moments.compiled.table import Named, NamedTable, lies
+from pgm.beliefs.moments.compiled.named_table import Named, NamedTable, lies
+from pgm.beliefs.moments.compiled.table import Get, Integers64
+from pgm.beliefs.moments.compiled.uncompiled import Uncompiled
 from pgm.beliefs.moments.digits.certificate import MODERATE
 from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
 from pgm.beliefs.moments.passes.backward import Beliefs, transition
