@@ -82,6 +82,10 @@ class Buffer:
     def _rows(self, entries: Integers, rows: Integers) -> Rows:
         """The rows A (V, B, k, n) at indices `entries` (B, k, n), with r at `rows` (B, k)."""
         exact = () if self.exact is None else self.exact.at(entries, rows)
+        if not any(
+            part.any() for part in exact
+        ):  # of most clusters of a network that has relations
+            exact = ()
         return Rows(*self.proper.at(entries, rows), *exact)
 
     def eliminate(self, stack: Stack) -> tuple[Eliminated, Array]:
@@ -125,9 +129,10 @@ class Buffer:
         """
         entries, rows = self.out(stack.members, stack.kept)
         self.proper.put(entries, rows, rest.matrix, rest.right)
+        if self.exact is not None:
+            self.exact.put(entries, rows)
         if self.exact is not None and rest.exact is not None and rest.exact_right is not None:
             count = rest.exact.shape[2]
-            self.exact.put(entries, rows)
             self.exact.put(entries[:, :count], rows[:, :count], rest.exact, rest.exact_right)
         if log_scale is not None:
             self.log_scale[:, len(self.rounds.layout.scopes) + stack.members] = log_scale
