@@ -82,10 +82,6 @@ class Buffer:
     def _rows(self, entries: Integers, rows: Integers) -> Rows:
         """The rows A (V, B, k, n) at indices `entries` (B, k, n), with r at `rows` (B, k)."""
         exact = () if self.exact is None else self.exact.at(entries, rows)
-        if not any(
-            part.any() for part in exact
-        ):  # of most clusters of a network that has relations
-            exact = ()
         return Rows(*self.proper.at(entries, rows), *exact)
 
     def eliminate(self, stack: Stack) -> tuple[Eliminated, Array]:
@@ -96,7 +92,13 @@ class Buffer:
         second are the log-scales of the integrals, (V, B, N), taken in the user's units. Exact
         relations that contradict one another are a NumericalError.
         """
-        done = eliminate(self.factor(stack), stack.drop)
+        factor = self.factor(stack)
+        if factor.exact is None or any(np.any(part) for part in factor[2:]):
+            done = eliminate(factor, stack.drop)
+        else:  # as at most clusters of a network that has relations
+            done = eliminate(Rows(factor.matrix, factor.right), stack.drop)
+            none = np.zeros_like(done.rest.matrix), np.zeros_like(done.rest.right)
+            done = done._replace(rest=Rows(done.rest.matrix, done.rest.right, *none))
         self.largest = float(np.maximum(self.largest, done.largest))  # NaN stays
         if done.contradiction is not None and done.contradiction.any():
             v, b, n = (int(axis[0]) for axis in np.nonzero(done.contradiction))
@@ -129,10 +131,9 @@ class Buffer:
         """
         entries, rows = self.out(stack.members, stack.kept)
         self.proper.put(entries, rows, rest.matrix, rest.right)
-        if self.exact is not None:
-            self.exact.put(entries, rows)
         if self.exact is not None and rest.exact is not None and rest.exact_right is not None:
             count = rest.exact.shape[2]
+            self.exact.put(entries, rows)
             self.exact.put(entries[:, :count], rows[:, :count], rest.exact, rest.exact_right)
         if log_scale is not None:
             self.log_scale[:, len(self.rounds.layout.scopes) + stack.members] = log_scale
