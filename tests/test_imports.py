@@ -42,6 +42,8 @@ ROOMS = {
         *("association", "outcomes", "solvers", "parts", "online"),
     ),
     "pgm.inference": ("audit", "query"),
+    "pgm.kernels.machine": ("emitter", "matrices", "sweeps", "newton"),
+    "pgm.kernels.machine.matrices": ("in_memory",),
     "pgm.plot": ("drawing", "beliefs", "diagrams", "moving", "statistics"),
     "pgm.recordings": ("drives", "readers"),
 }

@@ -18,13 +18,13 @@ from pgm.kernels.machine.emitter.module import Module
 from pgm.kernels.machine.emitter.numbers import Number
 from pgm.kernels.machine.emitter.variables import Variable
 from pgm.kernels.machine.emitter.wholes import Address, Whole
-from pgm.kernels.machine.loops.frame import Frame
-from pgm.kernels.machine.loops.loops import Loops
+from pgm.kernels.machine.matrices.in_memory.frame import Frame
+from pgm.kernels.machine.matrices.lines import Lines
+from pgm.kernels.machine.matrices.loops import Loops
+from pgm.kernels.machine.matrices.protocol import Belief, Matrices
 from pgm.kernels.machine.newton.equations import PACK, Layout
 from pgm.kernels.machine.newton.squares import Rows
 from pgm.kernels.machine.sweeps import told
-from pgm.kernels.machine.sweeps.lines import Lines
-from pgm.kernels.machine.sweeps.matrices import Belief, Matrices
 from pgm.kernels.machine.sweeps.writer import Writer
 from pgm.kernels.normal_equations import eliminate, substitute
 
