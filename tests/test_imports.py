@@ -44,6 +44,7 @@ ROOMS = {
     "pgm.inference": ("audit", "query"),
     "pgm.kernels.machine": ("emitter", "matrices", "sweeps", "newton"),
     "pgm.kernels.machine.matrices": ("in_memory",),
+    "pgm.kernels.machine.sweeps": ("told",),
     "pgm.plot": ("drawing", "beliefs", "diagrams", "moving", "statistics"),
     "pgm.recordings": ("drives", "readers"),
 }
