@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.kernels.arrays import Array, address
+from pgm.kernels.step import turns
 from pgm.tracing.measures import (
     APART,
     BESIDE,
@@ -50,7 +51,6 @@ if TYPE_CHECKING:
 _OPERATIONS, _ENTRIES = 400, 40
 # For how many numbers of points the extent of memory is kept.
 _EXTENTS = 16
-_TURN = 2.0 * math.pi
 # A unit in the last place of x is between these shares of it.
 _UNIT = 2.0**-53, 2.0**-52
 
@@ -375,7 +375,8 @@ class Clearing:
             for i in range(height):
                 value, answer = due.load(k * height + i), told.load(k * height + i)
                 known = abs(value) < inf
-                error = abs(_wrapped(answer - value) if angles[i] else answer - value)
+                off = answer - value
+                error = abs(off - turns(off) if angles[i] else off)
                 fine = known & (error <= least[i] + OF_VALUE * abs(value))
                 fine = fine | (~known & ~(abs(answer) < inf))
                 doubtful.set(doubtful.get() | ~fine)
@@ -408,7 +409,7 @@ class Clearing:
             value = [due.load((count * 2 + place * 4 + q) * height + i) for q in range(4)]
             near, far = value[0] - value[1], value[2] - value[3]
             if self._angles[i]:
-                near, far = _wrapped(near), _wrapped(far)
+                near, far = near - turns(near), far - turns(far)
             return (8.0 * near - far) / (12.0 * scale)
 
         with code.loop(len(SCALES)) as s:
@@ -486,11 +487,6 @@ def _keep(memory: Memory, row: Whole, numbers: Sequence[Any]) -> None:
 def _told(deviation: Number) -> Number:
     """A deviation to judge by, as of `slopes.told`."""
     return ((deviation > 0.0) & (deviation < math.inf)).where(deviation, UNTOLD)
-
-
-def _wrapped(angle: Number) -> Number:
-    """An angle less the nearest whole number of turns."""
-    return angle - _TURN * (angle / _TURN).apply("rint")
 
 
 def _flag(code: Code, truth: Number) -> Whole:

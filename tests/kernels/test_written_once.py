@@ -218,13 +218,16 @@ def turns(source):
     def is_found(part, _):
         if isinstance(part, ast.BinOp) and isinstance(part.op, ast.Mod | ast.FloorDiv):
             return any(map(is_turn, ast.walk(part.right)))
-        return called(part)[0] in whole and any(map(is_turn, ast.walk(part)))
+        name, _ = called(part)
+        if name == "apply":
+            name = getattr(part.args[0], "value", "")
+        return name in whole and any(map(is_turn, ast.walk(part)))
 
     return found_in(source, is_found)
 
 
 def is_turn(node):
-    return named(node) in {"TURN", "pi", "tau"}
+    return named(node).strip("_") in {"TURN", "pi", "tau"}
 
 
 def gaps(source):
@@ -405,6 +408,7 @@ OTHERS = [
     (solutions, "scipy.linalg.cho_solve((lower, True), cross)"),
     (turns, "residual - 2.0 * np.pi * np.round(residual / (2.0 * np.pi))"),
     (turns, "(residual + np.pi) % (2.0 * np.pi) - np.pi"),
+    (turns, "angle - _TURN * (angle / _TURN).apply('rint')"),
     (gaps, "np.where(known[:, None] & known, noise, np.eye(3))"),
     (weighed_squares, "transpose(weights[:, None] * left) @ left"),
     (weighed_squares, "(left if signs is None else signs[:, None] * left).T.dot(left)"),
