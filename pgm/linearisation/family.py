@@ -61,6 +61,7 @@ from pgm.linearisers import (
 )
 from pgm.linearisers.function import Source
 from pgm.linearisers.lineariser import Misfit, Prepared, needs_cov, prepare
+from pgm.linearisers.numbering import COUNTED, Numbering
 from pgm.tracing import Answers, Judge, Tracer
 from pgm.variables import Variable
 
@@ -99,27 +100,27 @@ class Family(Rows):
         *,
         timed: bool = True,
         template: FunctionTemplate | None = None,
-        first_run: int = 0,
+        numbering: Numbering = COUNTED,
     ) -> Family:
         """Lay out a CPD with its evidence bound; an affine one has F, b and Q at once.
 
         `hidden` are the parents without evidence; `step` (rows,) is the step of each row, `inputs`
         are the other parents' values (rows, runs or 1, d) and `lead` the shape of the user's axes
-        of runs. The texts of exceptions number the runs from `first_run` on. `timed` is False of a
-        network without time. For a nonlinear CPD a `template` is made if none is given, and the
-        CPD's own lineariser, if it has one, takes the place of `lineariser`. A CPD that is neither
-        affine nor nonlinear Gaussian is a `ModelError`.
+        of runs, whose `numbering` the texts of errors have. `timed` is False of a network without
+        time. For a nonlinear CPD a `template` is made if none is given, and the CPD's own
+        lineariser, if it has one, takes the place of `lineariser`. A CPD that is neither affine nor
+        nonlinear Gaussian is a `ModelError`.
         """
         rows, runs = step.size, math.prod(lead)
         height, width = cpd.child.dimension, dimension(hidden)
-        noise = own_noise(cpd, step if timed else None, rows, inputs, lead, first_run)
+        noise = own_noise(cpd, step if timed else None, rows, inputs, lead, numbering)
         if isinstance(cpd, NonlinearGaussianCPD):
             template = template or cpd._template(hidden)
             lineariser = cpd.lineariser or lineariser
         elif not isinstance(cpd, AffineCPD):
             raise ModelError(f"{cpd!r} is of no kind that inference knows", cpd=cpd)
         batch = () if runs == 1 else (runs,)
-        known = cpd, hidden, step, inputs, lineariser, template, noise, timed, first_run, batch
+        known = cpd, hidden, step, inputs, lineariser, template, noise, timed, numbering, batch
         made = cls(*known)
         made.noise = np.broadcast_to(noise, (rows, runs, height, height))
         if isinstance(cpd, AffineCPD):
@@ -169,9 +170,9 @@ class Family(Rows):
         never linearised, stays the same object. `lead` is as of `make`.
         """
         if self.noisy or (self.exact and inputs):
-            timed, first = self.timed, self.first_run
+            timed, numbering = self.timed, self.numbering
             parts = self.cpd, self.hidden, self.step, inputs, self.lineariser, lead
-            return Family.make(*parts, timed=timed, template=self.template, first_run=first)
+            return Family.make(*parts, timed=timed, template=self.template, numbering=numbering)
         if self.settled:
             return self
         part = object.__new__(Family)
@@ -190,7 +191,7 @@ class Family(Rows):
             self,
             inputs={parent: cut(values, runs) for parent, values in self.inputs.items()},
             own_noise=cut(self.own_noise, runs),
-            first_run=self.first_run + runs.start,
+            numbering=self.numbering.after(runs.start),
             batch=() if count == 1 else (count,),
         )
         part.noise = cut(self.noise, runs)
