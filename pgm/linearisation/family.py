@@ -23,7 +23,7 @@ traces.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -101,6 +101,7 @@ class Family(Rows):
         timed: bool = True,
         template: FunctionTemplate | None = None,
         numbering: Numbering = COUNTED,
+        plate: Sequence[ConditionalGaussian] = (),
     ) -> Family:
         """Lay out a CPD with its evidence bound; an affine one has F, b and Q at once.
 
@@ -110,27 +111,47 @@ class Family(Rows):
         time. For a nonlinear CPD a `template` is made if none is given, and the CPD's own
         lineariser, if it has one, takes the place of `lineariser`. A CPD that is neither affine nor
         nonlinear Gaussian is a `ModelError`.
+
+        The rows are of the CPDs of a `plate` (`pgm.cpds.plates`), whose first is `cpd`, if they are
+        not all copies of this one.
         """
         rows, runs = step.size, math.prod(lead)
         height, width = cpd.child.dimension, dimension(hidden)
+        copies = all(each.origin is cpd.origin for each in plate)
+        plate = () if copies else tuple(plate)
         noise = own_noise(cpd, step if timed else None, rows, inputs, lead, numbering)
+        if plate:
+            noise = np.concatenate([own_noise(each, None, 1, {}, lead, COUNTED) for each in plate])
         if isinstance(cpd, NonlinearGaussianCPD):
             template = template or cpd._template(hidden)
+            if plate:
+                variances = np.diagonal(noise, axis1=-2, axis2=-1).min(axis=(0, 1))
+                template = replace(template, variances=tuple(variances.tolist()))
             lineariser = cpd.lineariser or lineariser
         elif not isinstance(cpd, AffineCPD):
             raise ModelError(f"{cpd!r} is of no kind that inference knows", cpd=cpd)
         batch = () if runs == 1 else (runs,)
         known = cpd, hidden, step, inputs, lineariser, template, noise, timed, numbering, batch
         made = cls(*known)
-        made.noise = np.broadcast_to(noise, (rows, runs, height, height))
+        made.plate, made.noise = plate, np.broadcast_to(noise, (rows, runs, height, height))
         if isinstance(cpd, AffineCPD):
-            constant, shift = cpd._affine(hidden, inputs)
-            if not cpd.given and shift.ndim > 1:
-                shift = np.broadcast_to(shift, (*lead, height)).reshape(1, runs, height)
-            made.affine = constant, shift if shift.ndim == 3 else shift[None, None]
-            made.matrix = np.broadcast_to(constant, (rows, runs, height, width))
+            constant, shift = made._affine_of_all(lead)
+            made.affine = constant, shift
+            made.matrix = np.broadcast_to(constant[..., None, :, :], (rows, runs, height, width))
             made.offset = np.broadcast_to(shift, (rows, runs, height))
         return made
+
+    def _affine_of_all(self, lead: tuple[int, ...]) -> tuple[Array, Array]:
+        """F (d, n), or (rows, d, n) of a plate, and b (rows or 1, runs or 1, d) of affine CPDs."""
+        if not self.plate:
+            return _affine(self.cpd, self.hidden, self.inputs, lead)
+        parts = []
+        for row, cpd in enumerate(self.plate):
+            own = self.parents_at(row)
+            inputs = {own[p]: values[row : row + 1] for p, values in self.inputs.items()}
+            parts.append(_affine(cpd, tuple(own[p] for p in self.hidden), inputs, lead))
+        matrices, shifts = zip(*parts, strict=True)
+        return np.stack(matrices), np.concatenate(shifts)
 
     @cached_property
     def shape(self) -> tuple[int, ...]:
@@ -371,14 +392,40 @@ class Family(Rows):
         left as it is.
         """
         if self.template is not None:
-            function = self.bound(rows, mean.ndim - 1, mean.shape[:-1])
-            line = self.checked(function, mean, cov)
+            line = self._line_at(rows, mean, cov)
             at = components_first(mean, 1)
             offset = line.value - times(line.matrix, at)
             error = None if line.error is None else components_last(line.error, 2)
             self.store(
                 rows, components_last(line.matrix, 2), components_last(offset, 1), error, active
             )
+
+    def _line_at(self, rows: Some, mean: Array, cov: Array) -> Line:
+        """The `Line` of some rows; of a plate an error is that of the first row which has one."""
+        function = self.bound(rows, mean.ndim - 1, mean.shape[:-1])
+        try:
+            return self.checked(function, mean, cov)
+        except Exception as error:
+            if not self.plate:
+                raise
+            fault = error
+        if isinstance(rows, int):
+            rows, mean, cov = slice(rows, rows + 1), mean[None], cov[None]
+        for row, *at in zip(range(self.step.size)[rows], mean, cov, strict=True):
+            self.alone(row).linearise(0, *at)
+        raise fault
+
+    def alone(self, row: int) -> Family:
+        """One row of a plate, as a family of its own CPD."""
+        part, own = self.window(row, row + 1), self.parents_at(row)
+        for name in ("bare", "source", "order", "prepared", "_constant_noise", "_constant_at"):
+            part.__dict__.pop(name, None)
+        part.cpd, part.plate = self.cpd_at(row), ()
+        part.hidden = tuple(own[parent] for parent in self.hidden)
+        part.inputs = {own[parent]: values for parent, values in part.inputs.items()}
+        if isinstance(part.cpd, NonlinearGaussianCPD):
+            part.template = part.cpd._template(part.hidden)
+        return part
 
     def checked(
         self, function: BoundFunction, mean: Array, cov: Array, *, finite: bool = True
@@ -591,6 +638,20 @@ class Family(Rows):
             else None
             for parent, place in zip(self.template.given, self.template.places, strict=True)
         ]
+
+
+def _affine(
+    cpd: ConditionalGaussian,
+    hidden: Scope,
+    inputs: Mapping[Variable, Array],
+    lead: tuple[int, ...],
+) -> tuple[Array, Array]:
+    """F (d, n) and b (rows or 1, runs or 1, d) of an affine CPD."""
+    assert isinstance(cpd, AffineCPD)
+    constant, shift = cpd._affine(hidden, inputs)
+    if not cpd.given and shift.ndim > 1:
+        shift = np.broadcast_to(shift, (*lead, shift.shape[-1])).reshape(1, -1, shift.shape[-1])
+    return constant, shift if shift.ndim == 3 else shift[None, None]
 
 
 def _unplaced(function: BoundFunction) -> At:

@@ -70,9 +70,11 @@ class Rows:
     other parents. `template` has the function, None of an affine CPD, whose F (d, n) and b (rows or
     1, runs or 1, d) are `affine`. `own_noise` (rows or 1, runs or 1, d, d) is the CPD's own noise
     covariance. `batch` is (runs,), or () for one run; `numbering` is of the axis of runs, for the
-    texts of errors. A *trace* is a function recorded as a graph of scalar operations
-    (`pgm.tracing`). `answers` records the values and slopes that the function's trace gives in this
-    call, for a comparison with the function afterwards; None without that.
+    texts of errors. The rows may be of several CPDs, a `plate`, which differ in their variables,
+    numbers and noise alone: then `cpd` and its parents are the first row's, and F is (rows, d, n).
+    A *trace* is a function recorded as a graph of scalar operations (`pgm.tracing`). `answers`
+    records the values and slopes that the function's trace gives in this call, for a comparison
+    with the function afterwards; None without that.
     """
 
     cpd: ConditionalGaussian
@@ -87,6 +89,16 @@ class Rows:
     batch: tuple[int, ...]
     affine: tuple[Array, Array] = field(init=False, repr=False)
     answers: Answers | None = field(default=None, repr=False)
+    plate: tuple[ConditionalGaussian, ...] = field(default=(), repr=False)
+
+    def cpd_at(self, row: int) -> ConditionalGaussian:
+        """The CPD of a row."""
+        return self.plate[row] if self.plate else self.cpd
+
+    def parents_at(self, row: int) -> dict[Variable, Variable]:
+        """The parents of the first CPD, each with the one that has its place at a row."""
+        pairs = zip(self.cpd.parents, self.cpd_at(row).parents, strict=True)
+        return dict(pairs)
 
     @property
     def exact(self) -> bool:
