@@ -15,6 +15,7 @@ from pgm.beliefs.moments.steps.plan import ChainPlan, Link
 from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.compile.machine import Compiled
 from pgm.kernels.arrays import Array, Mask, address, apply, block, independent, room
+from pgm.kernels.machine.newton import problem
 from pgm.kernels.machine.newton import steps as newton
 from pgm.kernels.machine.newton.equations import Layout
 from pgm.kernels.machine.newton.squares import is_small
@@ -57,7 +58,7 @@ class Newton:
         squares = [_measured(plan, sensor, table) for sensor in plan.read]
         squares += [_moved(plan, link, table) for link in plan.transition]
         along = [table.trajectory(each) for each in (self.room[0, 0], *self.room[0])]
-        self.chain = told.Newton(
+        self.chain = problem.Newton(
             size=width,
             rows=tuple(squares),
             active=Table.array(table, self.active),
@@ -130,7 +131,7 @@ class _Table(Table):
         return self.array(array)
 
 
-def _measured(plan: ChainPlan, sensor: Sensor, table: _Table) -> told.Squares:
+def _measured(plan: ChainPlan, sensor: Sensor, table: _Table) -> problem.Squares:
     """A sensor's residuals."""
     family, size = sensor.family, plan.layout.slice_size
     found = _squares(family, places(sensor.parents, size), (), table)
@@ -141,7 +142,7 @@ def _measured(plan: ChainPlan, sensor: Sensor, table: _Table) -> told.Squares:
     if sensor.bounds != list(range(plan.steps + 2)):
         found["bounds"] = table.at(np.array(sensor.bounds, dtype=np.int64))
         found["steps"] = table.at((family.step - plan.first).astype(np.int64))
-    return told.Squares(
+    return problem.Squares(
         **found,
         readings=table.array(values),
         moved=table.array(sensor.moved) if sensor.variable.angles else None,
@@ -149,7 +150,7 @@ def _measured(plan: ChainPlan, sensor: Sensor, table: _Table) -> told.Squares:
     )
 
 
-def _moved(plan: ChainPlan, link: Link, table: _Table) -> told.Squares:
+def _moved(plan: ChainPlan, link: Link, table: _Table) -> problem.Squares:
     """The residuals of a CPD of the transition."""
     layout, family = plan.layout, link.family
     width = layout.slice_size
@@ -159,7 +160,7 @@ def _moved(plan: ChainPlan, link: Link, table: _Table) -> told.Squares:
     if family.template is None:
         found["angles"] = ()  # of a line no angle is on another branch
     found["noise"] = table.array(_weight(family.own_noise))
-    return told.Squares(**found)
+    return problem.Squares(**found)
 
 
 def _squares(
