@@ -60,7 +60,7 @@ from pgm.linearisers import (
     Taylor,
 )
 from pgm.linearisers.function import Source
-from pgm.linearisers.lineariser import Misfit, Prepared, needs_cov, prepare
+from pgm.linearisers.lineariser import Misfit, Prepared, by_values, needs_cov, prepare
 from pgm.linearisers.numbering import COUNTED, Numbering
 from pgm.tracing import Answers, Judge, Tracer
 from pgm.variables import Variable
@@ -402,6 +402,8 @@ class Family(Rows):
 
     def _line_at(self, rows: Some, mean: Array, cov: Array) -> Line:
         """The `Line` of some rows; of a plate an error is that of the first row which has one."""
+        if self.plate and not by_values(self.lineariser):
+            return self._line_of_each(rows, mean, cov)
         function = self.bound(rows, mean.ndim - 1, mean.shape[:-1])
         try:
             return self.checked(function, mean, cov)
@@ -409,11 +411,23 @@ class Family(Rows):
             if not self.plate:
                 raise
             fault = error
-        if isinstance(rows, int):
-            rows, mean, cov = slice(rows, rows + 1), mean[None], cov[None]
-        for row, *at in zip(range(self.step.size)[rows], mean, cov, strict=True):
-            self.alone(row).linearise(0, *at)
+        self._line_of_each(rows, mean, cov)
         raise fault
+
+    def _line_of_each(self, rows: Some, mean: Array, cov: Array) -> Line:
+        """The `Line` of some rows of a plate, each of which is linearised alone."""
+        if isinstance(rows, int):
+            return self.alone(rows)._line_at(0, mean, cov)
+        every = zip(range(self.step.size)[rows], mean, cov, strict=True)
+        lines = [self.alone(row)._line_at(0, *at) for row, *at in every]
+        none = np.zeros((*self.shape[2:3] * 2, self.shape[1]))
+        return Line(
+            np.stack([line.matrix for line in lines], axis=2),
+            np.stack([line.value for line in lines], axis=1),
+            None
+            if all(line.error is None for line in lines)
+            else np.stack([none if e is None else e for _, _, e in lines], axis=2),
+        )
 
     def alone(self, row: int) -> Family:
         """One row of a plate, as a family of its own CPD."""
@@ -424,7 +438,10 @@ class Family(Rows):
         part.hidden = tuple(own[parent] for parent in self.hidden)
         part.inputs = {own[parent]: values for parent, values in part.inputs.items()}
         if isinstance(part.cpd, NonlinearGaussianCPD):
-            part.template = part.cpd._template(part.hidden)
+            assert self.template is not None
+            template = part.cpd._template(part.hidden)
+            # The trace is the one that this call's judge looks at, or none.
+            part.template = replace(template, tracer=self.template.tracer)
         return part
 
     def checked(

@@ -120,6 +120,16 @@ def prepare(lineariser: Lineariser, template: FunctionTemplate) -> Prepared:
     return prepared if ours else _Checked(prepared)
 
 
+def by_values(lineariser: Lineariser | None) -> bool:
+    """Whether a lineariser asks for nothing but a function's values and derivatives.
+
+    Rules that draw points ask for the name of the CPD's child, too, and one that a user has written
+    may ask for anything, as for the parents.
+    """
+    ours = type(lineariser).__module__.startswith(f"{__package__}.")
+    return ours and not getattr(lineariser, "drawn", False)
+
+
 def needs_cov(lineariser: Lineariser, template: FunctionTemplate) -> bool:
     """Whether a linearisation depends on the belief's covariance; it does unless it says not."""
     need: Any = getattr(lineariser, "needs_cov", True)

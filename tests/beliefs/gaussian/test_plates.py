@@ -1,5 +1,6 @@
 """CPDs of one plate: the answers of each alone, in one call of their function."""
 
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -49,9 +50,27 @@ def posed(function, *, runs=(), hidden=()):
 @pytest.mark.parametrize("runs", [(), (3,)], ids=str)
 @pytest.mark.parametrize("hidden", [(), (2, 3)], ids=str)
 def test_a_plate_has_the_answers_of_each_alone(lineariser, runs, hidden):
+    compare_with_each_alone(lineariser, runs, hidden)
+
+
+def by_name(function, at):
+    """A lineariser of a user's, which knows the parents."""
+    slope = function.jacobian(at.mean)
+    offset = function(at.mean) - (slope @ at.mean[..., None])[..., 0]
+    return pgm.AffineGaussian(slope, offset, cov=(1.0 + (repr(at.scope[0]) == "x2")) * np.eye(3))
+
+
+@pytest.mark.parametrize(
+    "lineariser", [pgm.MonteCarlo(10**2, fresh_per_run=True), by_name], ids=["drawn", "by_name"]
+)
+def test_a_lineariser_that_asks_for_names_is_asked_for_each(lineariser):
+    compare_with_each_alone(lineariser, (3,), (2, 3), iterations=2)
+
+
+def compare_with_each_alone(lineariser, runs, hidden, iterations=4):
     def found(function):
         network, evidence, variables = posed(function, runs=runs, hidden=hidden)
-        graph, rounds = pgm.compile(network), pgm.Calibration(iterations=4, tolerance=0.0)
+        graph, rounds = pgm.compile(network), pgm.Calibration(iterations, tolerance=0.0)
         posterior = pgm.infer(graph, evidence, schedule=rounds, lineariser=lineariser)
         return posterior, [posterior[x] for x in variables]
 
@@ -172,6 +191,31 @@ KNOWN = pgm.NonlinearGaussianCPD(B, A, squared, 1.0, jacobian={A: slope})
 )
 def test_cpds_of_a_plate_differ_in_variables_numbers_and_noise_alone(cpd, same):
     assert (plate(cpd) == plate(KNOWN)) is same
+
+
+@dataclass(frozen=True)
+class Gain:
+    """A part of a CPD that says it is equal to others, and that may be a lineariser, too."""
+
+    gain: float = field(compare=False)
+
+    def __call__(self, *arguments):
+        raise NotImplementedError
+
+    def method(self, *arguments):
+        raise NotImplementedError
+
+
+@pytest.mark.parametrize("part", ["function", "jacobian", "lineariser"])
+def test_equal_parts_are_not_the_same(part):
+    def key(child, parent, value):
+        parts = {"function": squared, part: {parent: value} if part == "jacobian" else value}
+        return plate(pgm.NonlinearGaussianCPD(child, parent, cov=1.0, **parts))
+
+    one, other = Gain(1.0), Gain(2.0)
+    assert one == other
+    assert key(B, A, one) == key(C, B, one) != key(C, B, other)
+    assert key(B, A, one.method) == key(C, B, one.method) != key(C, B, other.method)
 
 
 def test_angles_are_of_another_plate():
