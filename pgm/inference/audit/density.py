@@ -24,7 +24,7 @@ import numpy as np
 
 from pgm.beliefs.moments.steps.plan import Link
 from pgm.cpds import RobustNoise
-from pgm.errors import LinearisationError, NumericalError
+from pgm.errors import LinearisationError, NumericalError, PgmError
 from pgm.factors.scope import names
 from pgm.inference.audit.student import log_ratio, stretch
 from pgm.kernels import normal_density, roots, solving
@@ -104,9 +104,10 @@ class Term:
         if not relative or family.exact:
             return cls(family, own, relative, taken=taken)
         linearised = roots.root(noise)
-        singular = any(roots.determined(root).any() for root in (own, linearised))
-        if singular or not roots.is_proper(linearised):
-            cpd = family.cpd
+        pivots = np.diagonal(linearised, axis1=-2, axis2=-1)
+        bad = np.isnan(pivots) | (pivots == 0.0) | roots.determined(own)
+        if bad.any():
+            cpd = family.cpd_at(_first(bad))
             raise NumericalError(
                 f"{cpd!r} is nonlinear and its noise is singular or that of its linearisation is "
                 "no covariance, beside a sensor without noise or a covariance too near to "
@@ -285,7 +286,14 @@ class Term:
             return self._affine(rows, parents), np.zeros(parents.shape[:-1], dtype=bool)
         function = family.bound(rows, parents.ndim - 2, parents.shape[:-2])
         with np.errstate(all="ignore"):  # non-finite values are refused below
-            value = function(parents)
+            try:
+                value = function(parents)
+            except PgmError:
+                if family.plate:  # whose error names its first CPD
+                    row, place = (rows, 0) if isinstance(rows, int) else (rows.start, slice(1))
+                    alone = family.alone(row)
+                    alone.bound(place, parents.ndim - 2, parents.shape[:-2])(parents)
+                raise
         lost = np.zeros(value.shape[:-1], dtype=bool)
         if not np.isfinite(value).all():
             lost = np.asarray((~np.isfinite(value) & self._seen(rows)).any(axis=-1))
@@ -307,12 +315,13 @@ class Term:
         first = rows if isinstance(rows, int) else rows.start + where[0]
         step = int(family.step[first]) if family.timed else None
         at = "" if step is None else f" at step {step}"
+        cpd, own = family.cpd_at(first), family.parents_at(first)
         raise LinearisationError(
-            f"{family.cpd!r}: its function{at}, run {where[-2]}, is NaN or infinite at a draw from "
-            f"the posterior, {names(family.hidden)} = {parents[where]}; an audit needs the model "
-            "wherever the Gaussian answer puts weight",
-            variable=family.cpd.child,
-            cpd=family.cpd,
+            f"{cpd!r}: its function{at}, run {where[-2]}, is NaN or infinite at a draw from the "
+            f"posterior, {names([own[parent] for parent in family.hidden])} = {parents[where]}; an "
+            "audit needs the model wherever the Gaussian answer puts weight",
+            variable=cpd.child,
+            cpd=cpd,
             step=step,
             run=where[-2],
         )
@@ -327,10 +336,10 @@ def has_exact(read: Iterable[Family]) -> bool:
 
     A nonlinear sensor with singular noise raises a NumericalError.
     """
-    found = [f for f in read if roots.determined(roots.root(f.own_noise)).any()]
-    for family in found:
+    found = [(f, fixed) for f in read if (fixed := roots.determined(roots.root(f.own_noise))).any()]
+    for family, fixed in found:
         if not family.exact:
-            cpd = family.cpd
+            cpd = family.cpd_at(_first(fixed))
             raise NumericalError(
                 f"{cpd!r} is nonlinear, its noise is singular, and it has measurements: they leave "
                 "a curved set of states, which no Gaussian draw meets; give it noise in all "
@@ -339,6 +348,11 @@ def has_exact(read: Iterable[Family]) -> bool:
                 cpd=cpd,
             )
     return bool(found)
+
+
+def _first(mask: Mask) -> int:
+    """The first row of which anything is marked, of a mask (rows or 1, ...)."""
+    return int(np.nonzero(mask)[0][0])
 
 
 def _at(stacked: Stack, rows: int | slice) -> Stack:

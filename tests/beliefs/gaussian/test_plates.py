@@ -152,6 +152,28 @@ def test_what_is_not_finite_is_named_too(start):
         pgm.infer(pgm.compile(network), evidence, start=own if start else None)
 
 
+@pytest.mark.parametrize(
+    ("fault", "text"),
+    [("singular", "its noise is singular"), ("nan", "is NaN or infinite"), ("raised", "too far")],
+)
+def test_an_audit_names_the_cpd_of_its_row(fault, text):
+    def strict(x):
+        far = x[..., :1] > 4.0
+        if fault == "raised" and far.any():
+            raise ValueError("too far")
+        return np.where(far, np.nan, x) if fault == "nan" else x + 0.1 * np.sin(x)
+
+    near, wide = pgm.Variable("near"), pgm.Variable("wide")
+    cpds = [pgm.GaussianCPD(near, 0.0, 0.01), pgm.GaussianCPD(wide, 0.0, 9.0)]
+    for child, parent in ((B, near), (C, wide)):
+        cov = 0.0 if fault == "singular" and child == C else 1e3
+        cpds.append(pgm.NonlinearGaussianCPD(child, parent, strict, cov))
+    posterior = pgm.infer(pgm.compile(pgm.BayesianNetwork(cpds)), {B: 0.0, C: 0.0})
+    with pytest.raises(pgm.PgmError, match=text) as told:
+        pgm.audit(posterior, samples=100, rng=0)
+    assert repr(told.value.cpd) == "NonlinearGaussianCPD(c | wide)"
+
+
 def squared(a):
     return a**2
 
