@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import pgm
+from pgm.beliefs.moments.bound.bound import Bound
 from pgm.beliefs.moments.digits import certificate, last_places
-from pgm.beliefs.moments.solvers.bound import Bound
 from pgm.beliefs.moments.steps import sensor
 
 pytestmark = pytest.mark.skipif(find_spec("llvmlite") is None, reason="llvmlite is not installed")

@@ -1,0 +1,92 @@
+"""Which calls are bound: the first ones of evidence of a form, and who finds that again."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pgm.beliefs.moments.bound.bound import Bound
+from pgm.beliefs.moments.compiled.plans import Uncompiled
+from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
+from pgm.beliefs.moments.steps.plan import Blank
+from pgm.compile import BalancedGraph, DynamicGraph
+from pgm.evidence import BoundEvidence
+from pgm.linearisers import Lineariser
+from pgm.schedules.damping import LevenbergMarquardt
+from pgm.schedules.schedule import ONCE, Filtering, FixedLag, Schedule, Smoothing
+
+
+def bound_to(
+    graph: DynamicGraph, evidence: BoundEvidence, schedule: Schedule | None, lineariser: Lineariser
+) -> ChainOutcome | None:
+    """The posterior by what has been bound for a form of evidence; None where nothing serves.
+
+    A call that is bound has gone the general way before, where all but values was checked.
+    """
+    filtering = _filtering(graph, schedule, evidence)
+    blank = None if filtering is None else Blank.known(graph.layout, evidence, lineariser)
+    if blank is None:
+        return None
+    key = _key(schedule, evidence)
+    bound = blank.bound.get(key)
+    if not isinstance(bound, Bound) or not bound.stands:
+        return None
+    found = bound(graph, evidence)
+    if found is not None:
+        bound.served += 1
+        return found
+    bound.failed += 1
+    if bound.failed > _FAILURES + bound.served:  # which costs more than it saves
+        blank.bound[key] = None
+    return None
+
+
+def bind(
+    blank: Blank | None, schedule: Schedule, found: ChainOutcome, evidence: BoundEvidence
+) -> None:
+    """Bind what later calls for evidence of a form need, after one that went the general way."""
+    filtering = _filtering(found.graph, schedule, evidence)
+    if blank is None or filtering is None:
+        return
+    key = _key(schedule, evidence)
+    known = blank.bound.get(key, _NOTHING)
+    if known is None or (isinstance(known, Bound) and known.stands):
+        return
+    # Machine code clears what calls have often found right: until then all go the general way.
+    plan = found._planned
+    whole = [family.compiled for family in plan.families if not family.exact]
+    if plan.account.compiled and not all(each and each.tracer.often for each in whole):
+        return
+    try:
+        blank.bound[key] = Bound(blank, found, evidence, filtering)
+    except Uncompiled:
+        blank.bound[key] = None
+
+
+# The schedule of calls that name none.
+_ONCE = Smoothing()
+# What is found where nobody has tried to bind.
+_NOTHING = "nothing"
+# Calls in vain, beside as many as served, after which a form of evidence is bound no more.
+_FAILURES = 4
+# Of more runs the arithmetic takes so long that nothing is saved.
+_RUNS = 256
+
+
+def _filtering(
+    graph: DynamicGraph, schedule: Schedule | None, evidence: BoundEvidence
+) -> Filtering | None:
+    """The filter of a call that may be bound, which a smoother begins with; None of others."""
+    if evidence.runs > _RUNS or isinstance(graph, BalancedGraph):
+        return None
+    if schedule is None or type(schedule) is Smoothing:
+        return ONCE if schedule is None else schedule.first if schedule.iterations == 1 else None
+    if type(schedule) is FixedLag and not schedule.lag:
+        schedule = schedule.filtering
+    if type(schedule) is not Filtering or isinstance(schedule.damping, LevenbergMarquardt):
+        return None
+    return schedule
+
+
+def _key(schedule: Schedule | None, evidence: BoundEvidence) -> Any:
+    """The schedule, and which sensors lack readings: by these calls of one form differ."""
+    return schedule or _ONCE, *[each.whole for each in evidence.readings]
