@@ -51,8 +51,10 @@ def bind(
     known = blank.bound.get(key, _NOTHING)
     if known is None or (isinstance(known, Bound) and known.stands):
         return
-    # Machine code clears what calls have often found right: until then all go the general way.
     plan = found._planned
+    if plan.account.left or found._careful is not None:
+        return  # of other values machine code may make all
+    # Machine code clears what calls have often found right: until then all go the general way.
     whole = [family.compiled for family in plan.families if not family.exact]
     if plan.account.compiled and not all(each and each.tracer.often for each in whole):
         return

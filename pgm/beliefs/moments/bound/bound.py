@@ -139,8 +139,6 @@ class Bound:
     def _went(self, made: Made) -> Status:
         """How the iterations of a call's sweep went, or its weights."""
         residuals = made.record.get("residuals")
-        if residuals is not None:
-            residuals = residuals.copy()  # of which the status keeps a part
         went = Swept.told([], made.ended[0], residuals, linear=self._linear)
         return self._told(went.residuals, went.converged, made.evidence)
 
@@ -199,8 +197,7 @@ def _require_plain(found: ChainOutcome, *, back: bool) -> None:
     """Refuse calls of which not all was done by machine code, or something is looked at later."""
     plan = found._planned
     account, layout = plan.account, plan.layout
-    made = account.compiled == 1 + back and found._careful is None
-    if not made or account.left or account.called:
+    if account.compiled != 1 + back or account.called:
         raise Uncompiled("machine code did not make all of its sweeps")
     if back and not layout.single:
         raise Uncompiled("several CPDs make a slice")
