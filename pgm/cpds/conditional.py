@@ -35,6 +35,7 @@ from pgm.kernels.arrays import (
 )
 from pgm.kernels.moments import ROUNDING
 from pgm.linearisers.calls import Call
+from pgm.linearisers.numbering import COUNTED, Numbering
 from pgm.variables import Variable
 
 
@@ -99,17 +100,17 @@ def evaluate(
     known: Mapping[Variable, Array],
     shape: tuple[int, ...],
     step: int | Integers | None,
-    first_run: int = 0,
+    numbering: Numbering = COUNTED,
 ) -> Array:
     """The covariance for given values of the parents, (*shape, n, n), checked.
 
     Values of the parents broadcast to (*shape, d), steps to the shape, whose last axis is of runs;
-    step and `first_run` are for messages.
+    step and its `numbering` are for messages.
     """
     cov, child = cpd.cov, cpd.child
     assert isinstance(cov, Noise)
     arguments = [np.broadcast_to(known[v], (*shape, v.dimension)) for v in cov.given]
-    call = Call(child, "noise", shape, step, first_run, cpd)
+    call = Call(child, "noise", shape, step, numbering, cpd)
     size = child.dimension
     if cov.diagonal:
         value = on_diagonal(call(cov.function, arguments, (*shape, size), _VARIANCES))
@@ -277,7 +278,7 @@ class ConditionalGaussian(CPD):
         lead, shape = known.lead, known.shape
         steps = None if known.step is None else np.asarray(known.step)
         wide = {v: np.broadcast_to(a, (*shape, a.shape[-1])) for v, a in known.values.items()}
-        call = Call(self.child, "function", shape, steps, 0, self)
+        call = Call(self.child, "function", shape, steps, COUNTED, self)
         with np.errstate(all="ignore"):  # non-finite values are refused below
             mean = self._mean(wide, lead, call)
         if not np.isfinite(mean).all():
@@ -288,7 +289,7 @@ class ConditionalGaussian(CPD):
         lower = roots.root(evaluate(self, wide, shape, steps))
         if not roots.is_proper(lower):
             index = tuple(int(k) for k in np.argwhere(np.isnan(lower))[0, :-2])
-            call = Call(self.child, "noise", shape, steps, 0, self)
+            call = Call(self.child, "noise", shape, steps, COUNTED, self)
             raise call.error(f"cannot be used: {IMPROPER}", index, kind=NumericalError)
         if self.noise is not None:
             self.require_regular(lower)

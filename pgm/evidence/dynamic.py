@@ -29,6 +29,7 @@ from pgm.evidence.values import Constant, Evidence, Sightings, Unknown, opened, 
 from pgm.factors.arrays import common_runs, flat
 from pgm.factors.scope import listed, namesake
 from pgm.kernels.arrays import Integers, Mask
+from pgm.linearisers.numbering import Numbering
 from pgm.resources import APIECE, in_threads, require_memory
 from pgm.variables import Discrete, Variable
 
@@ -91,8 +92,10 @@ class BoundEvidence:
     """Evidence laid out by step; inside, the leading axes, of runs, are flattened to one.
 
     For each transition CPD it has the values of observed parents, (T, runs or 1, d), row k being of
-    step k + 1. Messages count runs from `first_run`, where these are a part of more. All evidence
-    that has the same `form`, if it has any, is laid out in the same way.
+    step k + 1. Messages count runs from `first_run`, where these are a part of more. With
+    `candidates`, axes of `lead` are sightings, runs and candidates, each of which is tried with
+    each sighting of a step. All evidence that has the same `form`, if it has any, is laid out in
+    the same way.
     """
 
     steps: int
@@ -101,11 +104,18 @@ class BoundEvidence:
     readings: tuple[Reading, ...]
     first_run: int = 0
     form: object = None
+    candidates: bool = False
 
     @property
     def runs(self) -> int:
         """Number of runs."""
         return math.prod(self.lead)
+
+    @property
+    def numbering(self) -> Numbering:
+        """The numbers of runs in the texts of errors."""
+        tried = self.lead[1:] if self.candidates else ()
+        return Numbering(self.first_run, *tried)
 
     def mapped(self, change: Callable[[Any], Any]) -> BoundEvidence:
         """The layout with a function's values of all its arrays, of the same shapes."""
@@ -132,7 +142,7 @@ class BoundEvidence:
         """Whether other evidence is laid out in the same way: all but its values is equal."""
         if self.steps != other.steps or self.lead != other.lead:
             return False
-        if self.first_run != other.first_run:
+        if self.numbering != other.numbering:
             return False
         if len(self.transition) != len(other.transition):
             return False

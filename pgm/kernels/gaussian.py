@@ -6,8 +6,8 @@ covariance of its residual z − H m. A component of a prediction F x + b + w, w
 
 The arithmetic is that of `step`; each function chooses the fastest kind of matrices: for one small
 Gaussian, and for updates of up to some thousand small ones, lines of Python for their size
-(`written`); for a larger one LAPACK, for a batch rows of runs (`dense`). Where S is nearly singular, all updates are left to `moments`, which tells singular
-covariances from rounding.
+(`written`); for a larger one LAPACK, for a batch rows of runs (`dense`). Where S is nearly
+singular, all updates are left to `moments`, which tells singular covariances from rounding.
 """
 
 from __future__ import annotations

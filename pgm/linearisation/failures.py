@@ -54,17 +54,16 @@ def _fault(
     text names the CPD, the step where there is one, and the runs of `mean` (n, *batch).
     """
     step = function.step if rows.timed and isinstance(function.step, int) else None
-    first = rows.first_run
-    last = first + (mean.shape[-1] if mean.ndim > 1 else 1) - 1
+    places, numbering = mean.shape[-1] if mean.ndim > 1 else 1, rows.numbering
     at = "" if step is None else f" at step {step}"
-    runs = f", run {first}" if first == last else f", in a call for runs {first} to {last}"
+    where = f"{at}, {numbering.several(places)}"
     after = f": {more}" if kind is ModelError else f"; {more}"
     return kind(
-        f"the lineariser {rows.lineariser!r} {fault} for {rows.cpd!r}{at}{runs}{after}",
+        f"the lineariser {rows.lineariser!r} {fault} for {rows.cpd!r}{where}{after}",
         variable=rows.cpd.child,
         cpd=rows.cpd,
         step=step,
-        run=first if first == last else None,
+        run=numbering.only(places),
     )
 
 
@@ -89,14 +88,15 @@ def require_finite(rows: Rows, function: BoundFunction, mean: Array, line: Line)
     step = None
     if rows.timed and function.step is not None:
         step = int(np.broadcast_to(function.step, bad.shape)[where])
+    place = where[-1] if where else 0
     at = "" if step is None else f" at step {step}"
-    run = rows.first_run + (where[-1] if where else 0)
+    which = rows.numbering.words(place)
     raise LinearisationError(
-        f"{rows.cpd!r}: its linearisation{at}, run {run}, has values that are NaN or "
+        f"{rows.cpd!r}: its linearisation{at}, {which}, has values that are NaN or "
         f"infinite, at {names(rows.hidden)} = {mean.T[where[::-1]]}; is the function "
         "defined there, and its Jacobian?",
         variable=rows.cpd.child,
         cpd=rows.cpd,
         step=step,
-        run=run,
+        run=rows.numbering.run(place),
     )

@@ -23,7 +23,7 @@ traces.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -61,6 +61,7 @@ from pgm.linearisers import (
 )
 from pgm.linearisers.function import Source
 from pgm.linearisers.lineariser import Misfit, Prepared, needs_cov, prepare
+from pgm.linearisers.numbering import COUNTED, Numbering
 from pgm.tracing import Answers, Judge, Tracer
 from pgm.variables import Variable
 
@@ -99,37 +100,58 @@ class Family(Rows):
         *,
         timed: bool = True,
         template: FunctionTemplate | None = None,
-        first_run: int = 0,
+        numbering: Numbering = COUNTED,
+        plate: Sequence[ConditionalGaussian] = (),
     ) -> Family:
         """Lay out a CPD with its evidence bound; an affine one has F, b and Q at once.
 
         `hidden` are the parents without evidence; `step` (rows,) is the step of each row, `inputs`
         are the other parents' values (rows, runs or 1, d) and `lead` the shape of the user's axes
-        of runs. The texts of exceptions number the runs from `first_run` on. `timed` is False of a
-        network without time. For a nonlinear CPD a `template` is made if none is given, and the
-        CPD's own lineariser, if it has one, takes the place of `lineariser`. A CPD that is neither
-        affine nor nonlinear Gaussian is a `ModelError`.
+        of runs, whose `numbering` the texts of errors have. `timed` is False of a network without
+        time. For a nonlinear CPD a `template` is made if none is given, and the CPD's own
+        lineariser, if it has one, takes the place of `lineariser`. A CPD that is neither affine nor
+        nonlinear Gaussian is a `ModelError`.
+
+        The rows are of the CPDs of a `plate` (`pgm.cpds.plates`), whose first is `cpd`, if they are
+        not all copies of this one.
         """
         rows, runs = step.size, math.prod(lead)
         height, width = cpd.child.dimension, dimension(hidden)
-        noise = own_noise(cpd, step if timed else None, rows, inputs, lead, first_run)
+        copies = all(each.origin is cpd.origin for each in plate)
+        plate = () if copies else tuple(plate)
+        noise = own_noise(cpd, step if timed else None, rows, inputs, lead, numbering)
+        if plate:
+            noise = np.concatenate([own_noise(each, None, 1, {}, lead, COUNTED) for each in plate])
         if isinstance(cpd, NonlinearGaussianCPD):
             template = template or cpd._template(hidden)
+            if plate:
+                variances = np.diagonal(noise, axis1=-2, axis2=-1).min(axis=(0, 1))
+                template = replace(template, variances=tuple(variances.tolist()))
             lineariser = cpd.lineariser or lineariser
         elif not isinstance(cpd, AffineCPD):
             raise ModelError(f"{cpd!r} is of no kind that inference knows", cpd=cpd)
         batch = () if runs == 1 else (runs,)
-        known = cpd, hidden, step, inputs, lineariser, template, noise, timed, first_run, batch
+        known = cpd, hidden, step, inputs, lineariser, template, noise, timed, numbering, batch
         made = cls(*known)
-        made.noise = np.broadcast_to(noise, (rows, runs, height, height))
+        made.plate, made.noise = plate, np.broadcast_to(noise, (rows, runs, height, height))
         if isinstance(cpd, AffineCPD):
-            constant, shift = cpd._affine(hidden, inputs)
-            if not cpd.given and shift.ndim > 1:
-                shift = np.broadcast_to(shift, (*lead, height)).reshape(1, runs, height)
-            made.affine = constant, shift if shift.ndim == 3 else shift[None, None]
-            made.matrix = np.broadcast_to(constant, (rows, runs, height, width))
+            constant, shift = made._affine_of_all(lead)
+            made.affine = constant, shift
+            made.matrix = np.broadcast_to(constant[..., None, :, :], (rows, runs, height, width))
             made.offset = np.broadcast_to(shift, (rows, runs, height))
         return made
+
+    def _affine_of_all(self, lead: tuple[int, ...]) -> tuple[Array, Array]:
+        """F (d, n), or (rows, d, n) of a plate, and b (rows or 1, runs or 1, d) of affine CPDs."""
+        if not self.plate:
+            return _affine(self.cpd, self.hidden, self.inputs, lead)
+        parts = []
+        for row, cpd in enumerate(self.plate):
+            own = self.parents_at(row)
+            inputs = {own[p]: values[row : row + 1] for p, values in self.inputs.items()}
+            parts.append(_affine(cpd, tuple(own[p] for p in self.hidden), inputs, lead))
+        matrices, shifts = zip(*parts, strict=True)
+        return np.stack(matrices), np.concatenate(shifts)
 
     @cached_property
     def shape(self) -> tuple[int, ...]:
@@ -169,9 +191,9 @@ class Family(Rows):
         never linearised, stays the same object. `lead` is as of `make`.
         """
         if self.noisy or (self.exact and inputs):
-            timed, first = self.timed, self.first_run
+            timed, numbering = self.timed, self.numbering
             parts = self.cpd, self.hidden, self.step, inputs, self.lineariser, lead
-            return Family.make(*parts, timed=timed, template=self.template, first_run=first)
+            return Family.make(*parts, timed=timed, template=self.template, numbering=numbering)
         if self.settled:
             return self
         part = object.__new__(Family)
@@ -190,7 +212,7 @@ class Family(Rows):
             self,
             inputs={parent: cut(values, runs) for parent, values in self.inputs.items()},
             own_noise=cut(self.own_noise, runs),
-            first_run=self.first_run + runs.start,
+            numbering=self.numbering.after(runs.start),
             batch=() if count == 1 else (count,),
         )
         part.noise = cut(self.noise, runs)
@@ -370,14 +392,40 @@ class Family(Rows):
         left as it is.
         """
         if self.template is not None:
-            function = self.bound(rows, mean.ndim - 1, mean.shape[:-1])
-            line = self.checked(function, mean, cov)
+            line = self._line_at(rows, mean, cov)
             at = components_first(mean, 1)
             offset = line.value - times(line.matrix, at)
             error = None if line.error is None else components_last(line.error, 2)
             self.store(
                 rows, components_last(line.matrix, 2), components_last(offset, 1), error, active
             )
+
+    def _line_at(self, rows: Some, mean: Array, cov: Array) -> Line:
+        """The `Line` of some rows; of a plate an error is that of the first row which has one."""
+        function = self.bound(rows, mean.ndim - 1, mean.shape[:-1])
+        try:
+            return self.checked(function, mean, cov)
+        except Exception as error:
+            if not self.plate:
+                raise
+            fault = error
+        if isinstance(rows, int):
+            rows, mean, cov = slice(rows, rows + 1), mean[None], cov[None]
+        for row, *at in zip(range(self.step.size)[rows], mean, cov, strict=True):
+            self.alone(row).linearise(0, *at)
+        raise fault
+
+    def alone(self, row: int) -> Family:
+        """One row of a plate, as a family of its own CPD."""
+        part, own = self.window(row, row + 1), self.parents_at(row)
+        for name in ("bare", "source", "order", "prepared", "_constant_noise", "_constant_at"):
+            part.__dict__.pop(name, None)
+        part.cpd, part.plate = self.cpd_at(row), ()
+        part.hidden = tuple(own[parent] for parent in self.hidden)
+        part.inputs = {own[parent]: values for parent, values in part.inputs.items()}
+        if isinstance(part.cpd, NonlinearGaussianCPD):
+            part.template = part.cpd._template(part.hidden)
+        return part
 
     def checked(
         self, function: BoundFunction, mean: Array, cov: Array, *, finite: bool = True
@@ -590,6 +638,20 @@ class Family(Rows):
             else None
             for parent, place in zip(self.template.given, self.template.places, strict=True)
         ]
+
+
+def _affine(
+    cpd: ConditionalGaussian,
+    hidden: Scope,
+    inputs: Mapping[Variable, Array],
+    lead: tuple[int, ...],
+) -> tuple[Array, Array]:
+    """F (d, n) and b (rows or 1, runs or 1, d) of an affine CPD."""
+    assert isinstance(cpd, AffineCPD)
+    constant, shift = cpd._affine(hidden, inputs)
+    if not cpd.given and shift.ndim > 1:
+        shift = np.broadcast_to(shift, (*lead, shift.shape[-1])).reshape(1, -1, shift.shape[-1])
+    return constant, shift if shift.ndim == 3 else shift[None, None]
 
 
 def _unplaced(function: BoundFunction) -> At:

@@ -24,6 +24,7 @@ from pgm.factors.scope import Scope
 from pgm.kernels.arrays import Array, Integers, block_diagonal
 from pgm.linearisers import BoundFunction, FunctionTemplate, Lineariser
 from pgm.linearisers.function import Source
+from pgm.linearisers.numbering import Numbering
 from pgm.linearisers.repeated import Repeated
 from pgm.tracing import Answers
 from pgm.variables import Variable
@@ -68,10 +69,12 @@ class Rows:
     zeros where there is no time (not `timed`); `inputs` (rows, runs or 1, d) the values of the
     other parents. `template` has the function, None of an affine CPD, whose F (d, n) and b (rows or
     1, runs or 1, d) are `affine`. `own_noise` (rows or 1, runs or 1, d, d) is the CPD's own noise
-    covariance. `batch` is (runs,), or () for one run; the texts of errors number the runs from
-    `first_run` on. A *trace* is a function recorded as a graph of scalar operations
-    (`pgm.tracing`). `answers` records the values and slopes that the function's trace gives in this
-    call, for a comparison with the function afterwards; None without that.
+    covariance. `batch` is (runs,), or () for one run; `numbering` is of the axis of runs, for the
+    texts of errors. The rows may be of several CPDs, a `plate`, which differ in their variables,
+    numbers and noise alone: then `cpd` and its parents are the first row's, and F is (rows, d, n).
+    A *trace* is a function recorded as a graph of scalar operations (`pgm.tracing`). `answers`
+    records the values and slopes that the function's trace gives in this call, for a comparison
+    with the function afterwards; None without that.
     """
 
     cpd: ConditionalGaussian
@@ -82,10 +85,20 @@ class Rows:
     template: FunctionTemplate | None
     own_noise: Array
     timed: bool
-    first_run: int
+    numbering: Numbering
     batch: tuple[int, ...]
     affine: tuple[Array, Array] = field(init=False, repr=False)
     answers: Answers | None = field(default=None, repr=False)
+    plate: tuple[ConditionalGaussian, ...] = field(default=(), repr=False)
+
+    def cpd_at(self, row: int) -> ConditionalGaussian:
+        """The CPD of a row."""
+        return self.plate[row] if self.plate else self.cpd
+
+    def parents_at(self, row: int) -> dict[Variable, Variable]:
+        """The parents of the first CPD, each with the one that has its place at a row."""
+        pairs = zip(self.cpd.parents, self.cpd_at(row).parents, strict=True)
+        return dict(pairs)
 
     @property
     def exact(self) -> bool:
@@ -115,10 +128,10 @@ class Rows:
     def source(self) -> Source:
         """The origin of a function with evidence bound, mainly for the text of errors.
 
-        It is the CPD, whether it has time, the number of its first run, and the record of its
+        It is the CPD, whether it has time, the numbering of its runs, and the record of its
         trace's answers.
         """
-        return Source(self.cpd, self.timed, self.first_run, self.answers)
+        return Source(self.cpd, self.timed, self.numbering, self.answers)
 
     def at(self, first: int, last: int) -> At:
         """The rows from `first` up to, not including, `last`, to be linearised as one.
@@ -308,13 +321,13 @@ def own_noise(
     rows: int,
     inputs: Mapping[Variable, Array],
     lead: tuple[int, ...],
-    first_run: int,
+    numbering: Numbering,
 ) -> Array:
     """The CPD's own noise covariance at its rows, (rows or 1, runs or 1, d, d).
 
     It has one row if it does not depend on `inputs` (rows, runs or 1, d). `step` (rows,) is None
-    without time; `lead` is the shape of the user's axes of runs; the texts of errors number the
-    runs from `first_run` on.
+    without time; `lead` is the shape of the user's axes of runs; `numbering` is of the axis of
+    runs, for the texts of errors.
     """
     size = cpd.child.dimension
     if not isinstance(cpd.cov, Noise):
@@ -326,4 +339,4 @@ def own_noise(
     known = {parent: inputs[parent] for parent in cpd.cov.given}
     shape = np.broadcast_shapes((rows, 1), *(array.shape[:2] for array in known.values()))
     steps = None if step is None else step[:, None]
-    return evaluate(cpd, known, shape, steps, first_run)
+    return evaluate(cpd, known, shape, steps, numbering)

@@ -14,6 +14,7 @@ from pgm.errors import ModelError, PgmError
 from pgm.factors.scope import Scope
 from pgm.kernels.arrays import Array, Integers
 from pgm.linearisers import advice
+from pgm.linearisers.numbering import Numbering
 from pgm.variables import Variable
 
 # What to do about a shape that was not due.
@@ -32,14 +33,15 @@ class Call:
     """A function of a CPD, and the rows it is called for.
 
     `what` is its role, ``function`` or ``noise``; `lead` the leading axes of arguments, runs last,
-    to which the step broadcasts. Of a trial call, which is of no run, `first_run` is None.
+    to which the step broadcasts. `numbering` is of the axis of runs, None of a trial call, which is
+    of no run.
     """
 
     child: Variable
     what: str
     lead: tuple[int, ...]
     step: int | Integers | None
-    first_run: int | None
+    numbering: Numbering | None
     cpd: Any = None
 
     def __call__(
@@ -65,7 +67,7 @@ class Call:
     ) -> PgmError:
         """The error of a call that has raised another one; `due` is the shape of a value."""
         axes = f" on a trial call with arrays of leading axes {self.lead}"
-        when = axes if self.first_run is None else ""
+        when = axes if self.numbering is None else ""
         fault = f"failed{when}: {self.reason(function, arguments, error, due)}"
         return self.error(fault, self._first(function, arguments))
 
@@ -115,7 +117,7 @@ class Call:
     def _first(
         self, function: Callable[..., Any], arguments: Sequence[Array]
     ) -> tuple[int, ...] | None:
-        if self.first_run is None:
+        if self.numbering is None:
             return None
         return _first_failure(function, arguments, self.lead)
 
@@ -127,14 +129,15 @@ class Call:
     ) -> PgmError:
         """The error of a call, or of the row of it with an index."""
         step = run = None
+        which = ""
         if self.step is not None and index is not None:
             step = int(np.broadcast_to(self.step, self.lead)[index])
         elif self.step is not None and np.size(self.step) == 1:
             step = int(np.reshape(self.step, ()))
-        if index is not None and self.first_run is not None:
-            run = self.first_run + (index[-1] if index else 0)
+        if index is not None and self.numbering is not None:
+            place = index[-1] if index else 0
+            run, which = self.numbering.run(place), f", {self.numbering.words(place)},"
         at = "" if step is None else f" at step {step}"
-        which = "" if run is None else f", run {run},"
         return kind(
             f"the {self.what} of the CPD of {self.child.name}{at}{which} {fault}",
             variable=self.child,

@@ -15,6 +15,7 @@ from pgm.kernels.arrays import Array, Integers, Mask, components_first, componen
 from pgm.kernels.differences import jacobian as by_differences
 from pgm.kernels.gaussian import lengths
 from pgm.linearisers.calls import Call
+from pgm.linearisers.numbering import COUNTED, Numbering
 from pgm.linearisers.template import Function, FunctionTemplate
 from pgm.tracing import Answers, Points, Program, beside
 
@@ -26,14 +27,14 @@ FEW = 4096
 class Source(NamedTuple):
     """Whose function it is, for messages and for programs that handle an error.
 
-    `timed` says whether the step is one in time; `first_run` is None in a trial call. `answers` are
-    those of its trace, which somebody judges after the call; without, each evaluation is compared
-    with the function at once.
+    `timed` says whether the step is one in time; `numbering` is of the axis of runs, None in
+    a trial call. `answers` are those of its trace, which somebody judges after the call; without,
+    each evaluation is compared with the function at once.
     """
 
     cpd: Any = None
     timed: bool = True
-    first_run: int | None = 0
+    numbering: Numbering | None = COUNTED
     answers: Answers | None = None
 
 
@@ -420,7 +421,7 @@ class BoundFunction(NamedTuple):
             role = self.template.derivatives[0][0]
         step = self.step if source.timed else None
         lead = x.shape[: self.lead]
-        return Call(self.template.child, role, lead, step, source.first_run, source.cpd)
+        return Call(self.template.child, role, lead, step, source.numbering, source.cpd)
 
 
 def _alike(a: Array, b: Array, angles: Mask) -> bool:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 
@@ -30,6 +31,9 @@ from pgm.tracing.trace import Tracer
 LARGE, _VALUES, _SLOPES, _ENTRIES = 2**12, 2**10, 2**13, 2**17
 # So many points are judged at a time.
 _BATCH = 4096
+
+# The states of some traces, by their tracers.
+_States = dict[Tracer, dict[str, Any]]
 
 
 class Answers:
@@ -298,12 +302,17 @@ class Judge:
     """The traces that one call uses; without trust, it uses none.
 
     A call is a block of its judge, ``with judge:``, at the end of which the traces are judged. An
-    error of the block that may be one of wrong traces goes no further; `right` is then False.
+    error of the block that may be one of wrong traces goes no further; `right` is then False. Any
+    other is that of the call, which then leaves the traces that it gives up as they were: they may
+    have been asked for numbers beyond float64, and the next call need not do without them. `before`
+    has the states of traces that this call has given up, by their tracers; all judges of a call
+    share it.
     """
 
-    def __init__(self, *, trusting: bool = True) -> None:
+    def __init__(self, *, trusting: bool = True, before: _States | None = None) -> None:
         self.trusting, self.right = trusting, True
         self.answers: list[Answers] = []
+        self._before: _States = {} if before is None else before
 
     def __enter__(self) -> Judge:
         return self
@@ -317,6 +326,10 @@ class Judge:
         if error is not None and not isinstance(error, PgmError):
             return False
         self.right = self.passes()
+        if error is not None and self.right:
+            for tracer, state in self._before.items():
+                if tracer.trace is None:
+                    tracer.put_back(state)
         return not self.right
 
     def asked(
@@ -359,6 +372,7 @@ class Judge:
         for each in self.answers:
             each.close()
             if each.fault is not None:
+                self._before.setdefault(each.tracer, each.tracer.state)
                 each.tracer.doubt(each.trace, each.fault, moved=each.moved)
                 right = False
             elif each.used:
@@ -378,12 +392,13 @@ def judged() -> Iterator[Judge]:
     At first a wrong trace is made anew, since its function may have changed; one that was new is
     given up. The last judge trusts none.
     """
+    before: _States = {}
     for _ in range(2):
-        judge = Judge()
+        judge = Judge(before=before)
         yield judge
         if judge.right:
             return
-    yield Judge(trusting=False)
+    yield Judge(trusting=False, before=before)
 
 
 def _chosen(doubts: Array) -> Integers:

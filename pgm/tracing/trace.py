@@ -177,6 +177,15 @@ class Tracer:
                 self._fail(reason)
 
     @property
+    def state(self) -> dict[str, Any]:
+        """The trace and what is known of it, to be `put_back`."""
+        return dict(vars(self))
+
+    def put_back(self, state: dict[str, Any]) -> None:
+        """Have the trace again, and what was known of it."""
+        vars(self).update(state)
+
+    @property
     def often(self) -> bool:
         """Whether calls have found the trace right so often that there may be many more."""
         return self._calls >= _OFTEN

@@ -290,6 +290,35 @@ def test_a_function_that_was_disturbed_once_is_traced_again():
     assert move.derivatives.reason is None
 
 
+def test_a_call_that_fails_leaves_the_traces_to_the_next():
+    """Which else takes differences beside numbers just below infinity, and fails a step before."""
+    broken = [False]
+
+    def squared(x):
+        if broken[0]:
+            raise ArithmeticError("the wheel is off")
+        return x**2
+
+    def refusal(graph):
+        with pytest.raises(pgm.PgmError) as found:
+            pgm.infer(graph, {y: np.full((4, 1), np.nan)}, schedule=pgm.Filtering())
+        return found.value.step, str(found.value)
+
+    y = pgm.Variable("y")
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(X, [1.79769313486e308**0.25], 1e-300)],
+        [pgm.NonlinearGaussianCPD(X, (X.previous,), squared, cov=1e-200)],
+        [pgm.LinearGaussianCPD(y, {X: 1.0}, cov=1.0)],
+    )
+    graph = pgm.compile(model, 4, compiled=False)
+    first = refusal(graph)
+    broken[0] = True
+    assert "the wheel is off" in refusal(graph)[1]
+    broken[0] = False
+    assert refusal(graph) == first
+    assert first[0] == 3
+
+
 def test_a_function_that_draws_has_no_trace_for_more_and_more_calls():
     rng, calls = np.random.default_rng(0), 0
 

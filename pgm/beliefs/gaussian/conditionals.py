@@ -18,7 +18,7 @@ import numpy as np
 from pgm.beliefs.gaussian.beliefs import runs_first
 from pgm.beliefs.gaussian.layout import Group, Layout
 from pgm.beliefs.gaussian.refusals import indefinite_noise
-from pgm.cpds import AffineCPD
+from pgm.cpds import AffineCPD, ConditionalGaussian
 from pgm.kernels import decimals, roots
 from pgm.kernels.arrays import Array
 from pgm.kernels.decimals import Decimals
@@ -73,7 +73,7 @@ class Conditionals:
             row,
             decimals.exact(family.matrix[row, : self.stacked]),
             self.by_run(_offset(family, row, self.runs)),
-            np.stack([self.root(one, family).matrix for one in noise]),
+            np.stack([self.root(one, family.cpd_at(row)).matrix for one in noise]),
         )
 
     def by_run(self, values: Decimals) -> Decimals:
@@ -86,16 +86,16 @@ class Conditionals:
         """Decimals (V, ..., N) rounded to float64, as (runs, ...)."""
         return runs_first(decimals.floats(values))
 
-    def root(self, noise: Array, family: Family) -> Root:
+    def root(self, noise: Array, cpd: ConditionalGaussian) -> Root:
         """The factors L and D of a noise covariance L D Lᵀ, (d, d), in decimals, kept in a cache.
 
-        If it is indefinite, that is a NumericalError, which names the family's CPD.
+        If it is indefinite, that is a NumericalError, which names the CPD.
         """
         key = noise.tobytes()
         if key not in self._roots:
             made = Root.of(decimals.exact(noise))
             if made is None:
-                raise indefinite_noise(family.cpd)
+                raise indefinite_noise(cpd)
             self._roots[key] = made
         return self._roots[key]
 
@@ -131,8 +131,8 @@ def _offset(family: Family, row: int, runs: int) -> Decimals:
     The offset of an affine CPD includes the terms F_k z_k of its observed parents z_k. In the
     family the sum of these terms is rounded to float64; here it is formed anew, without rounding.
     """
-    cpd = family.cpd
-    known = [p for p in cpd.given if p not in family.hidden]
+    cpd, own = family.cpd_at(row), family.parents_at(row)
+    known = [p for p in family.cpd.given if p not in family.hidden]
     if not isinstance(cpd, AffineCPD) or not known:
         return decimals.exact(np.broadcast_to(family.offset[row], (runs, cpd.child.dimension)))
     total = decimals.exact(np.broadcast_to(cpd.offset, (runs, cpd.child.dimension)))
@@ -140,7 +140,7 @@ def _offset(family: Family, row: int, runs: int) -> Decimals:
         values = decimals.exact(
             np.broadcast_to(family.inputs[parent][row], (runs, parent.dimension))
         )
-        slope = decimals.exact(cpd.matrices[parent])
+        slope = decimals.exact(cpd.matrices[own[parent]])
         total = total + decimals.product(slope, values[..., None])[..., 0]
     return total
 

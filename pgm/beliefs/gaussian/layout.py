@@ -1,15 +1,16 @@
 """The hidden components of a network, where each of them stands, and the CPDs in groups.
 
 The components of all hidden variables make one vector, (size,), and the *place* of a component is
-its index there; its *column* is its index in the scope of a cluster. A *group* is made of copies of
-one CPD, as at the steps of an unrolled chain, that have evidence for the same of their variables.
+its index there; its *column* is its index in the scope of a cluster. A *group* is made of the CPDs
+of one plate (`pgm.cpds.plates`), or of copies of one at the steps of an unrolled chain, that have
+evidence for the same of their variables.
 The *factor* of a CPD is exp(−½ ‖A x − r‖²): the matrix A has a row for each component of the child,
 and a column for each hidden component x of child and parents.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Hashable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
@@ -18,6 +19,7 @@ import numpy as np
 
 from pgm.clustergraph import ClusterGraph
 from pgm.cpds import CPD, ConditionalGaussian
+from pgm.cpds.plates import plate
 from pgm.factors.scope import Scope, dimension
 from pgm.kernels.arrays import Integers
 from pgm.networks import BayesianNetwork
@@ -56,13 +58,13 @@ def barren(network: BayesianNetwork, evidence: Collection[Variable]) -> frozense
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Copies of one CPD in which the same parents are hidden; they are linearised together.
+    """CPDs of one plate in which the same parents are hidden; they are linearised together.
 
-    Each copy is a row of the arrays. `cpds` are the copies, `hidden` the hidden parents of the
-    first copy; `observed` says whether the children have evidence. `child` (rows, d) has the places
-    of the d components of each copy's child, and is (rows, 0) if the children are observed.
-    `parents` (rows, n) has the places of the n components of each copy's hidden parents, `clusters`
-    (rows,) the number of the cluster that each copy is assigned to.
+    Each CPD is a row of the arrays. `hidden` are the hidden parents of the first of `cpds`;
+    `observed` says whether the children have evidence. `child` (rows, d) has the places of the d
+    components of each child, and is (rows, 0) if the children are observed. `parents` (rows, n) has
+    the places of the n components of each CPD's hidden parents, `clusters` (rows,) the number of
+    the cluster that each CPD is assigned to.
     """
 
     cpds: tuple[ConditionalGaussian, ...]
@@ -170,10 +172,10 @@ class Layout:
     def groups(self) -> list[Group]:
         """The groups of CPDs, sorted by the shape of their factors."""
         home = {cpd.child: cluster.index for cluster in self.graph.clusters for cpd in cluster.cpds}
-        alike: dict[tuple[CPD, tuple[bool, ...], bool], list[ConditionalGaussian]] = {}
+        alike: dict[tuple[Hashable, tuple[bool, ...], bool], list[ConditionalGaussian]] = {}
         for cpd in self._cpds:
             mask = tuple(v in self.observed for v in cpd.given)
-            alike.setdefault((cpd.origin, mask, cpd.child in self.observed), []).append(cpd)
+            alike.setdefault((plate(cpd), mask, cpd.child in self.observed), []).append(cpd)
         groups = []
         for (_, _, observed), cpds in alike.items():
             hidden = [self.without_evidence(cpd.given) for cpd in cpds]

@@ -214,7 +214,8 @@ def _family(group: Group, bound: BoundValues, lineariser: Lineariser) -> Family:
     }
     step = np.array([cpd.child.step or 0 for cpd in group.cpds], dtype=np.intp)
     timed = first.child.step is not None
-    return Family.make(first, group.hidden, step, inputs, lineariser, bound.lead, timed=timed)
+    parts = first, group.hidden, step, inputs, lineariser, bound.lead
+    return Family.make(*parts, timed=timed, plate=group.cpds)
 
 
 def _taken(group: Group, bound: BoundValues) -> Mask | None:

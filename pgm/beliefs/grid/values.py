@@ -20,6 +20,7 @@ from pgm.kernels import roots
 from pgm.kernels.angles import wrap
 from pgm.kernels.arrays import Array, Mask
 from pgm.linearisers.calls import Call
+from pgm.linearisers.numbering import Numbering
 from pgm.variables import Variable
 
 Known = Mapping[Variable, Array]
@@ -88,7 +89,7 @@ def covariance_of(cpd: ConditionalGaussian, known: Known, step: int, run: int) -
     """
     if isinstance(cpd.cov, Noise):
         given = {parent: known[parent][None] for parent in cpd.cov.given}
-        cov: Array = evaluate(cpd, given, (1,), step, run)[0]
+        cov: Array = evaluate(cpd, given, (1,), step, Numbering(run))[0]
         return cov
     size = cpd.child.dimension
     every = cpd.cov.reshape(-1, size, size)

@@ -29,6 +29,7 @@ from pgm.kernels import normal_density, roots
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask
 from pgm.kernels.step import turns
 from pgm.linearisers.calls import Call
+from pgm.linearisers.numbering import Numbering
 from pgm.variables import Variable
 
 # Components first, float64 or float32.
@@ -334,7 +335,7 @@ class GaussianLaw(Law):
             return self._constant
         known = {v: np.asarray(self.inputs[v][row], dtype=np.float64) for v in self.cpd.cov.given}
         count = max(len(rows) for rows in known.values())
-        cov = evaluate(self.cpd, known, (count,), step, self.first_run)
+        cov = evaluate(self.cpd, known, (count,), step, Numbering(self.first_run))
         return self._root(roots.root(cov), step)
 
     @cached_property

@@ -73,7 +73,7 @@ def of_family(family: Family, count: int, runs: int) -> Family:
         constant, shift = family.affine
         shift = tiled(shift, count)
         made.affine = constant, shift
-        made.matrix = np.broadcast_to(constant, (rows, total, height, width))
+        made.matrix = np.broadcast_to(constant[..., None, :, :], (rows, total, height, width))
         made.offset = np.broadcast_to(shift, (rows, total, height))
     return made
 

@@ -70,6 +70,71 @@ def test_likeliest_candidates_are_those_that_were_seen(run, model):
     assert dict(exact.associations) == {}
 
 
+dust = pgm.Variable("dust")
+
+
+def refusing(fault, value):
+    """An argument of a CPD that fails with candidate 2 in dust, or has this value there."""
+
+    def refused(x, m, dust):
+        wrong = (dust[..., 0] > 0.0) & (m[..., 0] == MARKS[2, 0])
+        if fault is not None and wrong.any():
+            raise fault
+        return np.where(wrong[..., None], value, m - x)
+
+    return refused
+
+
+def noise_in(m, dust):
+    return NOISE - refusing(None, 1.0)(m, m, dust)
+
+
+def untold(*belief):
+    raise ArithmeticError("in the dust")
+
+
+@pytest.mark.parametrize(
+    ("named", "message", "run"),
+    [
+        ({"function": refusing(ArithmeticError("in the dust"), 0.0)}, "run 1, candidate 2,", 1),
+        ({"function": refusing(None, np.nan)}, "run 1, candidate 2, has values that are NaN", 1),
+        ({"cov": pgm.noise(noise_in, given=(m, dust), diagonal=True)}, "run 1, candidate 2,", 1),
+        ({"lineariser": untold}, "in a call for runs 0 to 2: ArithmeticError", None),
+    ],
+    ids=["function", "values", "noise", "lineariser"],
+)
+def test_errors_name_the_run_and_the_candidate(named, message, run):
+    """All sightings of a step are read with all candidates of all runs in one call."""
+    given = {"function": refusing(None, 0.0), "cov": NOISE * np.eye(2)} | named
+    plain, rough = robot(), np.zeros((3, len(STEP), 1))
+    rough[1, 1] = 1.0
+    model = pgm.DynamicBayesianNetwork(
+        plain.prior, plain.transition, [pgm.NonlinearGaussianCPD(z, (x, m, dust), **given)]
+    )
+    values = np.broadcast_to(SEEN, (3, *SEEN.shape))
+    seen = pgm.sightings(values, step=STEP, given={m: pgm.unknown(MARKS), dust: rough})
+    with pytest.raises(pgm.PgmError, match=f"at step 1, {message}") as refusal:
+        pgm.filter(model, {z: seen}, steps=4, compiled=False)
+    assert (refusal.value.step, refusal.value.run) == (1, run)
+
+
+def test_equal_calls_have_equal_answers():
+    """The first one of a graph, too, whose derivatives are those of the trace."""
+    graph = pgm.compile(nonlinear(), 4, compiled=False)
+    first, later = (
+        pgm.infer(graph, open_(), schedule=pgm.Filtering()).associations[z] for _ in range(2)
+    )
+    np.testing.assert_array_equal(first.probability, later.probability)
+    online = pgm.OnlineFilter(nonlinear(), compiled=False)
+    first, later = (
+        online.update(online.initial(), {z: pgm.sightings(SEEN[:2], given={m: pgm.unknown(MARKS)})})
+        for _ in range(2)
+    )
+    np.testing.assert_array_equal(
+        first.associations[z].probability, later.associations[z].probability
+    )
+
+
 def test_probabilities_are_those_of_the_innovations():
     """At step 1 the belief is N((1, 1), .26 I): a twin of three lines."""
     found = pgm.filter(robot(), open_(weights=[1.0, 2.0, 1.0], new=0.1, volume=50.0), steps=3)

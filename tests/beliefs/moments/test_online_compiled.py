@@ -319,6 +319,7 @@ def test_sightings_of_unknown_landmarks_are_associated(robots):
     assert_equal(found, due)
     assert str(found.associations[z]) == str(due.associations[z])
     plain, quick = (robot for robot, _ in robots)
+    assert "1 × sightings without identity are associated by NumPy" in quick.compilation
     controls = {u: np.array([1.0, 0.1])}
     again = quick.predict(found, controls)
     assert is_compiled(again)

@@ -169,6 +169,8 @@ def _by_numpy(
 ) -> None:
     """Decide about all sightings, step by step."""
     plan = _named(graph, bound, lineariser)
+    for each in pending:
+        each.trace(graph, bound, lineariser)
     chain = MomentChain(plan, Filtering(gate=gate), keep=False)
     belief = chain.start()
     for step in counted(range(bound.steps + 1), "associations"):
@@ -199,7 +201,9 @@ def associated_at(
     """
     pending = _pending(bound, gate)
     known = tuple(reading for reading in bound.readings if reading.unknown is None)
-    belief = _taken(graph, bound, lineariser, step, known, belief, gate)
+    for each in pending:
+        each.trace(graph, bound, lineariser, step)
+    belief = _taken(graph, bound, lineariser, step, known, belief, gate, probe=True)
     for each in pending:
         rows = range(len(each.reading.step))
         if len(rows):
@@ -261,6 +265,18 @@ class _Pending:
         first, last = np.searchsorted(self.reading.step, [step, step + 1]).tolist()
         return range(first, last)
 
+    def trace(
+        self, graph: DynamicGraph, bound: BoundEvidence, lineariser: Lineariser, first: int = 0
+    ) -> None:
+        """Probe the sensor's function and have it traced, for all sightings of a call.
+
+        Otherwise the first call of a graph would take derivatives by differences, and later calls
+        by the trace that the filter has made. `first` is the number of the evidence's step 0.
+        """
+        if len(self.reading.step):
+            tried = _tried(self._expanded(range(1), bound.runs), bound, 1)
+            ChainPlan.make(graph, tried, lineariser, first=first, prior=False)
+
     def associate(
         self,
         graph: DynamicGraph,
@@ -292,7 +308,7 @@ class _Pending:
             terms = np.where(square > limit, -np.inf, terms)
         terms = self.with_others(terms)
         if unknown.association == JOINT:
-            terms = self._jointly(pairs, terms, belief.by_run[1], step)
+            terms = self._jointly(pairs, terms, belief.by_run[1], step, bound.first_run)
         self.decide(rows, terms)
         return _taken(graph, bound, lineariser, step, (self.part(rows),), belief, self.gate)
 
@@ -319,7 +335,7 @@ class _Pending:
         self.values[some] = candidates[np.where(seen, likeliest, 0)]
         self.taken[some] = self.reading.taken[some] & seen[..., None]
 
-    def _jointly(self, pairs: _Pairs, terms: Array, cov: Array, step: int) -> Array:
+    def _jointly(self, pairs: _Pairs, terms: Array, cov: Array, step: int, first_run: int) -> Array:
         """Decide about a step's sightings together; returns log-probabilities of the candidates.
 
         The result is 0 for the choice and −∞ for all else, (sightings, runs, k + 2). `terms`, of
@@ -328,7 +344,8 @@ class _Pending:
         the candidates' gate; a joint decision always has such a gate. `pairs` are the innovations
         of each sighting with each candidate, and `cov` is the belief's P (runs, n, n). A sighting
         to which the search gives no candidate is taken for spurious or new, whichever is likelier.
-        A search of too many hypotheses is refused with an EvidenceError.
+        A search of too many hypotheses is refused with an EvidenceError, which counts runs from
+        `first_run`.
         """
         assert self.unknown.gate is not None
         compatible = np.isfinite(terms[..., :-2]) & (pairs.size > 0)
@@ -337,7 +354,7 @@ class _Pending:
         try:
             found = joint_compatibility.decide(weighed, cov, self.unknown.gate)
         except joint_compatibility.TooManyError as error:
-            cpd, (run,) = self.reading.cpd, error.args
+            cpd, run = self.reading.cpd, first_run + error.args[0]
             raise EvidenceError(
                 f"{len(terms)} sightings of {cpd.child!r} at step {step} fit "
                 f"{self.unknown!r} in more than {joint_compatibility.NODES:,} ways (run {run}): "
@@ -346,6 +363,7 @@ class _Pending:
                 variable=cpd.child,
                 cpd=cpd,
                 step=step,
+                run=run,
             ) from None
         others = terms.shape[-1] - 2 + np.argmax(terms[..., -2:], axis=-1)
         taken = np.where(found == joint_compatibility.NOTHING, others, found)
@@ -419,17 +437,30 @@ def _taken(
     readings: tuple[Reading, ...],
     belief: Moments,
     gate: Asked | None,
+    *,
+    probe: bool = False,
 ) -> Moments:
     """The belief over the slice at `step`, conditioned on measurements of that step, `readings`.
 
     Each reading has its sightings at a step 0; `step` is the step's number in the chain. `gate` is
     the filter's gate, None if all sightings are to be used. The evidence `bound` tells only how
-    many runs there are, and how the user lays them out along axes.
+    many runs there are, and how the user lays them out along axes. `probe` is as of
+    `ChainPlan.make`, for sensors whose functions have not been traced in this call.
     """
     one = BoundEvidence(0, bound.lead, (), readings, bound.first_run)
-    plan = ChainPlan.make(graph, one, lineariser, first=step, prior=False, probe=False)
+    plan = ChainPlan.make(graph, one, lineariser, first=step, prior=False, probe=probe)
     chain = MomentChain(plan, Filtering(gate=gate), keep=False)
     return chain.take(step, belief, chain.readings(0))[0]
+
+
+def _tried(reading: Reading, bound: BoundEvidence, rows: int) -> BoundEvidence:
+    """The evidence of one step with a reading whose sightings are tried with all candidates.
+
+    The `reading` is as of `_innovations`, of so many `rows`; of `bound` the runs are used alone.
+    """
+    candidates = reading.values.shape[1] // (rows * bound.runs)
+    lead = rows, bound.runs, candidates
+    return BoundEvidence(0, lead, (), (reading,), bound.first_run, candidates=True)
 
 
 class _Pairs(NamedTuple):
@@ -462,11 +493,11 @@ def _innovations(
     `reading` has a run for each sighting, run of `bound` and candidate, with that candidate as the
     value of the unknown parent; of these runs candidates vary fastest and sightings slowest. `rows`
     is the number of sightings. `belief` is over the slice at `step`, in the runs of `bound`; of
-    `bound` only the number of runs is used. An S that is singular, indefinite or not finite is
-    refused with a NumericalError.
+    `bound` only the number of runs is used, and that of the first, for the texts of errors. An S
+    that is singular, indefinite or not finite is refused with a NumericalError.
     """
     every = reading.values.shape[1]
-    one = BoundEvidence(0, (every,), (), (reading,))
+    one = _tried(reading, bound, rows)
     plan = ChainPlan.make(graph, one, lineariser, first=step, prior=False, probe=False)
     means, covs = belief.by_run
     of = np.tile(np.repeat(np.arange(bound.runs), every // (rows * bound.runs)), rows)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from pgm.beliefs.moments.bound.bound import Bound
-from pgm.beliefs.moments.compiled.plans import Uncompiled
+from pgm.beliefs.moments.compiled.uncompiled import Uncompiled
 from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
 from pgm.beliefs.moments.steps.plan import Blank
 from pgm.compile import BalancedGraph, DynamicGraph

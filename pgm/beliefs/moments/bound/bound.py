@@ -20,9 +20,9 @@ from pgm.beliefs.moments.bound.outcome import BoundOutcome
 from pgm.beliefs.moments.bound.room import Room, Sweeps
 from pgm.beliefs.moments.bound.traces import checks
 from pgm.beliefs.moments.compiled import sweep
-from pgm.beliefs.moments.compiled.plans import Uncompiled
+from pgm.beliefs.moments.compiled.named_table import Named, NamedTable, lies
 from pgm.beliefs.moments.compiled.sweep import Swept
-from pgm.beliefs.moments.compiled.table import Named, NamedTable, lies
+from pgm.beliefs.moments.compiled.uncompiled import Uncompiled
 from pgm.beliefs.moments.digits.certificate import MODERATE
 from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
 from pgm.beliefs.moments.passes.forward import Filtered

@@ -6,7 +6,8 @@ from functools import cached_property
 from typing import Any
 
 from pgm.beliefs.moments.bound.room import Pair, Room
-from pgm.beliefs.moments.compiled.plans import Record, decided
+from pgm.beliefs.moments.compiled.gates import decided
+from pgm.beliefs.moments.compiled.table import Record
 from pgm.beliefs.moments.passes.backward import Beliefs, transition
 from pgm.beliefs.moments.passes.forward import Filtered, Forward
 from pgm.beliefs.moments.steps import gate

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.lib.array_utils import byte_bounds
 
 from pgm.beliefs.moments.bound.call import Made
-from pgm.beliefs.moments.compiled.plans import Get, Integers64
+from pgm.beliefs.moments.compiled.table import Get, Integers64
 from pgm.evidence import BoundEvidence
 from pgm.kernels.arrays import Array, address
 from pgm.variables import Variable

@@ -8,8 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.beliefs.moments.compiled.plans import Record, keeps_errors, rejected_by, undecided
+from pgm.beliefs.moments.compiled.gates import rejected_by, undecided
+from pgm.beliefs.moments.compiled.key import keeps_errors
 from pgm.beliefs.moments.compiled.sweep import is_iterated
+from pgm.beliefs.moments.compiled.table import Record
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.evidence import BoundEvidence

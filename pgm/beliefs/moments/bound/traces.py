@@ -15,7 +15,7 @@ from pgm.beliefs.moments.compiled.judged import (
     laid_out,
     standing,
 )
-from pgm.beliefs.moments.compiled.plans import Uncompiled
+from pgm.beliefs.moments.compiled.uncompiled import Uncompiled
 from pgm.linearisation.family import Family
 from pgm.tracing import Program, Tracer
 from pgm.tracing.clearing import Clearing, Standing

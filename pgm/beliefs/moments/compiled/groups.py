@@ -11,7 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.beliefs.moments.compiled.called import Asked, Call, Lines, Some
+from pgm.beliefs.moments.compiled.gates import probability_of
+from pgm.beliefs.moments.steps import gate as gates
+from pgm.beliefs.moments.steps.open_sensor import OpenSensor
+from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.sensor import Sensor
+from pgm.compile.machine import MOST
 from pgm.kernels.arrays import Array, Integers, Mask, vacant
 from pgm.kernels.machine.emitter.functions import Function
 from pgm.kernels.machine.sweeps import told
@@ -149,6 +154,26 @@ class Group:
 
     def _room(self, *own: int) -> Array:
         return vacant((len(self.steps), self.family.shape[1]), own)
+
+
+def groups_of(
+    plan: ChainPlan, gate: gates.Asked | None, *, stored: bool, controlled: bool
+) -> list[Group]:
+    """The sensors whose sightings of a step have correlated errors, to be swept as one vector.
+
+    Of others the sightings are weighed, gated, or judged, one by one.
+    """
+    return [
+        Group(sensor)
+        for sensor in plan.read
+        if sensor.is_correlated
+        and not isinstance(sensor, OpenSensor)
+        and sensor.family.hidden
+        and not (
+            sensor.robust or controlled or probability_of(sensor, gate, stored=stored) is not None
+        )
+        and max(np.diff(sensor.bounds)) * sensor.height <= MOST
+    ]
 
 
 class GroupCall(Call):

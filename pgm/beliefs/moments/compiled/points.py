@@ -6,17 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from pgm.beliefs.moments.compiled.plans import (
-    Table,
-    Uncompiled,
-    motion_of,
-    needed,
-    places,
-    require_affine_prior,
-    sensor_of,
-    unknown,
-)
+from pgm.beliefs.moments.compiled.rows import motion_of, needed, places
+from pgm.beliefs.moments.compiled.sensors import sensor_of
 from pgm.beliefs.moments.compiled.sweep import FAR, lanes_of, run
+from pgm.beliefs.moments.compiled.table import Table
+from pgm.beliefs.moments.compiled.uncompiled import Uncompiled, require_affine_prior, unknown
 from pgm.beliefs.moments.steps import cost
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.kernels.arrays import Array, Mask, vacant

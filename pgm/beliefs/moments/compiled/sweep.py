@@ -12,24 +12,16 @@ from typing import Any
 import numpy as np
 
 from pgm.beliefs.moments.compiled.called import Calls, Failed
-from pgm.beliefs.moments.compiled.groups import Group
+from pgm.beliefs.moments.compiled.gates import decided, undecided
+from pgm.beliefs.moments.compiled.groups import Group, groups_of
 from pgm.beliefs.moments.compiled.judged import judge
-from pgm.beliefs.moments.compiled.plans import (
-    Integers64,
-    Record,
-    Uncompiled,
-    decided,
-    decisive,
-    groups_of,
-    motion_of,
-    places,
-    sensor_of,
-    undecided,
-    unknown,
-    untried,
-    vector_of,
-)
-from pgm.beliefs.moments.compiled.table import Filled, NamedTable
+from pgm.beliefs.moments.compiled.key import decisive
+from pgm.beliefs.moments.compiled.named_table import Filled, NamedTable
+from pgm.beliefs.moments.compiled.robust_noise import untried
+from pgm.beliefs.moments.compiled.rows import motion_of, places
+from pgm.beliefs.moments.compiled.sensors import sensor_of, vector_of
+from pgm.beliefs.moments.compiled.table import Integers64, Record
+from pgm.beliefs.moments.compiled.uncompiled import Uncompiled, unknown
 from pgm.beliefs.moments.steps.chain import MomentChain
 from pgm.beliefs.moments.steps.gate import Asked
 from pgm.beliefs.moments.steps.open_sensor import OpenSensor
@@ -156,7 +148,7 @@ def forward(
     keep = keep or controlled  # since trials are made with what is kept
     try:
         groups = groups_of(plan, asked.gate, stored=stored, controlled=controlled)
-        why = unknown(plan, groups)
+        why = unknown(plan, [group.sensor for group in groups])
         if why is not None:
             raise Uncompiled(why)
         key = decisive(plan, stored=stored, keep=keep, gate=asked.gate)

@@ -1,116 +1,105 @@
-"""Tables whose arrays have names, by which they are found again for other plans of the same form.
-
-A chain is told in two parts (`kernels.machine.sweeps.told`): the key of its code, and the places of
-its numbers. The key is found once for plans of one form. The places are found for each sweep: a
-form keeps how the owners of arrays are asked for them, and asks those of the plan at hand.
-"""
+"""The table that machine code reads: addresses and lengths, and the arrays that it tells of."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from pgm.beliefs.moments.compiled.called import Calls
-from pgm.beliefs.moments.compiled.plans import Get, Integers64, Record, Table, readable
+from pgm.beliefs.moments.compiled.called import Call, Calls
+from pgm.beliefs.moments.compiled.uncompiled import Uncompiled
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.kernels.arrays import Array, address
+from pgm.kernels.machine.emitter.memory import Runs
 from pgm.kernels.machine.sweeps import told
 
+Integers64 = npt.NDArray[np.int64]
+# By name the arrays that a sweep fills or reads beside those of CPDs and sensors.
+Record = dict[str, Array]
+# How an array's owner, a CPD, a sensor or a record, is asked for it.
+Get = Callable[[Any], Any]
 
-class Named(NamedTuple):
-    """An array of a plan: its place in a table, its owner's number, and how that is asked for it.
 
-    `lies` is how it lay when the code was made, as it has to lie again; None where that is no
-    matter. `copied` says that machine code cannot read it as it lies.
+class Table:
+    """A table that is filled, and the arrays that it tells of, which stay in memory as it does.
+
+    `lanes` is how many runs are swept together, `record` the arrays that no CPD and no sensor owns;
+    `calls` are the functions that are called, None where none may be.
     """
 
-    place: int
-    owner: int
-    get: Get
-    lies: tuple[Any, ...] | None = None
-    copied: bool = False
+    def __init__(self, plan: ChainPlan, lanes: int, calls: Calls | None = None) -> None:
+        self.lanes, self.calls, self._account = lanes, calls, plan.account
+        self.numbers = [0] * told.FIRST
+        self.numbers[told.LAST], self.numbers[told.RUNS] = plan.steps, plan.runs
+        self.record: Record = {}
+        self._kept: list[object] = []
 
+    def put(self, place: int, array: npt.NDArray[Any]) -> None:
+        """Put the address of an array into the table."""
+        self._kept.append(array)
+        self.numbers[place] = address(array)
 
-class Filled(NamedTuple):
-    """The numbers of a table for one sweep, and the arrays that they point to, which they keep."""
+    def at(self, array: npt.NDArray[Any]) -> int:
+        """The place in the table of the address of an array."""
+        self.numbers.append(0)
+        self.put(len(self.numbers) - 1, array)
+        return len(self.numbers) - 1
 
-    numbers: Integers64
-    kept: Sequence[object]
-
-
-class Form(NamedTuple):
-    """The table of a sweep for plans of one form: its numbers, and the names of its arrays."""
-
-    numbers: Sequence[int]
-    named: Sequence[Named]
-
-    def filled(self, owners: Sequence[Any], *first: int) -> Filled | None:
-        """The table of arrays of these owners; None where they do not lie as the code has them.
-
-        It begins with the numbers `first`.
-        """
-        numbers, kept = [*first, *self.numbers[len(first) :]], []
-        for place, owner, get, lies_, copied in self.named:
-            array = get(owners[owner])
-            if lies_ is not None and lies_ != lies(array):
-                return None
-            if copied:
-                array = readable(array)
-            kept.append(array)
-            numbers[place] = address(array)
-        return Filled(np.array(numbers, dtype=np.int64), kept)
-
-
-class NamedTable(Table):
-    """A table that notes how the owners of its arrays, by their number, are asked for them."""
-
-    def __init__(
-        self,
-        plan: ChainPlan,
-        lanes: int,
-        owners: Sequence[Any],
-        record: Record | None = None,
-        calls: Calls | None = None,
-    ) -> None:
-        super().__init__(plan, lanes, calls)
-        self.record = {} if record is None else record
-        self._owners = {id(owner): k for k, owner in enumerate(owners)}
-        self._named: list[Named] = []
+    def array(self, array: Array) -> told.Array:
+        """An array (rows or 1, runs or 1, own axes), told."""
+        array = readable(array)
+        inner = [(k, n) for k, n in zip(array.strides[2:], array.shape[2:], strict=True) if n > 1]
+        down, across = (
+            0 if n == 1 else k // 8 for k, n in zip(array.strides, array.shape[:2], strict=False)
+        )
+        cell = inner[-1][0] // 8 if inner else 1
+        place = self.at(array)
+        self.numbers += [down, across, cell]
+        runs = Runs.BESIDE
+        if self.lanes > 1 and across != 1:
+            runs = Runs.APART if across else Runs.SAME
+        return told.Array(place, array.shape[2:], runs, cell == 1)
 
     def of(self, owner: Any, get: Get) -> told.Array:
         """An array that an owner has, told."""
-        given = get(owner)
-        found = self.array(given)
-        copied = readable(given) is not given
-        self._note(Named(found.place, self._owners[id(owner)], get, lies(given), copied))
-        return found
+        return self.array(get(owner))
 
     def at_of(self, owner: Any, get: Get) -> int:
         """The place in the table of the address of an array that an owner has."""
-        place = self.at(get(owner))
-        self._note(Named(place, self._owners[id(owner)], get))
-        return place
+        return self.at(get(owner))
 
-    def put_of(self, place: int, owner: Any, get: Get) -> None:
-        """Put the address of an array that an owner has into the table."""
-        self.put(place, get(owner))
-        self._note(Named(place, self._owners[id(owner)], get))
+    def by_runs(self, cells: Array) -> told.Array:
+        """An array (rows, own axes, runs), told."""
+        return self.array(np.moveaxis(cells, -1, 1))
+
+    def called(self, call: Call, lines: told.Lines, why: str) -> told.Called:
+        """A function that is called, and why."""
+        if self.calls is None:
+            raise Uncompiled(f"{call.family.cpd!r}: {why}")
+        self._account.call_back(call.family.cpd.child.name, why)
+        self.calls.each.append(call)
+        places = self.by_runs(call.points[None]), self.by_runs(call.told)
+        return told.Called(len(self.calls.each) - 1, *places, lines)
+
+    def count(self, number: int) -> int:
+        """The place in the table of a number."""
+        self.numbers.append(number)
+        return len(self.numbers) - 1
 
     @property
-    def form(self) -> Form:
-        """The names of the arrays, of which others may be of the same form."""
-        return Form(self.numbers, self._named)
-
-    def filled(self, *first: int) -> Filled:
-        """The table of the arrays that were told of, which begins with the numbers `first`."""
-        return Filled(np.array([*first, *self.numbers[len(first) :]], dtype=np.int64), self._kept)
-
-    def _note(self, named: Named) -> None:
-        self._named.append(named)
+    def whole(self) -> Integers64:
+        """The table."""
+        return np.array(self.numbers, dtype=np.int64)
 
 
-def lies(array: Array) -> tuple[Any, ...]:
-    """How an array (rows, runs, own axes) lies, but for its number of rows."""
-    return array.strides, array.shape[0] == 1, array.size == 0, array.shape[1:]
+def readable(array: Array) -> Array:
+    """The array, or a copy, in which components of a row are at even distances."""
+    if not array.size:  # which is never read, and has no distances
+        return np.zeros((1, *array.shape[1:]))
+    inner = [(k, n) for k, n in zip(array.strides[2:], array.shape[2:], strict=True) if n > 1]
+    if any(outer != stride * size for (outer, _), (stride, size) in pairwise(inner)):
+        return np.ascontiguousarray(array)
+    return array

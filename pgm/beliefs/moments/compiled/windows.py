@@ -6,19 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pgm.beliefs.moments.compiled.gates import decided, undecided
 from pgm.beliefs.moments.compiled.judged import judge
-from pgm.beliefs.moments.compiled.plans import (
-    Table,
-    Uncompiled,
-    decided,
-    motion_of,
-    needed,
-    places,
-    require_affine_prior,
-    sensor_of,
-    undecided,
-    unknown,
-)
+from pgm.beliefs.moments.compiled.rows import motion_of, needed, places
+from pgm.beliefs.moments.compiled.sensors import sensor_of
 from pgm.beliefs.moments.compiled.sweep import (
     FAR,
     Swept,
@@ -30,6 +21,8 @@ from pgm.beliefs.moments.compiled.sweep import (
     settings,
     stretches,
 )
+from pgm.beliefs.moments.compiled.table import Table
+from pgm.beliefs.moments.compiled.uncompiled import Uncompiled, require_affine_prior, unknown
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.compile.machine import CONTROL, LONG
 from pgm.kernels.arrays import Array, stacked

@@ -12,13 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pgm.beliefs.moments.compiled.judged import judge
-from pgm.beliefs.moments.compiled.plans import (
-    Table,
-    Uncompiled,
-    motion_of,
-    sensor_of,
-)
+from pgm.beliefs.moments.compiled.rows import motion_of
+from pgm.beliefs.moments.compiled.sensors import sensor_of
 from pgm.beliefs.moments.compiled.sweep import is_used
+from pgm.beliefs.moments.compiled.table import Table
+from pgm.beliefs.moments.compiled.uncompiled import Uncompiled
 from pgm.beliefs.moments.digits import laid_out, written
 from pgm.beliefs.moments.digits.careful_belief import Belief, Component, Move, uncorrelated
 from pgm.beliefs.moments.digits.careful_chain import regular, start, transition

@@ -9,13 +9,14 @@ are the measurements of one sensor, of which a step may have several (`pgm.sight
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from pgm.beliefs.moments.compiled.judged import judge
+from pgm.beliefs.moments.online.associating import leaves_open
 from pgm.beliefs.moments.online.beliefs import MomentBelief, is_plain, opened, put_core
 from pgm.beliefs.moments.online.kind import Kind, Made, Questions, marginal_of
 from pgm.beliefs.moments.online.window import Passed, Sliding
@@ -42,6 +43,7 @@ _CLOSE = 1e-6
 _OTHER = "the belief is of many runs, in twice the digits, has lost digits, or is of another filter"
 _START = "an update at step 0"
 _ODD = "values came in another form than numbers or sightings without steps"
+_OPEN = "sightings without identity are associated by NumPy"
 _WAITED = "machine code is made for longer work, or by compiled=True"
 _JUDGED = "a function's trace, or machine code, answered otherwise than the function"
 _FAR = "numbers are too far apart, or a reading is too sharp"
@@ -85,10 +87,11 @@ class CompiledSteps:
     predictions and updates by linear sensors, `linearised` after others. `asked` are the questions
     that steps answer beside those of beliefs. `left` counts the steps made in the general way, by
     reason: the belief is of many runs or of another filter, or float64 has too few digits for it; a
-    value is neither an array of numbers nor sightings without steps; the update is at step 0;
-    machine code cannot make steps of the kind, or its results, compared with NumPy's, were others;
-    or numbers are too far apart. So many steps of a kind as `wait` are made in the general way
-    before there is machine code.
+    value is neither an array of numbers nor sightings without steps; sightings are to be
+    associated, which NumPy does before they are read; the update is at step 0; machine code cannot
+    make steps of the kind, or its results, compared with NumPy's, were others; or numbers are too
+    far apart. So many steps of a kind as `wait` are made in the general way before there is machine
+    code.
     """
 
     def __init__(
@@ -170,6 +173,8 @@ class CompiledSteps:
             why = _START
             if moves or belief._number:
                 given, why = self._given(values), _ODD
+                if given is None and isinstance(values, Mapping) and leaves_open(values):
+                    why = _OPEN
         if given:
             kind = self._kind(belief, *given, moves=moves)
             why = _WAITED if kind is None else kind.why

@@ -14,16 +14,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pgm.beliefs.moments.compiled.plans import (
-    Table,
-    Uncompiled,
-    motion_of,
-    places,
-    robust_noise_of,
-    sensor_of,
-    unknown,
-)
+from pgm.beliefs.moments.compiled.robust_noise import robust_noise_of
+from pgm.beliefs.moments.compiled.rows import motion_of, places
+from pgm.beliefs.moments.compiled.sensors import sensor_of
 from pgm.beliefs.moments.compiled.sweep import settings
+from pgm.beliefs.moments.compiled.table import Table
+from pgm.beliefs.moments.compiled.uncompiled import Uncompiled, unknown
 from pgm.beliefs.moments.digits.close_points import families, largest
 from pgm.beliefs.moments.online.records import Records
 from pgm.beliefs.moments.steps import gate as gates

@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from pgm.beliefs.moments.compiled.plans import Table, Uncompiled, places, row_of, unknown
+from pgm.beliefs.moments.compiled.rows import places, row_of
+from pgm.beliefs.moments.compiled.table import Table
+from pgm.beliefs.moments.compiled.uncompiled import Uncompiled, unknown
 from pgm.beliefs.moments.passes.newton import Means, precision
 from pgm.beliefs.moments.steps.chain import MomentChain
 from pgm.beliefs.moments.steps.plan import ChainPlan, Link

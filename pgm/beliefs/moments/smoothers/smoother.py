@@ -26,8 +26,8 @@ import numpy as np
 
 from pgm.beliefs.moments.compiled import sweep as compiled
 from pgm.beliefs.moments.compiled.judged import judge, judge_at
-from pgm.beliefs.moments.compiled.plans import Uncompiled, unknown
 from pgm.beliefs.moments.compiled.points import Linearised
+from pgm.beliefs.moments.compiled.uncompiled import Uncompiled, unknown
 from pgm.beliefs.moments.digits import careful, careful_chain
 from pgm.beliefs.moments.digits.adjoint import CarefulSmoothed
 from pgm.beliefs.moments.passes import backward, forward, newton

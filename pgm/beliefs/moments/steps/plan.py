@@ -289,7 +289,7 @@ class ChainPlan:
                 lineariser,
                 lead,
                 template=place.template,
-                first_run=bound.first_run,
+                numbering=bound.numbering,
             )
 
         def link(cpd: Any, scope: Scope, step: Integers, inputs: Inputs) -> Link:

@@ -75,7 +75,7 @@ def contradiction(parts: Sequence[Measured], step: int, mean: Array, left: Array
     run, place = where if far.ndim > 1 else (0, *where)
     heights = [len(seen.value) for seen in parts]
     sensor = parts[int(np.searchsorted(np.cumsum(heights), place, side="right"))].sensor
-    run, off = sensor.family.first_run + run, float(left.T[where])
+    run, off = sensor.family.numbering.run(run), float(left.T[where])
     fault = "contradicts an exact model"
     if not sensor.family.exact:
         fault += f", as {sensor.family.lineariser!r} linearises it"

@@ -57,7 +57,7 @@ def evidence_of(bound: BoundEvidence, runs: slice) -> BoundEvidence:
     return replace(
         bound,
         lead=(runs.stop - runs.start,),
-        first_run=runs.start,
+        first_run=bound.first_run + runs.start,
         transition=tuple(map(inputs, bound.transition)),
         readings=tuple(
             replace(

@@ -1,0 +1,47 @@
+"""Plates: CPDs that differ in their variables, numbers and noise alone.
+
+A network of many thousand variables is made of few kinds of CPDs: all edges of a pose graph have
+one function, all pixels of a field the same neighbours. CPDs of one plate are linearised in one
+call of their function, and stand as rows of the same arrays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from typing import Any
+
+from pgm.cpds.conditional import ConditionalGaussian, Noise
+from pgm.cpds.gaussian import AffineCPD, NonlinearGaussianCPD
+from pgm.variables import Variable
+
+
+def plate(cpd: ConditionalGaussian) -> Hashable:
+    """A key that CPDs have in common which are of one plate.
+
+    Nonlinear ones have the same function, Jacobians and lineariser, affine ones any numbers; all
+    have parents and children of the same numbers of components, with angles at the same places. A
+    CPD at a step of time, or whose noise depends on parents, is of a plate with its own copies.
+    """
+    if cpd.child.step is not None or isinstance(cpd.cov, Noise):
+        return cpd.origin
+    shape = _form(cpd.child), tuple(map(_form, cpd.given)), cpd.cov.shape, _identity(cpd.noise)
+    if isinstance(cpd, NonlinearGaussianCPD):
+        jacobians = tuple(_identity(cpd.jacobian.get(parent)) for parent in cpd.given)
+        return shape, _identity(cpd.function), jacobians, _identity(cpd.lineariser)
+    if isinstance(cpd, AffineCPD):
+        return shape, cpd.offset.shape
+    return cpd.origin
+
+
+def _form(variable: Variable) -> tuple[int, bytes]:
+    return variable.dimension, variable.angle_mask.tobytes()
+
+
+def _identity(part: Any) -> Hashable:
+    """The part, if it can be a key, else its identity, as all CPDs of a network live as long."""
+    try:
+        hash(part)
+    except TypeError:
+        return id(part)
+    key: Hashable = part
+    return key

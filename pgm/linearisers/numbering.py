@@ -1,0 +1,48 @@
+"""The numbers of runs in the texts of errors."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Numbering(NamedTuple):
+    """The user's runs along an axis of runs, which counts them from `first` on.
+
+    Where all sightings of a step are tried with each of k `candidates`, the places of the axis are
+    a sighting, one of `runs` runs and a candidate each, of which candidates vary fastest; elsewhere
+    both are None.
+    """
+
+    first: int = 0
+    runs: int | None = None
+    candidates: int | None = None
+
+    def run(self, place: int) -> int:
+        """The user's number of the run at a place of the axis."""
+        if self.runs is None or self.candidates is None:
+            return self.first + place
+        return self.first + place // self.candidates % self.runs
+
+    def words(self, place: int) -> str:
+        """The run at a place of the axis in words, with the candidate that is tried there."""
+        tried = "" if self.candidates is None else f", candidate {place % self.candidates}"
+        return f"run {self.run(place)}{tried}"
+
+    def only(self, places: int) -> int | None:
+        """The user's number of the run of an axis of so many places, None where it has several."""
+        return self.first if self.run(places - 1) == self.first else None
+
+    def several(self, places: int) -> str:
+        """The runs of an axis of so many places in words."""
+        if places == 1:
+            return self.words(0)
+        first, last = self.first, self.run(places - 1)
+        return f"run {first}" if first == last else f"in a call for runs {first} to {last}"
+
+    def after(self, places: int) -> Numbering:
+        """The numbering of an axis that begins so many runs later."""
+        return self._replace(first=self.first + places)
+
+
+# Of all runs, from zero on.
+COUNTED = Numbering()
