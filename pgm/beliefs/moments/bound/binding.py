@@ -5,12 +5,16 @@ from __future__ import annotations
 from typing import Any
 
 from pgm.beliefs.moments.bound.bound import Bound
+from pgm.beliefs.moments.bound.once import BoundOnce
+from pgm.beliefs.moments.bound.room import Sweeps
 from pgm.beliefs.moments.compiled.uncompiled import Uncompiled
 from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
+from pgm.beliefs.moments.passes.forward import Filtered
 from pgm.beliefs.moments.steps.plan import Blank
 from pgm.compile import BalancedGraph, DynamicGraph
 from pgm.evidence import BoundEvidence
 from pgm.linearisers import Lineariser
+from pgm.posteriors.belief_kind import SMOOTHED
 from pgm.schedules.damping import LevenbergMarquardt
 from pgm.schedules.schedule import ONCE, Filtering, FixedLag, Schedule, Smoothing
 
@@ -59,7 +63,9 @@ def bind(
     if plan.account.compiled and not all(each and each.tracer.often for each in whole):
         return
     try:
-        blank.bound[key] = Bound(blank, found, evidence, filtering)
+        keep = not isinstance(found._swept, Filtered)
+        made = Sweeps(filtering, found.kind == SMOOTHED, keep)
+        blank.bound[key] = BoundOnce(blank, plan, evidence, made)
     except Uncompiled:
         blank.bound[key] = None
 

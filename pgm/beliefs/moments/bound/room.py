@@ -10,7 +10,7 @@ import numpy as np
 
 from pgm.beliefs.moments.compiled.gates import rejected_by, undecided
 from pgm.beliefs.moments.compiled.key import keeps_errors
-from pgm.beliefs.moments.compiled.sweep import is_iterated
+from pgm.beliefs.moments.compiled.sweep import is_iterated, settings
 from pgm.beliefs.moments.compiled.table import Record
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.sensor import Sensor
@@ -80,6 +80,7 @@ class Room:
         self.density = self._take(steps)
         self.ended = [self._take((sweeps.TOLD, plan.runs)) for _ in range(1 + made.back)]
         self.residuals: View | None = None
+        self.settings = settings(own)
         if is_iterated(plan, own):
             self.residuals = self._take((own.iterations + 1, plan.runs))
         # By its name in a record what a gate decides; by the number of a sensor moved readings.
