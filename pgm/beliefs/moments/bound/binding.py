@@ -16,7 +16,7 @@ from pgm.evidence import BoundEvidence
 from pgm.linearisers import Lineariser
 from pgm.posteriors.belief_kind import SMOOTHED
 from pgm.schedules.damping import LevenbergMarquardt
-from pgm.schedules.schedule import ONCE, Filtering, FixedLag, Schedule, Smoothing
+from pgm.schedules.schedule import Filtering, FixedLag, Schedule, Smoothing
 
 
 def bound_to(
@@ -26,8 +26,8 @@ def bound_to(
 
     A call that is bound has gone the general way before, where all but values was checked.
     """
-    filtering = _filtering(graph, schedule, evidence)
-    blank = None if filtering is None else Blank.known(graph.layout, evidence, lineariser)
+    bindable = _may_be_bound(graph, schedule, evidence)
+    blank = Blank.known(graph.layout, evidence, lineariser) if bindable else None
     if blank is None:
         return None
     key = _key(schedule, evidence)
@@ -48,8 +48,7 @@ def bind(
     blank: Blank | None, schedule: Schedule, found: ChainOutcome, evidence: BoundEvidence
 ) -> None:
     """Bind what later calls for evidence of a form need, after one that went the general way."""
-    filtering = _filtering(found.graph, schedule, evidence)
-    if blank is None or filtering is None:
+    if blank is None or not _may_be_bound(found.graph, schedule, evidence):
         return
     key = _key(schedule, evidence)
     known = blank.bound.get(key, _NOTHING)
@@ -63,9 +62,7 @@ def bind(
     if plan.account.compiled and not all(each and each.tracer.often for each in whole):
         return
     try:
-        keep = not isinstance(found._swept, Filtered)
-        made = Sweeps(filtering, found.kind == SMOOTHED, keep)
-        blank.bound[key] = BoundOnce(blank, plan, evidence, made)
+        blank.bound[key] = _bound(blank, schedule, found, evidence)
     except Uncompiled:
         blank.bound[key] = None
 
@@ -80,19 +77,33 @@ _FAILURES = 4
 _RUNS = 256
 
 
-def _filtering(
-    graph: DynamicGraph, schedule: Schedule | None, evidence: BoundEvidence
-) -> Filtering | None:
-    """The filter of a call that may be bound, which a smoother begins with; None of others."""
+def _may_be_bound(graph: DynamicGraph, schedule: Schedule | None, evidence: BoundEvidence) -> bool:
+    """Whether a call is of a kind that is bound."""
     if evidence.runs > _RUNS or isinstance(graph, BalancedGraph):
-        return None
-    if schedule is None or type(schedule) is Smoothing:
-        return ONCE if schedule is None else schedule.first if schedule.iterations == 1 else None
-    if type(schedule) is FixedLag and not schedule.lag:
+        return False
+    if schedule is None:
+        return True
+    if type(schedule) is FixedLag:
+        return not schedule.lag and not isinstance(schedule.damping, LevenbergMarquardt)
+    if type(schedule) not in (Filtering, Smoothing):
+        return False
+    assert isinstance(schedule, Filtering | Smoothing)
+    return not isinstance(schedule.damping, LevenbergMarquardt)
+
+
+def _bound(blank: Blank, schedule: Schedule, found: ChainOutcome, evidence: BoundEvidence) -> Bound:
+    """A call bound as one was made that went the general way."""
+    plan = found._planned
+    if isinstance(schedule, Smoothing) and schedule.iterations > 1 and not plan.exact:
+        from pgm.beliefs.moments.bound.iterated import BoundIterated
+
+        return BoundIterated(blank, plan, evidence, schedule)
+    if isinstance(schedule, FixedLag):
         schedule = schedule.filtering
-    if type(schedule) is not Filtering or isinstance(schedule.damping, LevenbergMarquardt):
-        return None
-    return schedule
+    assert isinstance(schedule, Filtering | Smoothing)
+    filtering = schedule.first if isinstance(schedule, Smoothing) else schedule
+    keep = not isinstance(found._swept, Filtered)
+    return BoundOnce(blank, plan, evidence, Sweeps(filtering, found.kind == SMOOTHED, keep))
 
 
 def _key(schedule: Schedule | None, evidence: BoundEvidence) -> Any:

@@ -46,6 +46,16 @@ class BoundOnce(Bound):
 
     def __call__(self, graph: DynamicGraph, evidence: BoundEvidence) -> BoundOutcome | None:
         """The posterior given evidence of the form; None where that has to go the general way."""
+        found = self.swept(evidence)
+        if found is None:
+            return None
+        self.prove()
+        made, least = found
+        kind = SMOOTHED if self._room.sweeps.back else FILTERED
+        return BoundOutcome.of(graph, self._status or self._went(made), kind, made, least)
+
+    def swept(self, evidence: BoundEvidence) -> tuple[Made, float] | None:
+        """The arrays of a call, swept, and the least share of a variance; None if in doubt."""
         made = self._made(evidence)
         known = self._tables.of(made)
         if known is None:
@@ -55,9 +65,7 @@ class BoundOnce(Bound):
         least = self._passes.run(made, table)
         if least is None or not all(check.clears(made, table) for check in self.checks):
             return None
-        self.prove()
-        kind = SMOOTHED if self._room.sweeps.back else FILTERED
-        return BoundOutcome.of(graph, self._status or self._went(made), kind, made, least)
+        return made, least
 
     def _made(self, evidence: BoundEvidence) -> Made:
         """The plan and the arrays of a call for evidence of the form."""

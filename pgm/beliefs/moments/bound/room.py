@@ -7,11 +7,13 @@ from math import prod
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.array_utils import byte_bounds
 
 from pgm.beliefs.moments.compiled.gates import rejected_by, undecided
 from pgm.beliefs.moments.compiled.key import keeps_errors
 from pgm.beliefs.moments.compiled.sweep import is_iterated, settings
 from pgm.beliefs.moments.compiled.table import Record
+from pgm.beliefs.moments.compiled.uncompiled import Uncompiled
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.evidence import BoundEvidence
@@ -66,10 +68,10 @@ class Room:
     """The arrays of a call in three blocks.
 
     Two are the means and the covariances that users ask for first, and keep; the other has the
-    rest.
+    rest. Linearisations lie `like` those of the plan, or with the runs side by side.
     """
 
-    def __init__(self, plan: ChainPlan, made: Sweeps) -> None:
+    def __init__(self, plan: ChainPlan, made: Sweeps, *, like: bool = False) -> None:
         self.sweeps, self._sizes = made, [0, 0, 0]
         size, own = plan.layout.slice_size, made.schedule
         steps = plan.steps + 1, plan.runs
@@ -92,19 +94,22 @@ class Room:
         self._owned: list[_Owned] = []
         for k, family in enumerate(plan.families):
             if made.keep and family.step.size:
-                self._keep_lines(k, family)
+                self._keep_lines(k, family, like=like)
         for k, sensor in enumerate(plan.sensors):
             if sensor.family.step.size:
                 self._keep_readings(k, sensor)
 
-    def _keep_lines(self, k: int, family: Family) -> None:
+    def _keep_lines(self, k: int, family: Family, *, like: bool) -> None:
         """Take memory for the linearisations of a CPD, by its number."""
         lead, own = family.shape[:2], family.shape[2:]
 
         def of(plan: ChainPlan) -> Family:
             return plan.families[k]
 
-        if not family.exact:
+        if like and not family.exact:
+            for name in ("matrix", "offset"):
+                self._owned.append(_Owned(of, name, self._take_like(getattr(family, name))))
+        elif not family.exact:
             self._own(of, "matrix", lead, own)
             self._own(of, "offset", lead, own[:1])
         if keeps_errors(family):
@@ -132,6 +137,15 @@ class Room:
         """Take memory for an array that a plan has, by its owner and its name there."""
         self._owned.append(_Owned(of, name, self._take(lead, own)))
         return self._owned[-1].view
+
+    def _take_like(self, array: Array) -> View:
+        """Take memory for an array that lies as another one."""
+        first, last = byte_bounds(array)
+        if last - first != array.nbytes:
+            raise Uncompiled("linearisations have gaps")
+        begin = self._sizes[0]
+        self._sizes[0] += array.size
+        return View(0, 8 * begin, array.shape, array.strides)
 
     def _take(self, lead: tuple[int, ...], own: tuple[int, ...] = (), block: int = 0) -> View:
         begin, length = self._sizes[block], prod(lead) * prod(own)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +28,7 @@ class Trace(NamedTuple):
     tracer: Tracer
     program: Program
     clearing: Clearing
+    columns: Sequence[int]
 
     @classmethod
     def of(cls, family: Family) -> Trace:
@@ -37,7 +39,7 @@ class Trace(NamedTuple):
         clearing = answers.slopes.clearing(answers.trace, differentiated=differentiated)
         if clearing is None or answers.every > 1 or answers.thin > 1:
             raise Uncompiled("a trace is not cleared at once")
-        return cls(answers.tracer, answers.trace, clearing)
+        return cls(answers.tracer, answers.trace, clearing, answers.places)
 
     @property
     def stands(self) -> bool:
@@ -68,8 +70,8 @@ class AtBeliefs(NamedTuple):
         return self.trace.clearing.clears_at(self.number, places, squared=self.squared)
 
 
-class AboutBeliefs(NamedTuple):
-    """A trace that was evaluated at the points of a rule about beliefs, which are laid out again.
+class LaidOut(NamedTuple):
+    """A trace that was evaluated at points that do not stand in memory, and are laid out again.
 
     `place` is the number of the family, and `again` says that beliefs are those of an iteration.
     """
@@ -81,14 +83,20 @@ class AboutBeliefs(NamedTuple):
 
     def clears(self, made: Made, table: int) -> bool:
         """Whether the trace is surely right in a call."""
+        if self.again:
+            return self.clears_at(made, None, made.known)
+        return self.clears_at(made, made.known, made.predicted)
+
+    def clears_at(self, made: Made, known: Pair | None, predicted: Pair) -> bool:
+        """Whether the trace is surely right at beliefs, as of `evaluated`."""
         family = made.plan.families[self.place]
-        moments = (None, made.known) if self.again else (made.known, made.predicted)
-        arguments, _ = laid_out(family, self.belief.of_sweep(*moments))
+        arguments, std = laid_out(family, self.belief.of_sweep(known, predicted))
         flat = np.concatenate(arguments, axis=-1)
-        return self.trace.clearing.clears(Standing.of(flat, None))
+        own = None if std is None else std[:, self.trace.columns]
+        return self.trace.clearing.clears(Standing.of(flat, own))
 
 
-Check = AtBeliefs | AboutBeliefs
+Check = AtBeliefs | LaidOut
 
 
 def checks(made: Made, numbers: list[int], *, again: bool) -> list[Check]:
@@ -100,16 +108,24 @@ def checks(made: Made, numbers: list[int], *, again: bool) -> list[Check]:
     moments: list[tuple[Pair | None, Pair]] = [(made.known, made.predicted)]
     if again:
         moments.append((None, made.known))
-    families = [id(family) for family in made.plan.families]
     for each in moments:
         for family, belief in evaluated(made.plan, *each):
-            trace = Trace.of(family)
             if is_regressed(family):
-                place = families.index(id(family))
-                found.append(AboutBeliefs(trace, place, belief, each[0] is None))
+                found.append(_laid_out(made, family, belief, again=each[0] is None))
                 continue
             points = standing(family, belief)
             own = points.number, points.squared, points.kept
-            found.append(AtBeliefs(trace, len(numbers), *own))
+            found.append(AtBeliefs(Trace.of(family), len(numbers), *own))
             numbers += points.places
     return found
+
+
+def laid_out_again(made: Made) -> list[LaidOut]:
+    """The checks of all traces of a call at beliefs that are given later."""
+    every = evaluated(made.plan, made.known, made.predicted)
+    return [_laid_out(made, family, belief, again=False) for family, belief in every]
+
+
+def _laid_out(made: Made, family: Family, belief: Belief, *, again: bool) -> LaidOut:
+    place = next(k for k, each in enumerate(made.plan.families) if each is family)
+    return LaidOut(Trace.of(family), place, belief, again)

@@ -75,8 +75,14 @@ def evaluated(
 
 def judge_at(plan: ChainPlan, mean: Array, std: Array) -> None:
     """Judge the traces of a plan where all of it was linearised at means (T+1, runs, n)."""
-    cov = std[..., None] * np.eye(std.shape[-1]) * std[..., None, :]
-    judge(plan, (mean, cov), (mean, cov), np.ones(plan.runs, dtype=bool))
+    at = mean, diagonal(std)
+    judge(plan, at, at, np.ones(plan.runs, dtype=bool))
+
+
+def diagonal(std: Array) -> Array:
+    """The covariances (T+1, runs, n, n) of independent components of these deviations."""
+    cov: Array = std[..., None] * np.eye(std.shape[-1]) * std[..., None, :]
+    return cov
 
 
 class _Points(NamedTuple):

@@ -16,7 +16,7 @@ from pgm.beliefs.moments.compiled.gates import decided, undecided
 from pgm.beliefs.moments.compiled.groups import Group, groups_of
 from pgm.beliefs.moments.compiled.judged import judge
 from pgm.beliefs.moments.compiled.key import decisive
-from pgm.beliefs.moments.compiled.named_table import Filled, NamedTable
+from pgm.beliefs.moments.compiled.named_table import NamedTable
 from pgm.beliefs.moments.compiled.robust_noise import untried
 from pgm.beliefs.moments.compiled.rows import motion_of, places
 from pgm.beliefs.moments.compiled.sensors import sensor_of, vector_of
@@ -47,6 +47,8 @@ CLOSE = f"two candidates are as likely or on the edge of a gate, {FAR}"
 _SINGULAR = "a covariance is singular on the way back"
 # Sweeps of so many forms of plans are kept by a network's layout.
 _TOLD = 64
+# In so many ways the arrays of each lie.
+_WAYS = 4
 # The names in a record of the belief to begin with, of beliefs, and of densities.
 BEGIN, PREDICTED = ("begin mean", "begin cov"), ("predicted mean", "predicted cov")
 KNOWN = "known mean", "known cov", "density"
@@ -357,8 +359,10 @@ def _run(
     """
     lanes = lanes_of(plan)
     first, before = (plan.steps, plan.runs, iterations), plan.layout.told
-    sweep, form = before.get((key, lanes), (None, None))
-    filled: Filled | None = None if form is None else form.filled(owners, *first)
+    # Arrays of one plan may lie in several ways, as those of iterations do.
+    known = before.get((key, lanes), ())
+    fitting = ((sweep, form.filled(owners, *first)) for sweep, form in known)
+    sweep, filled = next((each for each in fitting if each[1] is not None), (None, None))
     if filled is None:
         table = NamedTable(plan, lanes, owners, record, calls)
         chain = tell(table)
@@ -369,7 +373,7 @@ def _run(
             sweep = sweeps.made(chain, lanes)
             if len(before) >= _TOLD:
                 before.clear()
-            before[key, lanes] = sweep, table.form
+            before[key, lanes] = (sweep, table.form), *known[: _WAYS - 1]
     return run(plan, sweep, filled.numbers, out)
 
 

@@ -185,7 +185,10 @@ def _measured(plan: ChainPlan, sensor: Sensor, table: _Table) -> told.Squares:
     """A sensor's residuals."""
     family, size = sensor.family, plan.layout.slice_size
     found = _squares(family, places(sensor.parents, size), (), table)
-    found["noise"] = table.array(_weight(family.own_noise, sensor.taken))
+    if sensor.taken is None and not family.noisy:
+        found["noise"] = table.array(_weight(family.own_noise))
+    else:
+        found["noise"] = table.of(sensor, lambda own: _weight(own.family.own_noise, own.taken))
     if sensor.bounds != list(range(plan.steps + 2)):
         found["bounds"] = table.at(np.array(sensor.bounds, dtype=np.int64))
         found["steps"] = table.at((family.step - plan.first).astype(np.int64))
@@ -206,7 +209,10 @@ def _moved(plan: ChainPlan, link: Link, table: _Table) -> told.Squares:
     found = _squares(family, parents, child, table)
     if family.template is None:
         found["angles"] = ()  # of a line no angle is on another branch
-    found["noise"] = table.array(_weight(family.own_noise))
+    if family.noisy:
+        found["noise"] = table.of(family, lambda own: _weight(own.own_noise))
+    else:
+        found["noise"] = table.array(_weight(family.own_noise))
     return told.Squares(**found)
 
 
