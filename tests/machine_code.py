@@ -10,9 +10,9 @@ pytest.importorskip("llvmlite", reason="LLVM is driven by llvmlite")
 from pgm.kernels.machine.emitter.kinds import ADDRESS, WHOLE
 from pgm.kernels.machine.emitter.memory import Memory, Runs
 from pgm.kernels.machine.emitter.module import Module
-from pgm.kernels.machine.loops.frame import LINE, Frame
-from pgm.kernels.machine.loops.loops import Loops
-from pgm.kernels.machine.sweeps.lines import Lines
+from pgm.kernels.machine.matrices.in_memory.frame import LINE, Frame
+from pgm.kernels.machine.matrices.lines import Lines
+from pgm.kernels.machine.matrices.loops import Loops
 
 WIDTHS = (1, 2, 4, 8)
 

@@ -16,8 +16,8 @@ from pgm.kernels import step, written
 from pgm.kernels.dense import Dense, Runs, Stack
 from pgm.kernels.extended import Twofold
 from pgm.kernels.machine.emitter import traces
-from pgm.kernels.machine.loops.loops import Loops
-from pgm.kernels.machine.sweeps.lines import Lines as Straight
+from pgm.kernels.machine.matrices.lines import Lines as Straight
+from pgm.kernels.machine.matrices.loops import Loops
 from pgm.kernels.numbers import Matrix
 from pgm.tracing.traced import Node, Recorder, bare
 

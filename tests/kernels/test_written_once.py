@@ -296,7 +296,7 @@ PREDICTIONS = listed(
 )
 DIFFERENCES = listed(
     # Factorisations, one number after another.
-    {"kernels/numbers.py": "__init__", "kernels/machine/loops/roots.py": "root rows"},
+    {"kernels/numbers.py": "__init__", "kernels/machine/matrices/in_memory/roots.py": "root rows"},
     # Beliefs given what an adjoint pass says, which has no gain.
     {f"{DIGITS}adjoint.py": "_across", f"{DIGITS}adjoint_belief.py": "given"},
     # Information: what is left of it, and what has changed.
@@ -329,7 +329,7 @@ WEIGHED = listed(
 )
 KINDS = listed(
     {"kernels/numbers.py": "Matrix", "kernels/dense.py": "Dense Runs Stack"},
-    {"kernels/machine/loops/stored.py": "Stored", "kernels/extended.py": "Twofold"},
+    {"kernels/machine/matrices/in_memory/stored.py": "Stored", "kernels/extended.py": "Twofold"},
 )
 # What solves or factorises but by the roots of `step`, which no update of a belief does.
 SOLUTIONS = listed(

@@ -81,6 +81,18 @@ class Places:
         start = self.block_starts[clusters][:, None, None]
         return start + columns[:, :, None] * size + columns[:, None, :]
 
+    def of_stack(self, stack: Stack) -> tuple[Integers, Integers]:
+        """Flat indices of the moments of a stack's clusters, in its order; they are kept."""
+        known = self._stacks.get(stack)
+        if known is None:
+            at = stack.clusters, stack.columns
+            known = self._stacks[stack] = self.means(*at), self.covs(*at)
+        return known
+
+    @cached_property
+    def _stacks(self) -> dict[Stack, tuple[Integers, Integers]]:
+        return {}
+
     def of(self, clusters: Integers, components: Integers) -> tuple[Integers, Integers]:
         """Flat indices of means (B, n) and covariances (B, n, n) of components in clusters (B,).
 
@@ -142,9 +154,8 @@ class Beliefs:
         Entry b is of the cluster ``stack.clusters[b]``, whose n components are in the order of the
         columns ``stack.columns[b]``.
         """
-        at = stack.clusters, stack.columns
-        self.mean[:, self.places.means(*at)] = mean
-        self.cov[:, self.places.covs(*at)] = cov
+        means, covs = self.places.of_stack(stack)
+        self.mean[:, means], self.cov[:, covs] = mean, cov
 
     def moments(self, where: Integers, entries: Integers, places: Integers) -> tuple[Array, Array]:
         """Means (runs, ..., n) and covariances (V, ..., n, n) of components, in the user's units.

@@ -57,9 +57,21 @@ def prior_predictive(
     variance = np.zeros((1 if shared else runs, layout.size))
     size = np.abs(mean).max(axis=0, initial=0.0) if start is not None else np.zeros(layout.size)
     frontier = _Frontier(variance.shape[0])
-    left = Counter(int(place) for group in layout.groups for row in group.parents for place in row)
+    # What was measured has no moments of its own, and asks for its parents' to be linearised alone.
+    asking = [
+        not group.observed or (start is None and not family.exact)
+        for group, family in zip(layout.groups, families, strict=True)
+    ]
+    left = Counter(
+        place
+        for group, asks in zip(layout.groups, asking, strict=True)
+        if asks
+        for place in group.parents.ravel().tolist()
+    )
     last = 1 if shared else runs
     for g, row in layout.order:
+        if not asking[g]:
+            continue
         group, family = layout.groups[g], families[g]
         parents = group.parents[row]
         inside, across = frontier.covariance(parents)

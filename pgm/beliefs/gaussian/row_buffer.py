@@ -92,7 +92,13 @@ class Buffer:
         second are the log-scales of the integrals, (V, B, N), taken in the user's units. Exact
         relations that contradict one another are a NumericalError.
         """
-        done = eliminate(self.factor(stack), stack.drop)
+        factor = self.factor(stack)
+        if factor.exact is None or any(np.any(part) for part in factor[2:]):
+            done = eliminate(factor, stack.drop)
+        else:  # as at most clusters of a network that has relations
+            done = eliminate(Rows(factor.matrix, factor.right), stack.drop)
+            none = np.zeros_like(done.rest.matrix), np.zeros_like(done.rest.right)
+            done = done._replace(rest=Rows(done.rest.matrix, done.rest.right, *none))
         self.largest = float(np.maximum(self.largest, done.largest))  # NaN stays
         if done.contradiction is not None and done.contradiction.any():
             v, b, n = (int(axis[0]) for axis in np.nonzero(done.contradiction))

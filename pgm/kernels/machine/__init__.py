@@ -1,1 +1,4 @@
-"""Machine code by LLVM: `emitter` writes it, `loops` has matrices in memory, `sweeps` chains."""
+"""Machine code by LLVM: `emitter` writes it, `matrices` has those that it is written with.
+
+`sweeps` are along chains, and `newton` has the Gauss–Newton steps of chains.
+"""

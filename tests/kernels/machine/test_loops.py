@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 
 import pgm
 from pgm.kernels import step
-from pgm.kernels.machine.loops.loops import Loops
+from pgm.kernels.machine.matrices.loops import Loops
 from pgm.kernels.machine.sweeps import chain as sweeps
 
 SIZES = slow_after(

@@ -22,6 +22,7 @@ from pgm.compile.machine import Compiled
 from pgm.factors.scope import dimension
 from pgm.kernels import moments
 from pgm.kernels.arrays import Array, Mask, address, apply, block, independent, room, variances
+from pgm.kernels.machine.newton import problem
 from pgm.kernels.machine.newton import steps as newton
 from pgm.kernels.machine.newton.equations import Layout
 from pgm.kernels.machine.newton.squares import is_small
@@ -78,7 +79,7 @@ class Equations:
         squares += [_moved(plan, link, table) for link in plan.transition]
         along = np.empty((3, plan.runs, plan.steps + 1, width))
         trajectories = [table.trajectory(each) for each in along]
-        self.chain = told.Newton(
+        self.chain = problem.Newton(
             size=width,
             rows=tuple(squares),
             active=Table.array(table, np.ones((1, plan.runs, 1))),
@@ -181,7 +182,7 @@ class _Table(NamedTable):
         return self.array(array)
 
 
-def _measured(plan: ChainPlan, sensor: Sensor, table: _Table) -> told.Squares:
+def _measured(plan: ChainPlan, sensor: Sensor, table: _Table) -> problem.Squares:
     """A sensor's residuals."""
     family, size = sensor.family, plan.layout.slice_size
     found = _squares(family, places(sensor.parents, size), (), table)
@@ -192,7 +193,7 @@ def _measured(plan: ChainPlan, sensor: Sensor, table: _Table) -> told.Squares:
     if sensor.bounds != list(range(plan.steps + 2)):
         found["bounds"] = table.at(np.array(sensor.bounds, dtype=np.int64))
         found["steps"] = table.at((family.step - plan.first).astype(np.int64))
-    return told.Squares(
+    return problem.Squares(
         **found,
         readings=table.of(sensor, attrgetter("marked")),
         moved=table.of(sensor, attrgetter("moved")) if sensor.variable.angles else None,
@@ -200,7 +201,7 @@ def _measured(plan: ChainPlan, sensor: Sensor, table: _Table) -> told.Squares:
     )
 
 
-def _moved(plan: ChainPlan, link: Link, table: _Table) -> told.Squares:
+def _moved(plan: ChainPlan, link: Link, table: _Table) -> problem.Squares:
     """The residuals of a CPD of the transition."""
     layout, family = plan.layout, link.family
     width = layout.slice_size
@@ -213,7 +214,7 @@ def _moved(plan: ChainPlan, link: Link, table: _Table) -> told.Squares:
         found["noise"] = table.of(family, lambda own: _weight(own.own_noise))
     else:
         found["noise"] = table.array(_weight(family.own_noise))
-    return told.Squares(**found)
+    return problem.Squares(**found)
 
 
 def _squared(plan: ChainPlan) -> Iterator[tuple[Family, int]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar, cast
 
-from pgm.kernels.machine.emitter.numbers import Number
+from pgm.kernels.machine.emitter.numbers import Number, constant
 from pgm.kernels.machine.emitter.wholes import Address, Whole
 
 if TYPE_CHECKING:
@@ -32,3 +32,9 @@ class Variable(Generic[Held]):
         """Give the variable another value from here on."""
         text = self._code.operand(self._like, value).text
         self._code.line(f"store {self._like.kind} {text}, ptr {self._place}")
+
+
+def held(code: Code, number: Number | float) -> Variable[Number]:
+    """A variable that begins as a number, of all runs at hand."""
+    number = constant(code, number)
+    return code.variable(number.spread(max(code.lanes, number.lanes)))

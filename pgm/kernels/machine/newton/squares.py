@@ -18,14 +18,14 @@ from pgm.kernels.machine.emitter.memory import Cells, Memory
 from pgm.kernels.machine.emitter.module import Module
 from pgm.kernels.machine.emitter.numbers import Number
 from pgm.kernels.machine.emitter.wholes import Address, Whole
-from pgm.kernels.machine.loops.frame import Frame
-from pgm.kernels.machine.loops.loops import Loops
+from pgm.kernels.machine.matrices.in_memory.frame import Frame
+from pgm.kernels.machine.matrices.lines import Lines
+from pgm.kernels.machine.matrices.loops import Loops
+from pgm.kernels.machine.matrices.protocol import Matrices
+from pgm.kernels.machine.newton import problem
 from pgm.kernels.machine.newton.equations import Layout
 from pgm.kernels.machine.sweeps import cpd as cpds
-from pgm.kernels.machine.sweeps import told
 from pgm.kernels.machine.sweeps.cpd import Line
-from pgm.kernels.machine.sweeps.lines import Lines
-from pgm.kernels.machine.sweeps.matrices import Matrices
 from pgm.kernels.machine.sweeps.writer import Writer
 from pgm.kernels.numbers import is_zero, where
 from pgm.kernels.step import AnyMatrix
@@ -48,7 +48,9 @@ class Rows:
     to `end`; `room` says how many floats it works in.
     """
 
-    def __init__(self, module: Module, chain: told.Newton, cpd: told.Squares, name: str) -> None:
+    def __init__(
+        self, module: Module, chain: problem.Newton, cpd: problem.Squares, name: str
+    ) -> None:
         kinds = ADDRESS, WHOLE, WHOLE, WHOLE, ADDRESS, ADDRESS
         self.code = code = module.function(name, kinds, lanes=cpd.lanes, **_APART)
         table, self.run, begin, end, self.equations, room = code.arguments

@@ -18,13 +18,13 @@ from pgm.kernels.machine.emitter.module import Module
 from pgm.kernels.machine.emitter.numbers import Number
 from pgm.kernels.machine.emitter.variables import Variable
 from pgm.kernels.machine.emitter.wholes import Address, Whole
-from pgm.kernels.machine.loops.frame import Frame
-from pgm.kernels.machine.loops.loops import Loops
+from pgm.kernels.machine.matrices.in_memory.frame import Frame
+from pgm.kernels.machine.matrices.lines import Lines
+from pgm.kernels.machine.matrices.loops import Loops
+from pgm.kernels.machine.matrices.protocol import Belief, Matrices
+from pgm.kernels.machine.newton import problem
 from pgm.kernels.machine.newton.equations import PACK, Layout
 from pgm.kernels.machine.newton.squares import Rows
-from pgm.kernels.machine.sweeps import told
-from pgm.kernels.machine.sweeps.lines import Lines
-from pgm.kernels.machine.sweeps.matrices import Belief, Matrices
 from pgm.kernels.machine.sweeps.writer import Writer
 from pgm.kernels.normal_equations import eliminate, substitute
 
@@ -44,7 +44,7 @@ class Step(NamedTuple):
 
 
 @lru_cache(maxsize=128)
-def made(chain: told.Newton) -> Step:
+def made(chain: problem.Newton) -> Step:
     """The Gauss–Newton step of a chain."""
     module = Module()
     rows = [Rows(module, chain, each, f"squares {k}") for k, each in enumerate(chain.rows)]
@@ -56,7 +56,7 @@ def made(chain: told.Newton) -> Step:
 class _Written:
     """The step that is being written, of one run after another."""
 
-    def __init__(self, module: Module, chain: told.Newton, rows: list[Rows]) -> None:
+    def __init__(self, module: Module, chain: problem.Newton, rows: list[Rows]) -> None:
         kinds = ADDRESS, WHOLE, WHOLE, ADDRESS, ADDRESS
         self.code = code = module.function("newton", kinds, disjoint=True)
         self.table, first, last, work, equations = code.arguments

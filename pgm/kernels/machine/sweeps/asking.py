@@ -10,11 +10,11 @@ from typing import NamedTuple
 from pgm.kernels.machine.emitter.kinds import ADDRESS, WHOLE
 from pgm.kernels.machine.emitter.module import Module
 from pgm.kernels.machine.emitter.waiting import ALIGNED, Waiting, go_on
-from pgm.kernels.machine.loops.frame import Frame
-from pgm.kernels.machine.loops.loops import Loops
+from pgm.kernels.machine.matrices.in_memory.frame import Frame
+from pgm.kernels.machine.matrices.lines import Lines
+from pgm.kernels.machine.matrices.loops import Loops
 from pgm.kernels.machine.sweeps.chain import forward
 from pgm.kernels.machine.sweeps.extent import is_long
-from pgm.kernels.machine.sweeps.lines import Lines
 from pgm.kernels.machine.sweeps.told import Forward
 from pgm.kernels.machine.sweeps.writer import Writer
 

@@ -15,9 +15,9 @@ from typing import Any
 
 from pgm.kernels import step
 from pgm.kernels.gaussian import NEARLY_SINGULAR
+from pgm.kernels.machine.emitter.variables import held
 from pgm.kernels.machine.emitter.wholes import Whole
 from pgm.kernels.machine.sweeps.called import Rows
-from pgm.kernels.machine.sweeps.lines import held
 from pgm.kernels.machine.sweeps.outliers import limit_of
 from pgm.kernels.machine.sweeps.reading import Taken, read, taken
 from pgm.kernels.machine.sweeps.sighting import Point, Sighting

@@ -11,12 +11,12 @@ from pgm.kernels import step
 from pgm.kernels.machine.emitter.kinds import ADDRESS, WHOLE
 from pgm.kernels.machine.emitter.module import Module
 from pgm.kernels.machine.emitter.wholes import Whole
-from pgm.kernels.machine.loops.frame import Frame
-from pgm.kernels.machine.loops.loops import Loops
+from pgm.kernels.machine.matrices.in_memory.frame import Frame
+from pgm.kernels.machine.matrices.lines import Lines
+from pgm.kernels.machine.matrices.loops import Loops
 from pgm.kernels.machine.sweeps import costs, relinearising, windows
 from pgm.kernels.machine.sweeps.associating import associated, is_open
 from pgm.kernels.machine.sweeps.extent import is_long
-from pgm.kernels.machine.sweeps.lines import Lines
 from pgm.kernels.machine.sweeps.motion import predicted
 from pgm.kernels.machine.sweeps.reading import taken
 from pgm.kernels.machine.sweeps.rounding import Rounding, is_far

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 
 from pgm.kernels import step
 from pgm.kernels.machine.emitter.numbers import Number
+from pgm.kernels.machine.emitter.variables import held
 from pgm.kernels.machine.emitter.wholes import Whole
+from pgm.kernels.machine.matrices.protocol import Belief
 from pgm.kernels.machine.sweeps.cpd import REGULAR, linearised, on_branch, value_at
-from pgm.kernels.machine.sweeps.lines import held
-from pgm.kernels.machine.sweeps.matrices import Belief
 from pgm.kernels.machine.sweeps.outliers import cost_of, is_rejected, square_of
 from pgm.kernels.machine.sweeps.told import Forward, Row, Sensor, kept_sensor
 from pgm.kernels.machine.sweeps.writer import Writer

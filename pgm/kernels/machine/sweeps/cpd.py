@@ -12,9 +12,9 @@ from typing import NamedTuple
 from pgm.kernels import step
 from pgm.kernels.machine.emitter.numbers import Number
 from pgm.kernels.machine.emitter.traces import Inputs
+from pgm.kernels.machine.emitter.variables import held
 from pgm.kernels.machine.emitter.wholes import Whole
 from pgm.kernels.machine.sweeps.called import Rows, tangent, values_at
-from pgm.kernels.machine.sweeps.lines import held
 from pgm.kernels.machine.sweeps.told import Points, Row, Sensor
 from pgm.kernels.machine.sweeps.writer import Writer
 from pgm.kernels.numbers import inner, where

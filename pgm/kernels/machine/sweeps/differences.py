@@ -13,7 +13,7 @@ from pgm.kernels import step
 from pgm.kernels.machine.emitter.code import Code
 from pgm.kernels.machine.emitter.kinds import ADDRESS, WHOLE
 from pgm.kernels.machine.emitter.memory import Memory
-from pgm.kernels.machine.loops.transfers import inside, lie, place
+from pgm.kernels.machine.emitter.passed import inside, lie, place
 from pgm.kernels.numbers import least, most, sqrt, where
 
 # As of `differences`: the least step, as a part of a deviation, in itself, and beside a number; and

@@ -17,11 +17,11 @@ from pgm.kernels.machine.emitter.memory import Cells
 from pgm.kernels.machine.emitter.module import Module
 from pgm.kernels.machine.emitter.numbers import Number, constant
 from pgm.kernels.machine.emitter.traces import written
-from pgm.kernels.machine.emitter.variables import Variable
+from pgm.kernels.machine.emitter.variables import Variable, held
 from pgm.kernels.machine.emitter.wholes import Address, Whole
+from pgm.kernels.machine.matrices.lines import Lines
 from pgm.kernels.machine.sweeps.chain import Sweep, each_run
 from pgm.kernels.machine.sweeps.cpd import keep, linearised, readings
-from pgm.kernels.machine.sweeps.lines import Lines, held
 from pgm.kernels.machine.sweeps.motion import line_of
 from pgm.kernels.machine.sweeps.told import Array, Motion, Sensor
 from pgm.kernels.machine.sweeps.writer import Writer

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 from pgm.kernels import step
 from pgm.kernels.machine.emitter.numbers import Number
+from pgm.kernels.machine.emitter.variables import held
 from pgm.kernels.machine.emitter.wholes import Whole
 from pgm.kernels.machine.sweeps.cpd import Line, keep, linearised, value_at
-from pgm.kernels.machine.sweeps.lines import held
 from pgm.kernels.machine.sweeps.told import Forward, Motion
 from pgm.kernels.machine.sweeps.writer import Writer
 from pgm.kernels.numbers import Matrix, inner, most, sqrt, where

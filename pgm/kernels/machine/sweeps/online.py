@@ -31,8 +31,9 @@ from pgm.kernels.machine.emitter.kinds import WHOLE
 from pgm.kernels.machine.emitter.module import Module
 from pgm.kernels.machine.emitter.python import Python, written
 from pgm.kernels.machine.emitter.wholes import Address
-from pgm.kernels.machine.loops.frame import Frame
-from pgm.kernels.machine.loops.loops import Loops
+from pgm.kernels.machine.matrices.in_memory.frame import Frame
+from pgm.kernels.machine.matrices.lines import Lines
+from pgm.kernels.machine.matrices.loops import Loops
 from pgm.kernels.machine.sweeps import lost, told
 from pgm.kernels.machine.sweeps.evidence import (
     BELIEFS,
@@ -46,7 +47,6 @@ from pgm.kernels.machine.sweeps.evidence import (
     read,
 )
 from pgm.kernels.machine.sweeps.extent import is_long
-from pgm.kernels.machine.sweeps.lines import Lines
 from pgm.kernels.machine.sweeps.motion import predicted
 from pgm.kernels.machine.sweeps.reading import taken
 from pgm.kernels.machine.sweeps.writer import Writer

@@ -12,10 +12,10 @@ from pgm.kernels import step
 from pgm.kernels.gaussian import NEARLY_SINGULAR
 from pgm.kernels.machine.emitter.numbers import Number
 from pgm.kernels.machine.emitter.wholes import Whole
+from pgm.kernels.machine.matrices.protocol import Belief
 from pgm.kernels.machine.sweeps.called import rows_of
 from pgm.kernels.machine.sweeps.control import Anchor, Control, Solve, tried
 from pgm.kernels.machine.sweeps.cpd import REGULAR
-from pgm.kernels.machine.sweeps.matrices import Belief
 from pgm.kernels.machine.sweeps.outliers import gated, kept_surplus, surplus
 from pgm.kernels.machine.sweeps.settling import Settling, moved
 from pgm.kernels.machine.sweeps.sighting import Point, Sighting

@@ -5,8 +5,8 @@ from __future__ import annotations
 from operator import or_
 
 from pgm.kernels.machine.emitter.numbers import Number
+from pgm.kernels.machine.emitter.variables import held
 from pgm.kernels.machine.emitter.wholes import Whole
-from pgm.kernels.machine.sweeps.lines import held
 from pgm.kernels.machine.sweeps.writer import Writer
 from pgm.kernels.numbers import least, where
 from pgm.kernels.step import AnyMatrix

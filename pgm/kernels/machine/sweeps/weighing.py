@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 from pgm.kernels import step
 from pgm.kernels.machine.emitter.numbers import Number
+from pgm.kernels.machine.emitter.variables import held
 from pgm.kernels.machine.emitter.wholes import Whole
-from pgm.kernels.machine.sweeps.lines import held
-from pgm.kernels.machine.sweeps.matrices import Belief
+from pgm.kernels.machine.matrices.protocol import Belief
 from pgm.kernels.machine.sweeps.outliers import is_rejected, weight_of
 from pgm.kernels.machine.sweeps.sighting import Point, Sighting
 from pgm.kernels.machine.sweeps.told import Sensor

@@ -13,8 +13,8 @@ from typing import Any
 from pgm.kernels import step
 from pgm.kernels.machine.emitter.numbers import Number
 from pgm.kernels.machine.emitter.wholes import Whole
+from pgm.kernels.machine.matrices.lines import Carried
 from pgm.kernels.machine.sweeps import relinearising
-from pgm.kernels.machine.sweeps.lines import Carried
 from pgm.kernels.machine.sweeps.motion import predicted, transition
 from pgm.kernels.machine.sweeps.reading import taken
 from pgm.kernels.machine.sweeps.relinearising import Beliefs

@@ -17,8 +17,8 @@ from pgm.kernels.machine.emitter.memory import Cells, Memory, Runs
 from pgm.kernels.machine.emitter.numbers import Number
 from pgm.kernels.machine.emitter.waiting import Waiting
 from pgm.kernels.machine.emitter.wholes import Address, Whole
+from pgm.kernels.machine.matrices.protocol import Matrices
 from pgm.kernels.machine.sweeps import told
-from pgm.kernels.machine.sweeps.matrices import Matrices
 from pgm.kernels.step import AnyMatrix
 
 

@@ -7,7 +7,14 @@ from typing import NamedTuple
 from pgm.kernels.machine.emitter.code import Code
 from pgm.kernels.machine.emitter.numbers import Number
 from pgm.kernels.machine.emitter.wholes import Whole
-from pgm.kernels.machine.loops.views import Index, View, lanes_where, size_of, tiled, transposed
+from pgm.kernels.machine.matrices.in_memory.views import (
+    Index,
+    View,
+    lanes_where,
+    size_of,
+    tiled,
+    transposed,
+)
 
 
 class Plan(NamedTuple):

@@ -11,13 +11,14 @@ from pgm.kernels.machine.emitter.functions import Function
 from pgm.kernels.machine.emitter.kinds import ADDRESS, WHOLE
 from pgm.kernels.machine.emitter.memory import Memory
 from pgm.kernels.machine.emitter.numbers import Number, constant
+from pgm.kernels.machine.emitter.passed import inside, lie, place
 from pgm.kernels.machine.emitter.traces import Inputs, traced
 from pgm.kernels.machine.emitter.wholes import Address
-from pgm.kernels.machine.loops.frame import Frame
-from pgm.kernels.machine.loops.layout import Layout
-from pgm.kernels.machine.loops.stored import Space, Stored
-from pgm.kernels.machine.loops.transfers import inside, lie, place, read, write
-from pgm.kernels.machine.loops.views import View, lanes_where
+from pgm.kernels.machine.matrices.in_memory.frame import Frame
+from pgm.kernels.machine.matrices.in_memory.layout import Layout
+from pgm.kernels.machine.matrices.in_memory.stored import Space, Stored
+from pgm.kernels.machine.matrices.in_memory.transfers import read, write
+from pgm.kernels.machine.matrices.in_memory.views import View, lanes_where
 
 
 class Loops:

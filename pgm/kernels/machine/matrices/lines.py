@@ -12,7 +12,7 @@ from pgm.kernels.machine.emitter.memory import Memory
 from pgm.kernels.machine.emitter.numbers import Number, constant
 from pgm.kernels.machine.emitter.processor import registers
 from pgm.kernels.machine.emitter.traces import Inputs, traced
-from pgm.kernels.machine.emitter.variables import Variable
+from pgm.kernels.machine.emitter.variables import held
 from pgm.kernels.numbers import Matrix, most, where
 
 
@@ -170,12 +170,6 @@ class Carried:
         for i, row in enumerate(self._cov):
             for j, variable in enumerate(row):
                 variable.set(cov[i, j])
-
-
-def held(code: Code, number: Number | float) -> Variable[Number]:
-    """A variable that begins as a number, of all runs at hand."""
-    number = constant(code, number)
-    return code.variable(number.spread(max(code.lanes, number.lanes)))
 
 
 def _beside(code: Code, numbers: Sequence[Number | float]) -> Number:

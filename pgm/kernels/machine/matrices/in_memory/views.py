@@ -9,7 +9,7 @@ from pgm.kernels.machine.emitter.code import Code
 from pgm.kernels.machine.emitter.kinds import packed
 from pgm.kernels.machine.emitter.numbers import Number, Operand, constant
 from pgm.kernels.machine.emitter.wholes import Address, Whole
-from pgm.kernels.machine.loops.layout import Layout
+from pgm.kernels.machine.matrices.in_memory.layout import Layout
 
 Index = Whole | int
 

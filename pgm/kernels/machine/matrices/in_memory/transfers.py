@@ -8,9 +8,10 @@ from typing import Any
 from pgm.kernels.machine.emitter.code import Code
 from pgm.kernels.machine.emitter.memory import Memory
 from pgm.kernels.machine.emitter.numbers import Number
-from pgm.kernels.machine.emitter.wholes import Address, Whole
-from pgm.kernels.machine.loops.stored import Space, Stored
-from pgm.kernels.machine.loops.views import Index, View, shuffled
+from pgm.kernels.machine.emitter.passed import inside, is_near, lie, place
+from pgm.kernels.machine.emitter.wholes import Whole
+from pgm.kernels.machine.matrices.in_memory.stored import Space, Stored
+from pgm.kernels.machine.matrices.in_memory.views import Index, View, shuffled
 
 
 def read(space: Space, cells: Memory, height: int, width: int) -> Stored:
@@ -19,7 +20,7 @@ def read(space: Space, cells: Memory, height: int, width: int) -> Stored:
 
     def write(code: Code, out: View, *where: Any) -> None:
         *here, rows = where
-        _read(code, out, inside(code, cells, *here), rows, near=_is_near(cells))
+        _read(code, out, inside(code, cells, *here), rows, near=is_near(cells))
 
     _transfer(space, "read", write, found, cells)
     return found
@@ -31,26 +32,9 @@ def write(space: Space, cells: Memory, matrix: Stored) -> None:
 
     def written(code: Code, a: View, *where: Any) -> None:
         *here, rows = where
-        _write(code, a, inside(code, cells, *here), rows, near=_is_near(cells))
+        _write(code, a, inside(code, cells, *here), rows, near=is_near(cells))
 
     _transfer(space, "write", written, plain, cells)
-
-
-def place(cells: Memory) -> list[Address | Whole]:
-    """Where an array's cells are, as arguments of a function."""
-    whole = cells.code.whole
-    return [cells.address, whole(cells.step), whole(cells.apart)]
-
-
-def inside(code: Code, like: Memory, address: Address, step: Whole, apart: Whole) -> Memory:
-    """An array's cells as a function sees them that is given their place."""
-    near = _is_near(like)
-    return Memory(code, address, step=1 if near else step, runs=like.runs, apart=apart)
-
-
-def lie(cells: Memory) -> str:
-    """How an array's cells lie, in names of functions."""
-    return f"{cells.runs.name} {'near' if _is_near(cells) else 'apart'}"
 
 
 def _transfer(
@@ -58,10 +42,6 @@ def _transfer(
 ) -> None:
     told = f"{name} {lie(cells)} {matrix.width}"
     space.call(told, how, matrix, given=[*place(cells), matrix.height])
-
-
-def _is_near(cells: Memory) -> bool:
-    return isinstance(cells.step, int) and cells.step == 1
 
 
 def _read(code: Code, out: View, cells: Memory, rows: Whole, *, near: bool) -> None:

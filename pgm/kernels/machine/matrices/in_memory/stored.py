@@ -9,10 +9,10 @@ from pgm.kernels.machine.emitter.code import Code
 from pgm.kernels.machine.emitter.kinds import ADDRESS, FLOAT, WHOLE, Kind
 from pgm.kernels.machine.emitter.numbers import Number, Operand, constant
 from pgm.kernels.machine.emitter.wholes import Address, Whole
-from pgm.kernels.machine.loops import moves, products, roots
-from pgm.kernels.machine.loops.frame import Frame
-from pgm.kernels.machine.loops.layout import Layout
-from pgm.kernels.machine.loops.views import View
+from pgm.kernels.machine.matrices.in_memory import moves, products, roots
+from pgm.kernels.machine.matrices.in_memory.frame import Frame
+from pgm.kernels.machine.matrices.in_memory.layout import Layout
+from pgm.kernels.machine.matrices.in_memory.views import View
 
 # Rows or columns from which on matrices are transposed by packs.
 _FEW = 4

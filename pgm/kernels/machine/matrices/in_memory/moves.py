@@ -11,7 +11,7 @@ from itertools import groupby
 from pgm.kernels.machine.emitter.code import Code
 from pgm.kernels.machine.emitter.numbers import Number
 from pgm.kernels.machine.emitter.wholes import Whole
-from pgm.kernels.machine.loops.views import View
+from pgm.kernels.machine.matrices.in_memory.views import View
 from pgm.kernels.numbers import most
 
 

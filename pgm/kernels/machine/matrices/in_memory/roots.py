@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pgm.kernels.machine.emitter.code import Code
 from pgm.kernels.machine.emitter.elementary import elementary
 from pgm.kernels.machine.emitter.numbers import Number
-from pgm.kernels.machine.loops.views import Index, View, size_of, tiled
+from pgm.kernels.machine.matrices.in_memory.views import Index, View, size_of, tiled
 from pgm.kernels.numbers import inner, inverse, least, sqrt
 
 # Rows that are eliminated at once.

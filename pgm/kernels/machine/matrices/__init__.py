@@ -1,0 +1,1 @@
+"""The matrices that machine code is written with: their protocol, and the two kinds of them."""
