@@ -16,7 +16,7 @@ from pgm.beliefs.moments.compiled.gates import decided, undecided
 from pgm.beliefs.moments.compiled.groups import Group, groups_of
 from pgm.beliefs.moments.compiled.judged import judge
 from pgm.beliefs.moments.compiled.key import decisive
-from pgm.beliefs.moments.compiled.named_table import NamedTable
+from pgm.beliefs.moments.compiled.named_table import Filled, NamedTable
 from pgm.beliefs.moments.compiled.robust_noise import untried
 from pgm.beliefs.moments.compiled.rows import motion_of, places
 from pgm.beliefs.moments.compiled.sensors import sensor_of, vector_of
@@ -361,8 +361,12 @@ def _run(
     first, before = (plan.steps, plan.runs, iterations), plan.layout.told
     # Arrays of one plan may lie in several ways, as those of iterations do.
     known = before.get((key, lanes), ())
-    fitting = ((sweep, form.filled(owners, *first)) for sweep, form in known)
-    sweep, filled = next((each for each in fitting if each[1] is not None), (None, None))
+    sweep: sweeps.Sweep
+    filled: Filled | None = None
+    for sweep, form in known:
+        filled = form.filled(owners, *first)
+        if filled is not None:
+            break
     if filled is None:
         table = NamedTable(plan, lanes, owners, record, calls)
         chain = tell(table)
