@@ -11,6 +11,7 @@ import pgm
 from pgm.beliefs.moments.bound import numbers
 from pgm.beliefs.moments.bound.bound import Bound
 from pgm.beliefs.moments.bound.room import Room
+from pgm.beliefs.moments.compiled import sweep
 from pgm.kernels.arrays import address
 from tests.beliefs.moments.test_bound_calls import OFTEN, STEPS, evidence, robot, u, w, x, z
 
@@ -158,3 +159,27 @@ def test_an_array_that_repeats_its_rows_ends_where_its_memory_does():
     repeated, behind = np.broadcast_to(memory[:2], (8, 2)), memory[4:]
     table = numbers.Numbers([address(repeated), address(behind), 7], [repeated])
     assert table.at([0]).tolist() == [0, address(behind), 7]
+
+
+@pytest.mark.filterwarnings("ignore::pgm.PrecisionWarning")
+@pytest.mark.parametrize("call", [pgm.filter, pgm.smooth])
+def test_digits_that_one_call_loses_are_not_lost_by_others(call):
+    s, y, far = pgm.variables("s y far")
+    motion = pgm.LinearGaussianCPD(s, {s.previous: 1.0, far: 1.0}, cov=0.01)
+    sensor = pgm.LinearGaussianCPD(y, {s: 1.0}, cov=0.01)
+    model = pgm.DynamicBayesianNetwork([pgm.GaussianCPD(s, 0.0, 1.0)], [motion], [sensor])
+    for place, least, most in [(1e11, 0.0, 6.0)] * 2 + [(0.0, 15.0, np.inf)] * 2:
+        start = np.r_[place, np.zeros(STEPS - 1)][:, None]
+        given = {far: start, y: np.full((STEPS, 1), place)}
+        digits = call(model, given, compiled=True).status.digits
+        assert least <= (np.inf if digits is None else digits) <= most
+
+
+def test_iterations_of_the_general_way_are_told_once(monkeypatch):
+    """Their linearisations lie in two ways."""
+    graph, told = pgm.compile(robot(), STEPS, compiled=True), []
+    of = sweep.told_back
+    monkeypatch.setattr(sweep, "told_back", lambda *given: told.append(1) or of(*given))
+    for seed in range(3):
+        pgm.infer(graph, evidence(seed), schedule=pgm.Smoothing(3))
+    assert len(told) == 2

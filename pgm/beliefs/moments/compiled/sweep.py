@@ -361,11 +361,11 @@ def _run(
     first, before = (plan.steps, plan.runs, iterations), plan.layout.told
     # Arrays of one plan may lie in several ways, as those of iterations do.
     known = before.get((key, lanes), ())
-    sweep: sweeps.Sweep
     filled: Filled | None = None
-    for sweep, form in known:
+    for made, form in known:
         filled = form.filled(owners, *first)
         if filled is not None:
+            sweep = made
             break
     if filled is None:
         table = NamedTable(plan, lanes, owners, record, calls)
