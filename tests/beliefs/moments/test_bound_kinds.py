@@ -28,6 +28,7 @@ KINDS = {
     "gated filter": (None, pgm.Filtering(3, gate=GATED), TAYLOR, None, 0.3),
     "gated smoother of runs": (None, pgm.Smoothing(gate=0.9), TAYLOR, 3, 0.3),
     "filter of packs": (HUBER, pgm.Filtering(3, damping=0.2, gate=GATED), TAYLOR, 9, 0.0),
+    "lag of none": (None, pgm.FixedLag(0, 3), TAYLOR, None, 0.0),
     "robust smoother": (STUDENT, pgm.Smoothing(), TAYLOR, None, 0.0),
     "unscented filter of packs": (None, pgm.Filtering(), UNSCENTED, 9, 0.3),
     "unscented smoother": (HUBER, pgm.Smoothing(gate=GATED), UNSCENTED, None, 0.3),

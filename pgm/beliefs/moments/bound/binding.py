@@ -14,7 +14,6 @@ from pgm.beliefs.moments.steps.plan import Blank
 from pgm.compile import BalancedGraph, DynamicGraph
 from pgm.evidence import BoundEvidence
 from pgm.linearisers import Lineariser
-from pgm.posteriors.belief_kind import SMOOTHED
 from pgm.schedules.damping import LevenbergMarquardt
 from pgm.schedules.schedule import Filtering, FixedLag, Schedule, Smoothing
 
@@ -26,11 +25,11 @@ def bound_to(
 
     A call that is bound has gone the general way before, where all but values was checked.
     """
-    bindable = _may_be_bound(graph, schedule, evidence)
+    bindable = _bindable(graph, schedule, evidence)
     blank = Blank.known(graph.layout, evidence, lineariser) if bindable else None
-    if blank is None:
+    if blank is None or bindable is None:
         return None
-    key = _key(schedule, evidence)
+    key = _key(bindable, evidence)
     bound = blank.bound.get(key)
     if not isinstance(bound, Bound) or not bound.stands:
         return None
@@ -48,9 +47,10 @@ def bind(
     blank: Blank | None, schedule: Schedule, found: ChainOutcome, evidence: BoundEvidence
 ) -> None:
     """Bind what later calls for evidence of a form need, after one that went the general way."""
-    if blank is None or not _may_be_bound(found.graph, schedule, evidence):
+    bindable = _bindable(found.graph, schedule, evidence)
+    if blank is None or bindable is None:
         return
-    key = _key(schedule, evidence)
+    key = _key(bindable, evidence)
     known = blank.bound.get(key, _NOTHING)
     if known is None or (isinstance(known, Bound) and known.stands):
         return
@@ -62,7 +62,7 @@ def bind(
     if plan.account.compiled and not all(each and each.tracer.often for each in whole):
         return
     try:
-        blank.bound[key] = _bound(blank, schedule, found, evidence)
+        blank.bound[key] = _bound(blank, bindable, found, evidence)
     except Uncompiled:
         blank.bound[key] = None
 
@@ -77,35 +77,36 @@ _FAILURES = 4
 _RUNS = 256
 
 
-def _may_be_bound(graph: DynamicGraph, schedule: Schedule | None, evidence: BoundEvidence) -> bool:
-    """Whether a call is of a kind that is bound."""
+def _bindable(
+    graph: DynamicGraph, schedule: Schedule | None, evidence: BoundEvidence
+) -> Filtering | Smoothing | None:
+    """The schedule of a call that may be bound; None of others."""
     if evidence.runs > _RUNS or isinstance(graph, BalancedGraph):
-        return False
+        return None
     if schedule is None:
-        return True
-    if type(schedule) is FixedLag:
-        return not schedule.lag and not isinstance(schedule.damping, LevenbergMarquardt)
+        return _ONCE
+    if type(schedule) is FixedLag and not schedule.lag:
+        schedule = schedule.filtering
     if type(schedule) not in (Filtering, Smoothing):
-        return False
+        return None
     assert isinstance(schedule, Filtering | Smoothing)
-    return not isinstance(schedule.damping, LevenbergMarquardt)
+    return None if isinstance(schedule.damping, LevenbergMarquardt) else schedule
 
 
-def _bound(blank: Blank, schedule: Schedule, found: ChainOutcome, evidence: BoundEvidence) -> Bound:
+def _bound(
+    blank: Blank, schedule: Filtering | Smoothing, found: ChainOutcome, evidence: BoundEvidence
+) -> Bound:
     """A call bound as one was made that went the general way."""
-    plan = found._planned
-    if isinstance(schedule, Smoothing) and schedule.iterations > 1 and not plan.exact:
+    plan, keep = found._planned, not isinstance(found._swept, Filtered)
+    if isinstance(schedule, Filtering):
+        return BoundOnce(blank, plan, evidence, Sweeps(schedule, back=False, keep=keep))
+    if schedule.iterations > 1 and not plan.exact:
         from pgm.beliefs.moments.bound.iterated import BoundIterated
 
         return BoundIterated(blank, plan, evidence, schedule)
-    if isinstance(schedule, FixedLag):
-        schedule = schedule.filtering
-    assert isinstance(schedule, Filtering | Smoothing)
-    filtering = schedule.first if isinstance(schedule, Smoothing) else schedule
-    keep = not isinstance(found._swept, Filtered)
-    return BoundOnce(blank, plan, evidence, Sweeps(filtering, found.kind == SMOOTHED, keep))
+    return BoundOnce(blank, plan, evidence, Sweeps(schedule.first, back=True, keep=keep))
 
 
-def _key(schedule: Schedule | None, evidence: BoundEvidence) -> Any:
+def _key(schedule: Filtering | Smoothing, evidence: BoundEvidence) -> Any:
     """The schedule, and which sensors lack readings: by these calls of one form differ."""
-    return schedule or _ONCE, *[each.whole for each in evidence.readings]
+    return schedule, *[each.whole for each in evidence.readings]
