@@ -87,10 +87,8 @@ class PoseGraphNetwork:
 
     def means(self, posterior: pgm.results.Posterior) -> tuple[Array, Array]:
         """Poses (N, 3) and landmarks (L, 2) of a posterior."""
-        return (
-            np.array([posterior[x].mean for x in self.poses]),
-            np.array([posterior[m].mean for m in self.landmarks]).reshape(-1, 2),
-        )
+        landmarks = posterior.means(self.landmarks) if self.landmarks else np.zeros((0, 2))
+        return posterior.means(self.poses), landmarks
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,7 +39,7 @@ ROOMS = {
     ),
     "pgm.beliefs.moments": (
         *("steps", "compiled", "passes", "digits", "smoothers"),
-        *("association", "outcomes", "solvers", "parts", "online"),
+        *("association", "outcomes", "bound", "solvers", "parts", "online"),
     ),
     "pgm.inference": ("audit", "query"),
     "pgm.kernels.machine": ("emitter", "matrices", "sweeps", "newton"),

@@ -166,7 +166,7 @@ def solve(
             lineariser=lineariser,
         )
     poses, landmarks = made.means(posterior)
-    covs = np.array([posterior[x].cov[:2, :2] for x in made.poses])
+    covs = posterior.covs(made.poses)[:, :2, :2]
     errors = squared_errors(made.graph, poses, landmarks)
     return Solved(poses, landmarks, covs, errors, posterior.status, perf_counter() - begun)
 

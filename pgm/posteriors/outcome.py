@@ -6,6 +6,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol
 
+import numpy as np
+
 from pgm.clustergraph import Cluster
 from pgm.display import Shown
 from pgm.errors import EvidenceError, GraphError, PgmError, Unanswered
@@ -123,6 +125,12 @@ class Outcome(Shown, ABC, Generic[B]):
         is an EvidenceError.
         """
         return self[variable]
+
+    def _stacked(self, variables: Sequence[Variable]) -> tuple[Array, Array]:
+        """Means (*lead, k, d) and covariances (*lead, k, d, d) of k variables of d components."""
+        beliefs = [self._moments(variable) for variable in variables]
+        means, covs = ([getattr(each, name) for each in beliefs] for name in ("mean", "cov"))
+        return np.stack(means, axis=-2), np.stack(covs, axis=-3)
 
     @property
     @abstractmethod

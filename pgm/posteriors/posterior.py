@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Generic
 
 from pgm.clustergraph import Cluster
 from pgm.display import NoArray, Shown, Summary, Viewed
 from pgm.errors import EvidenceError
-from pgm.factors.scope import Scope
-from pgm.kernels.arrays import Array
+from pgm.factors.scope import Scope, as_scope
+from pgm.kernels.arrays import Array, deviation
 from pgm.posteriors.labelled import Labelled
 from pgm.posteriors.outcome import QUESTIONS, B, Outcome
-from pgm.variables import Variable
+from pgm.variables import Discrete, Variable
 
 if TYPE_CHECKING:
     from pgm.factors import CanonicalForm, Table
@@ -147,6 +147,42 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
             If it stands after the last step of a grid or particles.
         """
         return self._outcome[variable]
+
+    def means(self, variables: Iterable[Variable]) -> Array:
+        """The means of several variables, stacked.
+
+        Parameters
+        ----------
+        variables : iterable of Variable
+            k continuous variables without evidence, of d components each.
+
+        Returns
+        -------
+        ndarray
+            (*runs, k, d); (*runs, steps, k, d) of variables at all their steps.
+
+        Raises
+        ------
+        EvidenceError
+            If a variable has evidence, is discrete, or is not of the network, if there is none, or
+            if they differ in their numbers of components or steps.
+
+        Examples
+        --------
+        >>> from pgm.examples import a, b, pair
+        >>> posterior = pgm.infer(pgm.compile(pair), {})
+        >>> posterior.means([a, b]).shape, posterior.covs([a, b]).shape
+        ((2, 1), (2, 1, 1))
+        """
+        return self._outcome._stacked(alike(variables))[0]
+
+    def covs(self, variables: Iterable[Variable]) -> Array:
+        """The covariances of several variables, each by itself: (*runs, k, d, d); see `means`."""
+        return self._outcome._stacked(alike(variables))[1]
+
+    def stds(self, variables: Iterable[Variable]) -> Array:
+        """The standard deviations of several variables: (*runs, k, d); see `means`."""
+        return deviation(self.covs(variables))
 
     def joint(self, *variables: Variable) -> B:
         """The joint of some variables without evidence, in the order given.
@@ -338,6 +374,23 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
 
 # What every outcome has for pages and refusals, and is no answer to a user.
 _INSIDE = frozenset(n for n in dir(Outcome) if not n.startswith("_"))
+
+
+def alike(variables: Iterable[Variable]) -> Scope:
+    """The variables; an `EvidenceError` if they have no moments that can be stacked."""
+    found = as_scope(variables)
+    if not found:
+        raise EvidenceError("moments are stacked of one or more variables; there is none")
+    for variable in found:
+        if isinstance(variable, Discrete):
+            raise EvidenceError(f"{variable!r} is discrete, and has no mean", variable=variable)
+        if variable.dimension != found[0].dimension:
+            raise EvidenceError(
+                f"{variable!r} has {variable.dimension} components, {found[0]!r} has "
+                f"{found[0].dimension}: moments are stacked of variables with equal numbers",
+                variable=variable,
+            )
+    return found
 
 
 def require_variable(variable: Variable) -> Variable:

@@ -6,6 +6,7 @@ matrix K, a vector h and a constant g: exp(−½ xᵀK x + hᵀx + g).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
@@ -79,6 +80,18 @@ class GaussianOutcome(Outcome[Gaussian]):
         places = self._require_hidden(variable)
         cluster, _ = self._done.beliefs.places.homes
         return self._read((variable,), int(cluster[places[0]]))
+
+    @quiet()
+    def _stacked(self, variables: Sequence[Variable]) -> tuple[Array, Array]:
+        places = np.array([self._require_hidden(variable) for variable in variables])
+        beliefs, lead = self._done.beliefs, self._model.lead
+        clusters, columns = (part[places] for part in beliefs.places.homes)
+        at = clusters[:, 0], columns  # all components of a variable are in the same clusters
+        means, covs = beliefs.moments(beliefs.places.means(*at), beliefs.places.covs(*at), places)
+        if not (np.isfinite(means).all() and np.isfinite(covs).all()):
+            return super()._stacked(variables)  # which refuses the first that is not
+        covs = np.broadcast_to(covs, (*means.shape, places.shape[1]))
+        return means.reshape(*lead, *means.shape[1:]), covs.reshape(*lead, *covs.shape[1:])
 
     def _require_hidden(self, variable: Variable) -> Integers:
         """The indices (d,) of a hidden variable's components in the vector of all hidden ones.

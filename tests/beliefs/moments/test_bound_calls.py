@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import pgm
+from pgm.beliefs.moments.bound.bound import Bound
 from pgm.beliefs.moments.digits import certificate, last_places
-from pgm.beliefs.moments.solvers.bound import Bound
 from pgm.beliefs.moments.steps import sensor
 
 pytestmark = pytest.mark.skipif(find_spec("llvmlite") is None, reason="llvmlite is not installed")
@@ -36,29 +36,30 @@ def sight(x, m):
     return np.stack([np.hypot(away[..., 0], away[..., 1]), bearing], axis=-1)
 
 
-def robot():
+def robot(**own):
+    """A robot whose sensors have options of their own, such as a robust noise."""
     return pgm.DynamicBayesianNetwork(
         [pgm.GaussianCPD(x, [0, 0, 0], np.square([0.1, 0.1, 0.05]))],
         [pgm.NonlinearGaussianCPD(x, (x.previous, u), drive, np.square([0.05, 0.05, 0.03]))],
         [
-            pgm.NonlinearGaussianCPD(z, (x, m), sight, np.square([0.2, 0.05])),
-            pgm.LinearGaussianCPD(w, {x: [[1.0, 0.0, 0.0]], b: 1.0}, cov=0.1),
+            pgm.NonlinearGaussianCPD(z, (x, m), sight, np.square([0.2, 0.05]), **own),
+            pgm.LinearGaussianCPD(w, {x: [[1.0, 0.0, 0.0]], b: 1.0}, cov=0.1, **own),
         ],
     )
 
 
-def evidence(seed, missing=0.0):
+def evidence(seed, missing=0.0, runs=None):
     """Sightings of landmarks at some steps, two at one, and readings with a known offset."""
-    rng = np.random.default_rng(seed)
+    rng, lead = np.random.default_rng(seed), () if runs is None else (runs,)
     step = np.array([0, 3, 3, 5, 9, 12])
     marks = np.resize([[7.0, 1.0], [-6.0, 8.0], [4.0, 12.0]], (len(step), 2))
-    seen = np.stack([rng.uniform(5, 12, len(step)), rng.uniform(-4, 4, len(step))], axis=-1)
+    seen = np.stack([rng.uniform(*of, (*lead, len(step))) for of in ((5, 12), (-4, 4))], axis=-1)
     seen[rng.random(seen.shape) < missing] = np.nan
     return {
-        u: [1.0, 0.2] + 0.1 * rng.normal(size=(STEPS, 2)),
+        u: [1.0, 0.2] + 0.1 * rng.normal(size=(*lead, STEPS, 2)),
         z: pgm.sightings(seen, step=step, given={m: marks}),
-        w: rng.normal(size=(STEPS, 1)),
-        b: rng.normal(size=(STEPS, 1)),
+        w: rng.normal(size=(*lead, STEPS, 1)),
+        b: rng.normal(size=(*lead, STEPS, 1)),
     }
 
 

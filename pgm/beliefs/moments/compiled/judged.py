@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from pgm.beliefs.moments.steps.open_sensor import OpenSensor
 from pgm.beliefs.moments.steps.plan import ChainPlan
@@ -40,11 +41,10 @@ def judge(
     `again`, in an iterated update, at the one that is known.
     """
     runs = None if done.all() else np.flatnonzero(done)
-    alone = runs is None and plan.runs == 1
     moments = [(known, predicted)] if not again else [(known, predicted), (None, known)]
     for each in moments:
         for family, belief in evaluated(plan, *each, runs=runs):
-            _judge(family, belief, alone=alone)
+            _judge(family, belief)
 
 
 def evaluated(
@@ -52,7 +52,7 @@ def evaluated(
     known: Moments | None,
     predicted: Moments,
     runs: Integers | None = None,
-) -> Iterator[tuple[Family, _Slice | _Pair]]:
+) -> Iterator[tuple[Family, Belief]]:
     """The families whose traces a sweep has evaluated, with the beliefs at which it did.
 
     They are of `runs`, None for all. Without `known` beliefs they are the sensors alone.
@@ -75,8 +75,14 @@ def evaluated(
 
 def judge_at(plan: ChainPlan, mean: Array, std: Array) -> None:
     """Judge the traces of a plan where all of it was linearised at means (T+1, runs, n)."""
-    cov = std[..., None] * np.eye(std.shape[-1]) * std[..., None, :]
-    judge(plan, (mean, cov), (mean, cov), np.ones(plan.runs, dtype=bool))
+    at = mean, diagonal(std)
+    judge(plan, at, at, np.ones(plan.runs, dtype=bool))
+
+
+def diagonal(std: Array) -> Array:
+    """The covariances (T+1, runs, n, n) of independent components of these deviations."""
+    cov: Array = std[..., None] * np.eye(std.shape[-1]) * std[..., None, :]
+    return cov
 
 
 class _Points(NamedTuple):
@@ -123,6 +129,36 @@ class _Points(NamedTuple):
 Places = list[tuple[int, int, int]]
 
 
+class _Rows(NamedTuple):
+    """Rows of arrays (T+1, runs, ...) in memory: all runs of some rows, or of all from `first`.
+
+    `rows` are of int64, and `begin` is where they stand.
+    """
+
+    rows: npt.NDArray[np.int64]
+    begin: int
+    first: int = 0
+
+    def components(self, array: Array, kept: list[object]) -> Places:
+        """Where the components of means (T+1, runs or 1, n) stand, or of variances.
+
+        These are the diagonals of (T+1, runs or 1, n, n). `kept` gets what owns memory for that.
+        """
+        return self.of(array, array.shape[1], kept)
+
+    def of(self, array: Array, runs: int, kept: list[object]) -> Places:
+        """The same of an array (rows or 1, runs or 1, n), of so many runs."""
+        (down, side, *own), (count, width, size, *_) = array.strides, array.shape
+        begin, across = address(array) + self.first * down, sum(own)
+        down, side = down // 8 if count > 1 else 0, side // 8 if width > 1 else 0
+        rows = self.begin
+        if runs > 1:  # a point is a row of a run
+            every = (down * self.rows[:, None] + side * np.arange(runs)).ravel()
+            kept.append(every)
+            down, rows = 1, address(every)
+        return [(begin + k * across, down, rows) for k in range(size)]
+
+
 class _Slice(NamedTuple):
     """The beliefs over the parents of a sensor at points: of the slices of these steps."""
 
@@ -147,13 +183,19 @@ class _Slice(NamedTuple):
         """The covariances, (k, n, n)."""
         return block(self.at.take(self.moments[1], self.step), self.parents, self.parents)
 
-    def standing(self, count: int) -> tuple[Places, Places, object]:
-        """Where means and variances stand of one run, at so many rows; and what owns the rows."""
+    def standing(self, count: int, kept: list[object]) -> tuple[Places, Places]:
+        """Where means and variances stand at so many rows; `kept` gets what owns the rows."""
         rows = self.step.astype(np.int64, copy=False)
+        kept.append(rows)
+        where = _Rows(rows, address(rows))
         mean, variance = (
-            _picked(_components(each, 0, address(rows)), self.parents) for each in self.moments[:2]
+            _picked(where.components(each, kept), self.parents) for each in self.moments[:2]
         )
-        return mean, variance, rows
+        return mean, variance
+
+    def of_sweep(self, known: Moments | None, predicted: Moments) -> _Slice:
+        """The beliefs of another sweep."""
+        return self._replace(moments=predicted)
 
 
 class _Pair(NamedTuple):
@@ -199,63 +241,66 @@ class _Pair(NamedTuple):
         cov[:, :front, :front], cov[:, front:, front:] = before, later
         return block(cov, self.parents, self.parents)
 
-    def standing(self, count: int) -> tuple[Places, Places, object]:
-        """Where means and variances stand of one run, at so many rows; and what owns the rows."""
+    def standing(self, count: int, kept: list[object]) -> tuple[Places, Places]:
+        """Where means and variances stand at so many rows; `kept` gets what owns the rows."""
         order = in_order(count)
-        states = self.layout.state_places
+        before, later = _Rows(*order), _Rows(*order, 1)
         found = []
-        for before, later in zip(self.known[:2], self.predicted[:2], strict=True):
-            known = _components(before, 0, order[1])
-            pair = [*_picked(known, states), *_components(later, 1, order[1])]
+        for known, predicted in zip(self.known[:2], self.predicted[:2], strict=True):
+            states = _picked(before.components(known, kept), self.layout.state_places)
+            pair = [*states, *later.components(predicted, kept)]
             found.append(_picked(pair, self.parents))
-        return found[0], found[1], order
+        return found[0], found[1]
+
+    def of_sweep(self, known: Moments | None, predicted: Moments) -> _Pair:
+        """The beliefs of another sweep."""
+        assert known is not None
+        return self._replace(known=known, predicted=predicted)
 
 
-def _components(array: Array, first: int, rows: int) -> Places:
-    """Where the components of means (T+1, 1, n) stand from row `first` on, or of variances.
-
-    These are the diagonals of (T+1, 1, n, n). `rows` is the address of the points' rows.
-    """
-    down, _, *own = array.strides
-    begin, across = address(array) + first * down, sum(own)
-    return [(begin + k * across, down // 8, rows) for k in range(array.shape[-1])]
+# The beliefs at points.
+Belief = _Slice | _Pair
 
 
 def _picked(every: Places, places: Index) -> Places:
     return every[places] if isinstance(places, slice) else [every[k] for k in places.tolist()]
 
 
-def standing(family: Family, belief: _Slice | _Pair) -> Standing:
-    """The points at which a trace of one run was evaluated, where they stand in memory."""
+def standing(family: Family, belief: Belief) -> Standing:
+    """The points at which a trace was evaluated, all rows of all runs, where they stand."""
     template, answers = family.template, family.compiled
     assert template is not None
     assert answers is not None
-    count = family.shape[0]
-    mean, variance, rows = belief.standing(count)
-    order, every = in_order(count), list[tuple[int, int, int]]()
+    (count, runs), kept = family.shape[:2], list[object]()
+    mean, variance = belief.standing(count, kept)
+    order, every = _Rows(*in_order(count)), list[tuple[int, int, int]]()
+    kept.append(order)
     for parent, place in zip(template.given, template.places, strict=True):
-        if place is not None:
+        if place is None:
+            every += order.of(family.inputs[parent], runs, kept)
+        else:
             every += _picked(mean, place)
-            continue
-        values = family.inputs[parent]
-        down, _, across = values.strides
-        begin, down = address(values), 0 if len(values) == 1 else down // 8
-        every += [(begin + k * across, down, order[1]) for k in range(values.shape[-1])]
     every += [variance[k] for k in answers.places]
     flat = [number for each in every for number in each]
-    return Standing(count, flat, True, (rows, order))
+    return Standing(count * runs, flat, True, kept)
 
 
-def _judge(family: Family, belief: _Slice | _Pair, *, alone: bool) -> None:
-    template, rule, answers = family.template, family.lineariser, family.compiled
+def is_regressed(family: Family) -> bool:
+    """Whether a function is evaluated at points that are drawn about a belief's mean."""
+    rule = family.lineariser
+    by_points = isinstance(rule, StatisticalRegression) and not isinstance(rule, Taylor)
+    return by_points and bool(family.hidden)
+
+
+def laid_out(family: Family, belief: Belief, thin: int = 1) -> tuple[list[Array], Array | None]:
+    """The points at which a function was evaluated, (k, width) of each argument.
+
+    The deviations (k, n) by which derivatives are judged are None where none was used. Of the
+    beliefs about which points are drawn, so many are thinned out to one.
+    """
+    template, rule = family.template, family.lineariser
     assert template is not None
-    assert answers is not None
-    regressed = isinstance(rule, StatisticalRegression) and not isinstance(rule, Taylor)
-    regressed = regressed and bool(family.hidden)
-    ready = alone and not regressed and answers.tracer.often
-    if ready and answers.clear(standing(family, belief)):
-        return
-    x = belief.mean
+    x, regressed = belief.mean, is_regressed(family)
     known = [
         None if place is not None else belief.at.inputs(family.inputs[parent], family.shape[:2])
         for parent, place in zip(template.given, template.places, strict=True)
@@ -269,12 +314,20 @@ def _judge(family: Family, belief: _Slice | _Pair, *, alone: bool) -> None:
         assert isinstance(rule, StatisticalRegression)
         points = rule.points(template.size, template.child.name, 0).points
         # Of very many points, of which a belief has several, some are judged.
-        rows = slice(None, None, answers.thin * len(points) if answers.thin > 1 else None)
+        rows = slice(None, None, thin * len(points) if thin > 1 else None)
         x, spread = x[rows], spread[rows]
         known = [None if a is None else a[rows] for a in known]
         x = x[:, None] + np.nan_to_num(times_transposed(points, roots.root(spread)))
         known = [None if a is None else a.repeat(x.shape[1], 0) for a in known]
         x = x.reshape(-1, template.size)
     pairs = zip(template.places, known, strict=True)
-    arguments = [x[:, place] if a is None else a for place, a in pairs]
-    answers.judge(arguments, None if regressed else spread)
+    return [x[:, place] if a is None else a for place, a in pairs], None if regressed else spread
+
+
+def _judge(family: Family, belief: Belief) -> None:
+    answers = family.compiled
+    assert answers is not None
+    whole = belief.at.row is None and not is_regressed(family)
+    if whole and answers.tracer.often and answers.clear(standing(family, belief)):
+        return
+    answers.judge(*laid_out(family, belief, answers.thin))

@@ -61,13 +61,19 @@ def _function(family: Family, *, stored: bool, keep: bool) -> Hashable:
     answers = family.trace_whole()
     if isinstance(answers, str):
         return CALLED
-    if keep and (weighed or _has_points(family)):
+    if keep and keeps_errors(family):
         family.keep_errors()
     return answers.trace, rule, bare
 
 
+def keeps_errors(family: Family) -> bool:
+    """Whether a sweep that keeps linearisations adds something to the noise of a CPD."""
+    return family.cpd.noise is not None or _has_points(family)
+
+
 def _has_points(family: Family) -> bool:
-    return bool(family.hidden) and type(family.lineariser) is not Taylor
+    by_rule = family.template is not None and bool(family.hidden)
+    return by_rule and type(family.lineariser) is not Taylor
 
 
 def _group(sensor: Sensor) -> Hashable:

@@ -47,6 +47,8 @@ CLOSE = f"two candidates are as likely or on the edge of a gate, {FAR}"
 _SINGULAR = "a covariance is singular on the way back"
 # Sweeps of so many forms of plans are kept by a network's layout.
 _TOLD = 64
+# In so many ways the arrays of each lie.
+_WAYS = 4
 # The names in a record of the belief to begin with, of beliefs, and of densities.
 BEGIN, PREDICTED = ("begin mean", "begin cov"), ("predicted mean", "predicted cov")
 KNOWN = "known mean", "known cov", "density"
@@ -68,6 +70,31 @@ class Swept:
     converged: Mask
     closest: float
     far: bool = True
+
+    @classmethod
+    def told(
+        cls, left: list[slice], ended: Array, residuals: Array | None, *, linear: bool
+    ) -> Swept:
+        """How a sweep went by what it tells of each run, (`chain.TOLD`, runs).
+
+        `residuals` (iterations + 1, runs) has those of iterations, then how many there were, and
+        which runs have not converged; None where nothing was iterated. `linear` says whether all
+        sensors are affine.
+        """
+        every: list[Array] = []
+        if residuals is None:
+            converged = np.full(ended.shape[1], linear)
+        else:
+            every = list(residuals[: int(residuals[-2].max(initial=0.0))])
+            converged = residuals[-1] == 0.0
+        converged &= ended[sweeps.MOVING] == 0.0
+        far = bool(ended[sweeps.FAR].any())
+        return cls(left, every, converged, float(ended[sweeps.CLOSEST].min(initial=1.0)), far)
+
+
+def is_iterated(plan: ChainPlan, schedule: Filtering) -> bool:
+    """Whether a schedule linearises sensors of a plan more than once."""
+    return schedule.iterations > 1 and any(sensor.family.template for sensor in plan.read)
 
 
 def is_used(plan: ChainPlan, times: int = 1) -> bool:
@@ -129,14 +156,13 @@ def forward(
         key = decisive(plan, stored=stored, keep=keep, gate=asked.gate)
         if not predicted and any(f.compiled for f in plan.families):
             predicted = tuple(np.empty_like(part) for part in known[:2])  # for the judge alone
-        nonlinear = any(sensor.family.template for sensor in plan.read)
-        iterated = asked.iterations > 1 and not stored and nonlinear
+        iterated = not stored and is_iterated(plan, asked)
         record: Record = dict(zip(BEGIN, begun(plan, schedule, keep=keep), strict=True))
         record |= zip(KNOWN, known, strict=True)
         record |= zip(PREDICTED, predicted, strict=False)
         record |= undecided(plan, asked.gate, stored=stored)
-        residuals = np.zeros((asked.iterations + 1, plan.runs if iterated else 0))
-        if iterated:
+        residuals = np.zeros((asked.iterations + 1, plan.runs)) if iterated else None
+        if residuals is not None:
             record |= {"settings": settings(asked), "residuals": residuals}
         if anchor is not None:
             weight = np.ascontiguousarray(np.broadcast_to(anchor.weight, plan.runs))[None]
@@ -178,13 +204,7 @@ def forward(
     if schedule is not None:
         done = ended[sweeps.LEFT] == 0.0
         judge(plan, known, predicted or known, done, again=asked.iterations > 1)
-    longest = int(residuals[-2].max(initial=0.0))
-    converged = np.full(plan.runs, plan.linear)
-    if iterated:
-        converged = residuals[-1] == 0.0
-    converged &= ended[sweeps.MOVING] == 0.0
-    closest, far = float(ended[sweeps.CLOSEST].min(initial=1.0)), bool(ended[sweeps.FAR].any())
-    return Swept(left, list(residuals[:longest]), converged, closest, far)
+    return Swept.told(left, ended, residuals, linear=plan.linear)
 
 
 def told_ahead(
@@ -339,8 +359,14 @@ def _run(
     """
     lanes = lanes_of(plan)
     first, before = (plan.steps, plan.runs, iterations), plan.layout.told
-    sweep, form = before.get((key, lanes), (None, None))
-    filled: Filled | None = None if form is None else form.filled(owners, *first)
+    # Arrays of one plan may lie in several ways, as those of iterations do.
+    known = before.get((key, lanes), ())
+    filled: Filled | None = None
+    for made, form in known:
+        filled = form.filled(owners, *first)
+        if filled is not None:
+            sweep = made
+            break
     if filled is None:
         table = NamedTable(plan, lanes, owners, record, calls)
         chain = tell(table)
@@ -351,7 +377,7 @@ def _run(
             sweep = sweeps.made(chain, lanes)
             if len(before) >= _TOLD:
                 before.clear()
-            before[key, lanes] = sweep, table.form
+            before[key, lanes] = (sweep, table.form), *known[: _WAYS - 1]
     return run(plan, sweep, filled.numbers, out)
 
 

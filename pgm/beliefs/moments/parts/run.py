@@ -18,12 +18,12 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.beliefs.moments.association.association import associated
+from pgm.beliefs.moments.bound.binding import bound_to
 from pgm.beliefs.moments.digits import last_places
 from pgm.beliefs.moments.outcomes.kept_outcome import KeptOutcome
 from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
 from pgm.beliefs.moments.parts.join import joined, one_status, swept_once
 from pgm.beliefs.moments.parts.split import Part, split
-from pgm.beliefs.moments.solvers.bound import bound_to
 from pgm.beliefs.moments.solvers.run import run as run_chain
 from pgm.compile import BalancedGraph, DynamicGraph, SliceLayout
 from pgm.errors import EvidenceError, ExecutorError, GraphError, PgmError

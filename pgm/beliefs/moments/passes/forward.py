@@ -116,6 +116,14 @@ class Filtered:
     closest: float = 1.0
     far: bool = True
 
+    @classmethod
+    def by(
+        cls, plan: ChainPlan, schedule: Filtering, known: Arrays, closest: float, *, far: bool
+    ) -> Filtered:
+        """The beliefs that a sweep by a schedule has found, whose gates' decisions stay."""
+        mean, cov, log_density = known
+        return cls(plan, mean, cov, log_density, replace(schedule, gate=None), closest, far)
+
     @cached_property
     def whole(self) -> Forward:
         """Known and predicted beliefs, by a second sweep, whose linearisations the plan keeps."""
@@ -390,8 +398,7 @@ class WholePass(Pass):
 
     def result(self) -> tuple[Forward, Status]:
         """The beliefs and the status, once all is swept."""
-        for family in self.plan.families:
-            family.settle()
+        self.plan.settle()
         return replace(self.out, closest=self.went.closest, far=self.went.far), self.status
 
 
@@ -408,14 +415,12 @@ class BarePass(Pass):
         size, shape = plan.layout.slice_size, (plan.steps + 1, plan.runs)
         mean, cov = room or (vacant(shape, (size,)), vacant(shape, (size, size)))
         super().__init__(plan, schedule, (mean, cov, np.empty(shape)), keep=False)
-        # What the gates have decided stays.
-        self.again = replace(schedule, gate=None)
 
     def result(self) -> tuple[Filtered, Status]:
         """The beliefs and the status, once all is swept."""
-        (mean, cov, log_density), went = self.known, self.went
-        parts = mean, cov, log_density, self.again, went.closest, went.far
-        return Filtered(self.plan, *parts), self.status
+        assert self.schedule is not None
+        by, went = (self.plan, self.schedule, self.known), self.went
+        return Filtered.by(*by, went.closest, far=went.far), self.status
 
 
 def _stepwise(

@@ -42,7 +42,6 @@ from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.sensor import linearise_grouped
 from pgm.errors import NumericalError
 from pgm.factors.scope import angle_mask
-from pgm.kernels import moments
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import (
     Array,
@@ -51,7 +50,6 @@ from pgm.kernels.arrays import (
     components_first,
     components_last,
     deviation,
-    variances,
 )
 from pgm.kernels.prefixes import gather
 from pgm.posteriors.status import Status
@@ -112,9 +110,6 @@ Either = TypeVar("Either", Smoothed, CarefulSmoothed)
 # Steps from which on, and components of all runs together up to which, a scan beats a sweep.
 _MANY_STEPS = 64
 _FEW_NUMBERS = 200
-# The parts of a standard deviation to which means and standard deviations of normal equations are
-# those of passes, where the equations have digits enough.
-_CLOSE, _ALIKE = 1e-7, 3e-9
 
 
 def smooth(plan: ChainPlan, schedule: Smoothing, start: Array | None) -> tuple[Smoothed, Status]:
@@ -267,13 +262,14 @@ def _compiled(
     and where the last step and the sweep differ in a mean by more than 10⁻⁷ standard deviations, or
     in a standard deviation by more than 3·10⁻⁹ of it. `plan.account` then notes the reason.
     """
-    from pgm.beliefs.moments.smoothers.compiled_newton import Newton
+    from pgm.beliefs.moments.smoothers.compiled_newton import Equations, Newton, agree
 
     active, at = np.ones(plan.runs, dtype=bool), None
     try:
-        newton = Newton(plan)
+        equations = Equations(plan)
+        newton = Newton(equations, equations.table.whole, plan.account)
         if isinstance(first, Smoothed):
-            solution = Means(first.means, variances(first.beliefs.cov), None, newton.pair)
+            solution = newton.start(first.means, first.beliefs.cov)
         else:
             at = first
             newton.linearise(at, active)
@@ -281,13 +277,11 @@ def _compiled(
         result = iterate(newton, solution, schedule, ~active, at)
     except Uncompiled:
         return None  # sweeps may know the plan
-    last = result.solution.point
-    found = swept(plan, last.mean, None)
+    last = result.solution
+    found = swept(plan, last.means, None)
     std = deviation(found.beliefs.cov)
     judge_at(plan, newton.at, std)
-    off = moments.marginal_error(last.mean, found.means, std)
-    spread = moments.marginal_error(last.std, std, std)
-    if off.max() <= _CLOSE and spread.max() <= _ALIKE:
+    if agree(last, found.beliefs, std):
         return found, Status.of(result.residuals, result.converged, plan.lead)
     plan.account.leave("Gauss–Newton steps, since normal equations have too few digits")
     return None

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from pgm.beliefs.moments.bound.binding import bind
 from pgm.beliefs.moments.digits import careful, certificate, close_points, last_places
 from pgm.beliefs.moments.digits.careful_pass import Careful
 from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
@@ -25,7 +26,6 @@ from pgm.beliefs.moments.passes.forward import Filtered, Forward, Room
 from pgm.beliefs.moments.smoothers import fixed_lag, parallel, smoother
 from pgm.beliefs.moments.smoothers.fixed_lag import Lagged, Windows
 from pgm.beliefs.moments.solvers.balanced import BalancedOutcome
-from pgm.beliefs.moments.solvers.bound import bind
 from pgm.beliefs.moments.steps import gate
 from pgm.beliefs.moments.steps.plan import Blank, ChainPlan
 from pgm.compile import BalancedGraph, DynamicGraph, SliceLayout
@@ -243,7 +243,7 @@ def run(
     if isinstance(schedule, FixedLag) and not schedule.lag and schedule.solver is None:
         require_known(schedule, "a filter, which a lag of 0 is")
         schedule = schedule.filtering
-    plain = start is None and room is None and bound.runs == 1
+    plain = start is None and room is None
     blank = Blank.known(graph.layout, bound, lineariser) if plain else None
     solver = solver_of(graph, schedule)
     given = None if start is None else _start(graph.layout, bound, start)

@@ -245,18 +245,27 @@ class ChainPlan:
             if whole:
                 layout.plans.insert(0, Blank.of(plan, bound, lineariser))
                 del layout.plans[_PLANS:]
-        if not probe and judge is None:
-            return plan
+        if probe or judge is not None:
+            plan.trace(judge, probe=probe)
+        return plan
+
+    def trace(self, judge: Judge | None, *, probe: bool = False) -> None:
+        """Have traces stand in for functions; arguments are as of `make`."""
+        layout = self.layout
         means = layout.prior_means
-        for made in plan.families:
-            if made.exact:
+        for family in self.families:
+            if family.exact:
                 continue
             # A graph is probed once; what comes back is checked in every call.
-            if probe and made.cpd not in layout.probed:
-                made.probe(means)
-                layout.probed.update([made.cpd] * bool(made.step.size))
-            made.trace(means, judge)
-        return plan
+            if probe and family.cpd not in layout.probed:
+                family.probe(means)
+                layout.probed.update([family.cpd] * bool(family.step.size))
+            family.trace(means, judge)
+
+    def settle(self) -> None:
+        """Leave noises as they are in the model where no linearisation has an error."""
+        for family in self.families:
+            family.settle()
 
     @classmethod
     def _laid_out(
@@ -317,7 +326,7 @@ class Blank:
 
     `plan` has evidence that takes no memory, and so has `evidence`, whose layout is that of the
     form. The `lineariser` is as of `ChainPlan.make`. `bound` has what was found for calls of some
-    kinds; see `solvers.bound`. `forms` are some that evidence has had; see `BoundEvidence`.
+    kinds; see `moments.bound`. `forms` are some that evidence has had; see `BoundEvidence`.
     """
 
     plan: ChainPlan

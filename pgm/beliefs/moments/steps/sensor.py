@@ -133,8 +133,10 @@ class Sensor:
 
         At first they are as given. With angles it is an array of its own, to be written to.
         """
-        count, runs, height, _ = self.family.shape
-        wide = np.broadcast_to(self.values, (count, runs, height))
+        shape = self.family.shape[:3]
+        wide = self.values
+        if wide.shape != shape:
+            wide = np.broadcast_to(wide, shape)
         return wide.copy("K") if self.variable.angles else wide
 
     @property
