@@ -319,7 +319,7 @@ def whitened(
     cov: AnyMatrix = None,
     error: AnyMatrix = None,
 ) -> Whitened:
-    """The residual of a measurement, and what P and Ω leave open, in units of its noise.
+    """The residual of a measurement, and its covariances by P and Ω, in units of its noise.
 
     `root` is L of the noise R = L Lᵀ. Without H and P the residual is that of a mean alone.
     """

@@ -178,11 +178,11 @@ class Tracer:
 
     @property
     def state(self) -> dict[str, Any]:
-        """The trace and what is known of it, to be `put_back`."""
+        """The trace and the record of how it fared, for `put_back`."""
         return dict(vars(self))
 
     def put_back(self, state: dict[str, Any]) -> None:
-        """Have the trace again, and what was known of it."""
+        """Restore a trace and the record of how it fared."""
         vars(self).update(state)
 
     @property

@@ -1,4 +1,4 @@
-"""Sightings of robust noise, taken in by weights that are those of the belief that is found.
+"""Robust noise of sightings: weights that agree with the belief that they lead to.
 
 They are weighed at a belief, and taken in anew by their weights, until no weight moves.
 """
