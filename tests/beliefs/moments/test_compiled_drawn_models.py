@@ -173,17 +173,30 @@ class Drawn:
     def apart(self, one, other):
         """The largest difference of means, in deviations; of exact ones, in digits.
 
-        Their last places do not count: far from zero they are more than a deviation's 1e-10.
+        Their last places do not count: far from zero they are more than a deviation's 1e-10. A
+        hundredth of that of a covariance, as a share of its deviations, counts too, and the share
+        of a log-evidence. Numbers that are NaN on one side alone are infinitely far apart.
         """
-        worst = 0.0
+        evidence = [np.asarray(each.log_evidence) for each in (one, other)]
+        worst = largest(np.subtract(*evidence) / np.maximum(1.0, np.abs(evidence[0])))
         for variable in (self.x, self.y) if self.y is not None else (self.x,):
             left = one[variable].mean - other[variable].mean
             mask, std = variable.angle_mask, one[variable].std
             left[..., mask] = (left[..., mask] + np.pi) % (2 * np.pi) - np.pi
             unit = np.maximum(std, 1e-5 * (1e-300 + np.abs(one[variable].mean)) * (std == 0.0))
             beyond = np.maximum(np.abs(left) - 4.0 * np.spacing(np.abs(one[variable].mean)), 0.0)
-            worst = max(worst, (beyond / unit).max())
+            both = std[..., :, None] * std[..., None, :]
+            spread = one[variable].cov - other[variable].cov
+            worst = max(worst, largest(beyond / unit), 1e-2 * largest(spread, both))
         return worst
+
+
+def largest(differences, unit=1.0):
+    """The largest size of differences in units; of none in units of zero nothing, else infinity."""
+    sizes = np.abs(differences)
+    shares = np.where(sizes > 0.0, np.inf, 0.0)
+    np.divide(sizes, unit, out=shares, where=np.broadcast_to(unit, sizes.shape) > 0.0)
+    return np.inf if np.isnan(shares).any() else shares.max(initial=0.0)
 
 
 class Robust(Drawn):
