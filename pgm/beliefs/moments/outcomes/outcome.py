@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 
@@ -113,12 +113,6 @@ class ChainOutcome(Innovated, Outcome[Gaussian]):
     _careful: Careful | None = None
     _windows: Windows | None = None
     associations: Found = field(default_factory=dict)
-
-    def changed(self, **fields: Any) -> Self:
-        """The outcome with other fields, whose parts are made as late as those of this one."""
-        found = object.__new__(type(self))
-        found.__dict__.update(self.__dict__, **fields)
-        return found
 
     def slices(self, span: range, room: Room) -> ShownMoments:
         """The slices of these steps, as a page shows them."""

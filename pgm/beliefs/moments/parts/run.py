@@ -71,7 +71,7 @@ def run(graph: DynamicGraph, bound: BoundEvidence, call: Call) -> ChainOutcome |
         (bound, found), how = associated(graph, bound, lineariser, gate)
         posterior = run(graph, bound, call)
         status = posterior.status.with_compilation(_both(posterior.status.compilation, how))
-        return posterior.changed(status=status, associations=found)
+        return posterior._changed(status=status, associations=found)
     kept = None if keep is None else _hidden(graph.layout, keep)
     _require_memory(graph.layout, bound, schedule, kept)
     workers = Workers(executor)
