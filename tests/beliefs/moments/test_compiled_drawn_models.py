@@ -1,7 +1,6 @@
 """Drawn models in machine code against the general kernels: alike, or told."""
 
 import warnings
-from functools import partialmethod
 from importlib.util import find_spec
 
 import numpy as np
@@ -240,20 +239,3 @@ def test_many_drawn_models(seed):
 @pytest.mark.parametrize("seed", slow_after(1, range(1, 301)))
 def test_drawn_models_of_robust_noise(seed):
     check(seed, Robust)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(100, 160))
-def test_drawn_models_in_code_that_tests_indices_and_alignments(seed, monkeypatch):
-    from pgm.kernels.machine.emitter.module import Module
-    from pgm.kernels.machine.sweeps import asking, chain, digits
-
-    made = chain.made, asking.asking, digits.made
-    checked = partialmethod(Module.__init__, checked=True)
-    for each in made:
-        each.cache_clear()
-    with monkeypatch.context() as patch:
-        patch.setattr(Module, "__init__", checked)
-        check(seed)
-    for each in made:
-        each.cache_clear()
