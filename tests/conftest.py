@@ -1,6 +1,7 @@
 """How the tests run: property tests draw the same examples everywhere, and are not timed."""
 
 import gc
+from functools import partialmethod
 
 from hypothesis import settings
 
@@ -18,6 +19,15 @@ def pytest_configure(config):
     """Sort files as they come, where workers share them."""
     if getattr(config.option, "numprocesses", None):
         config.option.loadscopereorder = False
+    if config.option.markexpr == "slow":
+        check_machine_code()
+
+
+def check_machine_code():
+    """Have machine code test each index and alignment, as it does in the slow tests."""
+    from pgm.kernels.machine.emitter.module import Module
+
+    Module.__init__ = partialmethod(Module.__init__, checked=True)
 
 
 def pytest_collection_modifyitems(items):

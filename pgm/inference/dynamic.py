@@ -36,6 +36,7 @@ from pgm.compile import Balanced, DynamicGraph, compile
 from pgm.compile.machine import Choice
 from pgm.evidence import BoundEvidence, Evidence
 from pgm.inference.families import answered, family_of
+from pgm.kernels.settling import TOLERANCE
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.posteriors.outcome import B
@@ -48,7 +49,7 @@ from pgm.schedules.damping import Damping
 from pgm.schedules.gates import Gate
 from pgm.schedules.impossible import RAISE
 from pgm.schedules.options import Call, require_over_time
-from pgm.schedules.schedule import TOLERANCE, Filtering, FixedLag, Smoothing
+from pgm.schedules.schedule import Filtering, FixedLag, Smoothing
 from pgm.schedules.starting_points import Start
 from pgm.variables import Variable
 

@@ -306,8 +306,8 @@ def _update_many(
     belief, slope, error = Runs(cov, True), Runs(matrix), Runs(noise, True)
     before, off = Runs(mean[:, None]), Runs(residual[:, None])
     with scratch():
-        cross = slope @ belief
-        root = (cross.times(slope) + error).root()
+        cross, spread = step.crossed(belief, slope, error)
+        root = spread.root()
         if not (root.share > least).all():
             return None
         if _is_mild(noise, root, least):
@@ -370,8 +370,8 @@ def _updating_rows(size: int, height: int, least: float) -> tuple[Callable[..., 
     def mild(
         mean: Matrix, cov: Matrix, matrix: Matrix, residual: Matrix, noise: Matrix
     ) -> tuple[list[Any], Any]:
-        cross, own = matrix @ cov, noise.root()
-        root = (cross.times(matrix) + noise).root()
+        cross, spread = step.crossed(cov, matrix, noise)
+        own, root = noise.root(), spread.root()
         regular = (root.share > least) & (own.share > _MILD * least)
         return told(
             step.lessened(mean, cov, residual, root, cross),

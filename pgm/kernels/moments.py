@@ -48,8 +48,8 @@ def update(
     pivots of S are compared with the diagonal of S alone, and variances of the result stay.
     """
     belief, slope, error = Stack(cov, True), Stack(matrix), Stack(noise, True)
-    cross = slope @ belief
-    predictive = (cross.times(slope) + error).array
+    cross, ahead = step.crossed(belief, slope, error)
+    predictive = ahead.array
     lower = roots.root(predictive, spread(matrix, cov, noise) if exact else None)
     root, off = StackRoot(lower), Stack.column(residual)
     gain = step.gain(root, cross)

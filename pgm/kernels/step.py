@@ -27,7 +27,13 @@ AnyMatrix = Any
 
 def predict(cov: AnyMatrix, matrix: AnyMatrix, noise: AnyMatrix) -> AnyMatrix:
     """The covariance F P Fᵀ + N of y = F x + b + e."""
-    return (matrix @ cov).times(matrix) + noise
+    return crossed(cov, matrix, noise)[1]
+
+
+def crossed(cov: AnyMatrix, matrix: AnyMatrix, noise: AnyMatrix) -> tuple[AnyMatrix, AnyMatrix]:
+    """The covariance F P of y = F x + b + e with x, and its own, F P Fᵀ + N."""
+    cross = matrix @ cov
+    return cross, cross.times(matrix) + noise
 
 
 def push(
@@ -68,8 +74,8 @@ def update(
     mean: AnyMatrix, cov: AnyMatrix, matrix: AnyMatrix, residual: AnyMatrix, noise: AnyMatrix
 ) -> Updated:
     """Bayes' rule for a measurement: m + G r, with the gain G = P Hᵀ S⁻¹, and P by `squares`."""
-    cross = matrix @ cov
-    root = (cross.times(matrix) + noise).root()
+    cross, spread = crossed(cov, matrix, noise)
+    root = spread.root()
     return given(mean, cov, matrix, residual, noise, root, gain(root, cross))
 
 
@@ -319,7 +325,7 @@ def whitened(
     cov: AnyMatrix = None,
     error: AnyMatrix = None,
 ) -> Whitened:
-    """The residual of a measurement, and what P and Ω leave open, in units of its noise.
+    """The residual of a measurement, and its covariances by P and Ω, in units of its noise.
 
     `root` is L of the noise R = L Lᵀ. Without H and P the residual is that of a mean alone.
     """

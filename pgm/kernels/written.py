@@ -77,10 +77,13 @@ class Written:
     def __gt__(self, other: Any) -> Written:
         return Written("{} > {}", self, other)
 
+    def __eq__(self, other: object) -> Written:  # type: ignore[override]
+        return Written("{} == {}", self, other)
+
     def __ne__(self, other: object) -> Written:  # type: ignore[override]
         return Written("{} != {}", self, other)
 
-    __hash__ = object.__hash__
+    __hash__ = None  # type: ignore[assignment]  # none is equal to another
 
     def __and__(self, other: Any) -> Written:
         return Written("({} and {})", self, other)
@@ -159,26 +162,27 @@ class _Program:
         self, results: Sequence[Any], lines: list[str], patterns: Mapping[str, str]
     ) -> None:
         self._patterns = patterns
-        self.lines, self._uses = lines, Counter[Written]()
-        self._names: dict[Written, str] = {}
+        # By the identities of numbers, which live as long as the results that they are part of.
+        self.lines, self._uses = lines, Counter[int]()
+        self._names: dict[int, str] = {}
         left = list(results)
         while left:
             number = left.pop()
             if isinstance(number, Written):
-                if not self._uses[number]:
+                if not self._uses[id(number)]:
                     left += number.numbers
-                self._uses[number] += 1
+                self._uses[id(number)] += 1
 
     def text(self, number: Any) -> str:
         """The expression or the name of a number; its line is added where it has none yet."""
         if not isinstance(number, Written):
             return repr(number)
-        if number in self._names:
-            return self._names[number]
+        if id(number) in self._names:
+            return self._names[id(number)]
         pattern = self._patterns.get(number.pattern, number.pattern)
         text = pattern.format(*[self.text(each) for each in number.numbers])
-        if not number.numbers or self._uses[number] == 1:
+        if not number.numbers or self._uses[id(number)] == 1:
             return text
-        name = self._names[number] = f"_{len(self._names)}"
+        name = self._names[id(number)] = f"_{len(self._names)}"
         self.lines.append(f"{name} = {text}")
         return name

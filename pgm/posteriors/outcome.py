@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, Self
 
 import numpy as np
 
@@ -161,6 +161,12 @@ class Outcome(Shown, ABC, Generic[B]):
         one that was not observed in this run. `run` counts the runs, flattened.
         """
         return {}
+
+    def _changed(self, **fields: Any) -> Self:
+        """The outcome with other fields, whose parts are made as late as those of this one."""
+        found = object.__new__(type(self))
+        found.__dict__.update(self.__dict__, **fields)
+        return found
 
     def refusal(self, question: str) -> PgmError:
         """The error for one of `QUESTIONS` that this outcome cannot answer."""

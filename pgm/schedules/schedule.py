@@ -11,15 +11,13 @@ from pgm.arguments import public
 from pgm.boundary import is_number, is_whole
 from pgm.display import InCode
 from pgm.errors import ModelError
+from pgm.kernels.settling import TOLERANCE
 from pgm.posteriors.belief_kind import FILTERED, SMOOTHED, Kind
 from pgm.schedules.argument_checks import require_count, require_tolerance
 from pgm.schedules.damping import Damping, require_damping
 from pgm.schedules.gates import Gate, as_gate
 from pgm.schedules.rounds import Directed, Messages, Step, in_turn, largest_first
 
-# Standard deviations by which a mean may still move at what counts as a fixed point: nothing that
-# an estimate could show, and within reach of float64 and of ten linearisations of most recordings.
-TOLERANCE = 1e-6
 # The options of a call, with those of the schedule, that every schedule has a use for. Each class
 # lists its own in `takes`, which `pgm.schedules.options` compares with a call; a schedule of a
 # user's own takes those of its base, unless it says otherwise.

@@ -37,6 +37,7 @@ from number_kinds import (
 
 from pgm.kernels import step, written
 from pgm.kernels.dense import Runs
+from pgm.kernels.numbers import where
 from pgm.linearisers import Cubature, GaussHermite, Unscented
 
 DIGITS = 60
@@ -509,6 +510,11 @@ def test_what_is_not_definite_has_no_share(kind, matrix):
     with np.errstate(all="ignore"):
         (share, *_) = kind.numbers(kind.run(lambda a: a.root().share, kind.matrix(arrays)))
     assert not share[0] > 1e-13
+
+
+def test_lines_tell_equal_numbers():
+    told = written.function({"a": (1,)}, lambda a: ([where(a[0, 0] == 2.0, 1.0, a[0, 0])], True))
+    assert [told(np.array([x])) for x in (2.0, 3.0)] == [1.0, 3.0]
 
 
 def test_lines_of_what_is_not_definite_return_nothing():

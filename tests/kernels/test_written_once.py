@@ -60,7 +60,7 @@ def is_method(function):
 
 
 PRODUCTS = {"dot", "times", "matmul", "multiply", "times_transposed", "times_symmetric", "apply"}
-PRODUCTS |= {"einsum", "inner"}
+PRODUCTS |= {"einsum", "inner", "outer"}
 MODULES = {"np", "arrays"}
 TURNED = {"transpose", "swapaxes", "ascontiguousarray"}
 
@@ -82,12 +82,6 @@ def factors(node):
         matrices = [each for each in own + node.args if not isinstance(each, ast.Constant)]
         return [factor for each in matrices for factor in factors(each)]
     return [ast.unparse(node)]
-
-
-def is_sandwich(node, least=3):
-    """Whether an expression is A P Aᵀ, or of two factors A Aᵀ."""
-    product = factors(node)
-    return len(product) >= least and product[0] == product[-1]
 
 
 def summed(node):
@@ -112,30 +106,46 @@ def predictions(source):
         found = summed(part)
         if not found or found[0] is ast.Sub:
             return False
-        return any(
-            is_sandwich(side) or ast.unparse(side) in sandwiches(function) for side in found[1:]
-        )
+        return any(is_sandwich(factors_in(function, side)) for side in found[1:])
 
     return found_in(source, is_found)
 
 
+def is_sandwich(product):
+    """Whether factors are those of A P Aᵀ."""
+    return len(product) > 2 and product[0] == product[-1]
+
+
 @cache
-def sandwiches(function):
-    """The names of what is A P Aᵀ in a function."""
+def products(function):
+    """The names of the products of matrices in a function, and their factors."""
     lines = (line for line in ast.walk(function) if isinstance(line, ast.Assign))
-    return {ast.unparse(to) for line in lines if is_sandwich(line.value) for to in line.targets}
+    found = {}
+    for line in lines:
+        if is_product(line.value):
+            found |= {ast.unparse(to): factors(line.value) for to in line.targets}
+    return found
+
+
+def factors_in(function, node):
+    """The factors of a product, also where a part of it has a name in the function."""
+    names = products(function)
+    return [each for factor in factors(node) for each in names.get(factor, [factor])]
 
 
 def differences(source):
     """Functions that write P − P Hᵀ S⁻¹ H P, P − W Wᵀ or P − G H P."""
 
-    def is_found(part, _):
+    def is_found(part, function):
         found = summed(part)
         if not found or found[0] is ast.Add:
             return False
-        product = factors(found[2])
-        ends = {product[0], product[-1]}
-        return len(product) > 1 and (len(ends) == 1 or not ends.isdisjoint(factors(found[1])))
+        plain = factors(found[2])
+        return any(
+            len(product) > 1
+            and (product[0] == product[-1] or {product[0], product[-1]} & {*factors(found[1])})
+            for product in (plain, factors_in(function, found[2]))
+        )
 
     return found_in(source, is_found)
 
@@ -189,6 +199,15 @@ def solutions(source):
     return found_in(source, is_found)
 
 
+def gains(source):
+    """Functions that write L⁻ᵀ (L⁻¹ C), the gain by a root."""
+
+    def is_found(part, _):
+        return called(part)[0] == "solve_transposed" and called(part.args[0])[0] == "solve"
+
+    return found_in(source, is_found)
+
+
 def factorisations(source):
     """Functions that subtract products of a matrix's own rows, one after another."""
 
@@ -219,6 +238,8 @@ def turns(source):
         if isinstance(part, ast.BinOp) and isinstance(part.op, ast.Mod | ast.FloorDiv):
             return any(map(is_turn, ast.walk(part.right)))
         name, _ = called(part)
+        if name == "arctan2":
+            return {called(each)[0] for each in part.args} == {"sin", "cos"}
         if name == "apply":
             name = getattr(part.args[0], "value", "")
         return name in whole and any(map(is_turn, ast.walk(part)))
@@ -287,10 +308,10 @@ def listed(*groups):
 
 
 PREDICTIONS = listed(
-    {STEP: "predict squares_by"},
+    {STEP: "crossed squares_by"},
     # Bounds of rounding, and expected squares of residuals.
     {f"{DIGITS}adjoint_belief.py": "past", f"{DIGITS}careful_belief.py": "through"},
-    {"learning/gaussian.py": "_left"},
+    {"learning/gaussian.py": "_left", "learning/residuals.py": "rows"},
     # Information of two canonical forms.
     {"kernels/canonical.py": "combine"},
 )
@@ -301,7 +322,7 @@ DIFFERENCES = listed(
     {f"{DIGITS}adjoint.py": "_across", f"{DIGITS}adjoint_belief.py": "given"},
     # Information: what is left of it, and what has changed.
     {"kernels/canonical.py": "_backward_indefinite marginalise"},
-    {"kernels/row_messages.py": "_moved change"},
+    {"kernels/row_messages.py": "_moved change", "kernels/elements.py": "compose"},
     # A projection, and squares of draws.
     {"kernels/rows.py": "_eliminate_exact _eliminate_proper"},
     {"beliefs/particles/guided_proposal.py": "steered"},
@@ -311,6 +332,7 @@ COMPLEMENTS = listed(
     {"beliefs/moments/passes/messages.py": "absorb_readings"},
     {"kernels/rows.py": "_eliminate_exact"},
 )
+GAINS = listed({STEP: "gain reweighed after"})
 FACTORISATIONS = listed({"kernels/roots.py": "_semidefinite_root regular_root"})
 # Beside the step: wrapping to [−π, π) with its end, and bins around a circle.
 TURNS = listed({STEP: "turns"}, {"kernels/angles.py": "wrap", "kernels/bins.py": "keys"})
@@ -378,7 +400,7 @@ SOLUTIONS = listed(
     [
         *((predictions, PREDICTIONS), (differences, DIFFERENCES), (complements, COMPLEMENTS)),
         *((solutions, SOLUTIONS), (factorisations, FACTORISATIONS), (turns, TURNS), (gaps, GAPS)),
-        *((weighed_squares, WEIGHED), (kinds, KINDS)),
+        *((weighed_squares, WEIGHED), (kinds, KINDS), (gains, GAINS)),
     ],
     ids=lambda each: getattr(each, "__name__", ""),
 )
@@ -394,6 +416,7 @@ OTHERS = [
     (predictions, "matrix.dot(cov).dot(matrix.T) + noise"),
     (predictions, "np.add(np.einsum('ij,jk,lk->il', f, cov, f), noise)"),
     (predictions, "row @ cov @ row + variance"),
+    (differences, "cov - np.outer(gain, row @ cov)"),
     (differences, "cov - gain @ spread @ gain.T"),
     (differences, "cov - gain @ matrix @ cov"),
     (differences, "cov - white.T @ white"),
@@ -409,6 +432,8 @@ OTHERS = [
     (turns, "residual - 2.0 * np.pi * np.round(residual / (2.0 * np.pi))"),
     (turns, "(residual + np.pi) % (2.0 * np.pi) - np.pi"),
     (turns, "angle - _TURN * (angle / _TURN).apply('rint')"),
+    (turns, "np.arctan2(np.sin(off), np.cos(off))"),
+    (gains, "root.solve_transposed(root.solve(cross)).T"),
     (gaps, "np.where(known[:, None] & known, noise, np.eye(3))"),
     (weighed_squares, "transpose(weights[:, None] * left) @ left"),
     (weighed_squares, "(left if signs is None else signs[:, None] * left).T.dot(left)"),
@@ -426,6 +451,8 @@ def test_another_is_found(find, line):
     ("find", "lines"),
     [
         (predictions, "cov = matrix @ cov @ matrix.T\n    cov += noise\n    return cov"),
+        (predictions, "half = matrix @ cov\n    return half @ matrix.T + noise"),
+        (differences, "cross = matrix @ cov\n    return cov - gain @ cross"),
         (complements, "keep = np.eye(3) - gain @ matrix\n    return keep @ cov @ keep.T"),
         (complements, "keep = one_minus(multiply(gain, matrix))\n    return sandwich(keep, cov)"),
         (differences, "cov -= gain @ spread @ gain.T"),

@@ -23,6 +23,7 @@ from pgm.beliefs.gaussian.layout import Layout
 from pgm.beliefs.gaussian.rounds import Rounds, Stack
 from pgm.beliefs.gaussian.row_buffer import Buffer
 from pgm.clustergraph.structure import Forest
+from pgm.kernels import dense, step
 from pgm.kernels.arrays import Array, Integers, frozen, transpose
 from pgm.kernels.rows import Eliminated
 from pgm.progress import counted
@@ -151,8 +152,8 @@ def calibrate(plan: TreePlan, buffer: Buffer) -> Calibrated:
     for level, separators, results in reversed(below):
         for stack, (where, entries), done in zip(level, separators, results, strict=True):
             at, spread = beliefs.mean[:, where], beliefs.cov[:, entries]
-            cross = done.gain @ spread
-            own = done.noise + cross @ transpose(done.gain)
+            parts = dense.Stack(spread, True), dense.Stack(done.gain), dense.Stack(done.noise)
+            cross, own = (each.array for each in step.crossed(*parts))
             if exact:
                 own = _certain(own)
                 cross = np.where(

@@ -38,8 +38,10 @@ from pgm.inference.audit.excursions import PREDICTED, Excursions
 from pgm.inference.audit.modes import MOST, Modes
 from pgm.inference.audit.proposal import Path, Proposal
 from pgm.kernels import moments
-from pgm.kernels.arrays import Array, Mask, block, symmetric, transpose
+from pgm.kernels.arrays import Array, Mask, block, transpose
+from pgm.kernels.dense import Stack
 from pgm.kernels.moments import Conditional
+from pgm.kernels.step import crossed
 from pgm.posteriors.belief_kind import SMOOTHED
 
 
@@ -201,8 +203,8 @@ class ChainDraws:
         if known.any():
             states, (matrix, _, rest) = layout.state_places, self.onward
             before = block(cov[:-1], states, states)
-            cross = matrix @ before
-            slices = symmetric(cross @ transpose(matrix) + rest)
+            parts = Stack(before, True), Stack(matrix), Stack(rest)
+            cross, slices = (each.array for each in crossed(*parts))
             means = np.concatenate([mean[:-1][..., states], mean[1:]], axis=-1)
             pair = np.block([[before, transpose(cross)], [cross, slices]])
             sums.append(Sums(layout.pair, slice(None), 1, means, pair, known, timed=True))

@@ -44,7 +44,7 @@ def rejected_by(sensor: Sensor) -> str:
 
 
 def undecided(plan: ChainPlan, gate: gates.Asked | None, *, stored: bool) -> Record:
-    """Room for what gates decide in a sweep: 1 of a sighting that is rejected, else 0."""
+    """Room for the gates' decisions of a sweep: 1 of a sighting that is rejected, else 0."""
     return {
         rejected_by(sensor): np.zeros(sensor.shape)
         for sensor in plan.read
@@ -53,7 +53,7 @@ def undecided(plan: ChainPlan, gate: gates.Asked | None, *, stored: bool) -> Rec
 
 
 def decided(plan: ChainPlan, record: Record) -> None:
-    """Record what gates have decided in a sweep."""
+    """Record the gates' decisions of a sweep in the plan's sensors."""
     for sensor in plan.read:
         rejected = record.get(rejected_by(sensor))
         if rejected is not None:

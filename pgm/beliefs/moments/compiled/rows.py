@@ -81,7 +81,7 @@ def motion_of(
 def needed(
     motions: Sequence[told.Motion], sensors: Sequence[told.Sensor], front: int
 ) -> tuple[bool, bool]:
-    """Whether CPDs are linearised by covariances of slices, and by those of pairs.
+    """Whether a CPD is linearised by covariances of slices, and whether one is by those of pairs.
 
     `front` is how many components the states have.
     """

@@ -59,7 +59,7 @@ def sensor_of(
 
 
 def _candidates_of(sensor: OpenSensor, table: Table) -> told.Candidates:
-    """The candidates of a sensor's sightings, and where what is found of them goes."""
+    """The candidates of a sensor's sightings, and the arrays for the one that is chosen."""
     count, gated, rejects = sensor.form
 
     def array(name: str) -> told.Array:

@@ -12,7 +12,7 @@ rule for nonlinear CPDs that have none of their own.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -71,7 +71,7 @@ def run(graph: DynamicGraph, bound: BoundEvidence, call: Call) -> ChainOutcome |
         (bound, found), how = associated(graph, bound, lineariser, gate)
         posterior = run(graph, bound, call)
         status = posterior.status.with_compilation(_both(posterior.status.compilation, how))
-        return replace(posterior, status=status, associations=found)
+        return posterior._changed(status=status, associations=found)
     kept = None if keep is None else _hidden(graph.layout, keep)
     _require_memory(graph.layout, bound, schedule, kept)
     workers = Workers(executor)

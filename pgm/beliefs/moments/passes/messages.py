@@ -174,8 +174,8 @@ def absorb_readings(
     """
     start, spread = Stack.column(np.zeros(noise.shape[-1])), Stack(noise, True)
     slope, off, error = Stack(h_matrix), Stack.column(residual), Stack(reading_noise, True)
-    cross = slope @ spread
-    root = StackRoot(canonical.strict_root((cross.times(slope) + error).array))
+    cross, ahead = step.crossed(spread, slope, error)
+    root = StackRoot(canonical.strict_root(ahead.array))
     gain = step.gain(root, cross)
     after = step.given(start, spread, slope, off, error, root, gain)
     white = root.solve(slope @ Stack(matrix))

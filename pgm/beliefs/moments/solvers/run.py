@@ -11,7 +11,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -347,7 +346,7 @@ def _told(posterior: ChainOutcome) -> ChainOutcome:
     lost = last_places.error(plan, swept, posterior._smoothed, careful=careful, measured=measured)
     if lost is not None:
         status = status._losing(lost, LAST_PLACE)
-    return posterior if status is posterior.status else replace(posterior, status=status)
+    return posterior if status is posterior.status else posterior._changed(status=status)
 
 
 def _refuse_infinite(posterior: ChainOutcome) -> None:

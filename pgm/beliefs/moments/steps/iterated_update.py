@@ -28,15 +28,12 @@ import numpy.typing as npt
 from pgm.beliefs.moments.steps import cost, readings
 from pgm.beliefs.moments.steps.readings import Moments, Reading
 from pgm.beliefs.moments.steps.vector import Measured
-from pgm.beliefs.moments.steps.weights import SETTLED
 from pgm.errors import NumericalError
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Kind, Mask, components_first, components_last, independent
+from pgm.kernels.settling import REWEIGHINGS, SETTLED, TOLERANCE
 from pgm.schedules.iteration import Anchor, Point, Solution, iterate
-from pgm.schedules.schedule import TOLERANCE, Filtering
-
-# Reweighings of a step's measurements at the most.
-_REWEIGHINGS = 200
+from pgm.schedules.schedule import Filtering
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +136,7 @@ class UpdateProblem(ABC, Generic[U]):
         before = [(copy(part.weights), part.seen) for part in robust]
         active = np.full(found.means.shape[1], bool(robust))
         left = np.where(active, np.inf, 0.0)
-        for _ in range(_REWEIGHINGS if robust else 0):
+        for _ in range(REWEIGHINGS if robust else 0):
             point = found.point
             mean, cov = self._moments(point._replace(cov=point.known_cov))
             moved = [part.reweigh(mean, cov, active) for part in robust]

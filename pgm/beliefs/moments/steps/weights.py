@@ -28,8 +28,6 @@ from pgm.kernels import roots, solving, step
 from pgm.kernels.arrays import Array, Integers, Kind, Mask, components_first, independent
 from pgm.kernels.dense import KnownRoot, Runs, Stack
 
-# Weights that move by no more than this have settled.
-SETTLED = 1e-10
 # Those of a truncated loss are about 0 or 1.
 _HALF = 0.5
 

@@ -20,9 +20,10 @@ from pgm.kernels.machine.sweeps.outliers import gated, kept_surplus, surplus
 from pgm.kernels.machine.sweeps.settling import Settling, moved
 from pgm.kernels.machine.sweeps.sighting import Point, Sighting
 from pgm.kernels.machine.sweeps.told import Forward, Sensor
-from pgm.kernels.machine.sweeps.weighing import REWEIGHINGS, Weighed, Weighing, weighed_alone
+from pgm.kernels.machine.sweeps.weighing import Weighed, Weighing, weighed_alone
 from pgm.kernels.machine.sweeps.writer import Writer
 from pgm.kernels.numbers import least, where
+from pgm.kernels.settling import REWEIGHINGS
 from pgm.kernels.step import AnyMatrix
 
 # The part of S (10 + rᵀ S⁻¹ r) that noise has to exceed in all directions. Below, a belief that is

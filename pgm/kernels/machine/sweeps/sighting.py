@@ -1,4 +1,4 @@
-"""Sightings as they are linearised: what they are taken into, and what they say of it."""
+"""Linearised sightings of a step, and the point at which they are linearised."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pgm.kernels.step import AnyMatrix
 
 
 class Point(NamedTuple):
-    """Where the measurements of a step are linearised, and what they are taken into.
+    """The point where a step's measurements are linearised, and the belief that takes them in.
 
     `mean` and `cov` are the predicted moments, `at` and `about` those of the linearisation. `first`
     is whether this is the first linearisation, None if there is one alone. An `anchor` is taken in
@@ -82,13 +82,13 @@ class Sighting(NamedTuple):
         return cls(line, left, matrix, own, error, float(sensor.height) - missing, stands)
 
     def weighed(self, weight: Any) -> AnyMatrix:
-        """The covariance of the noise by a weight, which is not of what was not measured."""
+        """The noise covariance R / w by a weight w; components that are missing keep unit noise."""
         if self.stands is None:
             return self.own.scaled(1.0 / weight)
         return (self.own - self.stands).scaled(1.0 / weight) + self.stands
 
     def density(self, of: step.Updated | step.Innovation) -> Any:
-        """The log-density of what was measured, by how likely it is."""
+        """The log-density of the measured components, by the square and the volume of an update."""
         return -0.5 * (of.square + LOG_2PI * self.count) - of.volume
 
     @property

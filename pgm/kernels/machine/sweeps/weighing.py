@@ -1,4 +1,4 @@
-"""Sightings of robust noise, taken in by weights that are those of the belief that is found.
+"""Robust noise of sightings: weights that agree with the belief that they lead to.
 
 They are weighed at a belief, and taken in anew by their weights, until no weight moves.
 """
@@ -17,11 +17,8 @@ from pgm.kernels.machine.sweeps.sighting import Point, Sighting
 from pgm.kernels.machine.sweeps.told import Sensor
 from pgm.kernels.machine.sweeps.writer import Writer
 from pgm.kernels.numbers import most, where
+from pgm.kernels.settling import REWEIGHINGS, SETTLED, TOLERANCE
 from pgm.kernels.step import AnyMatrix
-
-# As of `weights` and `iterated_update`: weights that move by no more have settled; how often
-# sightings are weighed at most; and by how much weights may still move at a fixed point.
-SETTLED, REWEIGHINGS, TOLERANCE = 1e-10, 200, 1e-6
 
 
 class Weighed(NamedTuple):

@@ -246,7 +246,7 @@ def _with_controls(
     size = range(cov.shape[0])
     rest = [k for k in size if k not in states]
     root = cov.part(states, states).root()
-    gain = root.solve_transposed(root.solve(cov.part(states, rest))).T
+    gain = step.gain(root, cov.part(states, rest))
     rows: list[Any] = [None] * len(size)
     for i, k in enumerate(states):
         rows[k] = [1.0 if j == i else 0.0 for j in range(len(states))]

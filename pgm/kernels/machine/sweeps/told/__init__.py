@@ -1,4 +1,4 @@
-"""A chain as machine code is told of it: what decides the code, and where its numbers will stand.
+"""A chain as machine code is told of it: the form that decides the code, and places of numbers.
 
 A chain is told in two parts. What stands here is known before the code is made, and is the key of
 what was made before: sizes, places, the users' functions, how arrays lie. All else comes with each

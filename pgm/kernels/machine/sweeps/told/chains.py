@@ -64,7 +64,7 @@ class Forward:
 
 @dataclass(frozen=True, kw_only=True)
 class Backward:
-    """A sweep back: transitions reversed, and the last belief sent through what they have become.
+    """A sweep back: transitions reversed, and the last belief sent through the reversed ones.
 
     Attributes
     ----------

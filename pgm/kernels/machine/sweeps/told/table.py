@@ -1,4 +1,4 @@
-"""The table of a chain's numbers: what stands where, and how the arrays lie that it points to."""
+"""The table of a chain's numbers: their places, and how the arrays lie that it points to."""
 
 from __future__ import annotations
 
