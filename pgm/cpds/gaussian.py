@@ -217,6 +217,8 @@ class NonlinearGaussianCPD(ConditionalGaussian):
         The parents, in the order of the function's arguments.
     function : callable
         ``function(*given)``, from arrays (..., dimension), leading axes equal or none, to (..., d).
+        The leading axes are runs, steps, and CPDs that share the function: each of their points
+        is for itself, so that ``np.where(a > 0, ...)`` decides, not ``if (a > 0).any()``.
     cov : array_like or Noise
         (d, d), positive semidefinite; or (d,), the variance of each component; or one variance for
         all of them; or ``pgm.noise(...)``.
