@@ -154,7 +154,8 @@ def complements(source):
     """Functions that write (I − A) P, whatever comes after it."""
 
     def is_found(part, function):
-        return is_product(part) and {factors(part)[0]} & complementary(function)
+        known = complementary(function)
+        return known and is_product(part) and factors(part)[0] in known
 
     return found_in(source, is_found)
 
