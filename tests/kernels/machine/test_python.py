@@ -180,7 +180,7 @@ def test_objects_are_made_of_arrays_that_are_read_only(holders):
             holders(1)
         holders(numbers)
     assert sys.getrefcount(numbers) == before[0]
-    # Arrays that are collected meanwhile hold it no more; a leak would have held it a hundred times.
+    # Arrays that are collected meanwhile hold it no more; a leak would hold it a hundred times.
     assert abs(sys.getrefcount(np.dtype(float)) - before[1]) < 50
 
 
