@@ -293,7 +293,7 @@ def _update_many(
 
     None if a pivot of S is at most `least` times its diagonal entry, in any run.
     """
-    few = cov.shape[-1] <= _SHORT
+    few = cov.ndim == 3 and cov.shape[-1] <= _SHORT
     quick = _updating_rows(len(mean), len(residual), least) if few else ()
     with quiet():  # of what is not regular
         for function in quick:
