@@ -44,7 +44,7 @@ def _form(variable: Variable) -> tuple[int, bytes]:
 
 
 def _identity(part: Any) -> Hashable:
-    """What a part has in common with no other that lives, even if it says that they are equal.
+    """An identity that no other living part has, even if it says that they are equal.
 
     All parts live as long as their network. A bound method is made anew each time it is asked for.
     """

@@ -71,7 +71,7 @@ class OverTime(Protocol[B_co]):
     if TYPE_CHECKING:  # of a pass that is a posterior, all that this has
 
         def __getattr__(self, name: str) -> Any:
-            """What some families have of a pass, such as a grid's log-evidence."""
+            """A quantity that some families have of a pass, such as a grid's log-evidence."""
 
 
 class Outcome(Shown, ABC, Generic[B]):
@@ -112,7 +112,7 @@ class Outcome(Shown, ABC, Generic[B]):
 
         @property
         def log_evidence_kind(self) -> str:
-            """What `log_evidence` is, in a word, such as ``exact``."""
+            """The kind of `log_evidence`, in a word, such as ``exact``."""
 
     @abstractmethod
     def __getitem__(self, variable: Variable) -> B:

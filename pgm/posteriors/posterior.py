@@ -123,7 +123,7 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
 
     @property
     def log_evidence_kind(self) -> str:
-        """What `log_evidence` is, one of those that the class lists, such as ``exact``."""
+        """The kind of `log_evidence`, one of those that the class lists, such as ``exact``."""
         return self._outcome.log_evidence_kind
 
     def __getitem__(self, variable: Variable) -> B:

@@ -84,7 +84,7 @@ class Made:
 
     @property
     def residuals(self) -> Array | None:
-        """What iterations tell, as of `Swept.told`; None where nothing is iterated."""
+        """The residuals of iterations, as of `Swept.told`; None where nothing is iterated."""
         view = self._room.residuals
         return None if view is None else view.of(self.blocks)
 
