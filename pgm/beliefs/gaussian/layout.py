@@ -17,6 +17,7 @@ from itertools import groupby
 
 import numpy as np
 
+from pgm.beliefs.gaussian.blocks import Blocks
 from pgm.clustergraph import ClusterGraph
 from pgm.cpds import CPD, ConditionalGaussian
 from pgm.cpds.plates import plate
@@ -137,18 +138,20 @@ class Layout:
         return [self.without_evidence(cluster.scope) for cluster in self.graph.clusters]
 
     @cached_property
+    def blocks(self) -> Blocks:
+        """The hidden components of each cluster, in the order of its scope."""
+        sizes = np.array([dimension(scope) for scope in self.scopes], dtype=np.intp)
+        places = [self.places[v] for scope in self.scopes for v in scope]
+        none = np.zeros(0, dtype=np.intp)
+        return Blocks(self.size, sizes, np.concatenate([none, *places]))
+
+    @cached_property
     def columns(self) -> list[dict[int, int]]:
         """For each cluster a map from the place of each component that it holds to its column."""
         return [
             {int(place): k for k, place in enumerate(self.components(scope))}
             for scope in self.scopes
         ]
-
-    def columns_of(self, clusters: Integers, places: Integers) -> Integers:
-        """Columns (B, n) of components in the scopes of clusters (B,), by their `places` (B, n)."""
-        pairs = zip(clusters.tolist(), places.tolist(), strict=True)
-        found = [[self.columns[cluster][place] for place in row] for cluster, row in pairs]
-        return np.array(found, dtype=np.intp).reshape(places.shape)
 
     @cached_property
     def directed(self) -> Directed:
@@ -190,6 +193,19 @@ class Layout:
             )
             groups.append(group)
         return sorted(groups, key=Group.shape)
+
+    @cached_property
+    def entry_starts(self) -> Integers:
+        """Where the entries of each group's rows begin, one group's after another's, then the end.
+
+        (groups + 1,): all rows of a CPD stand together, those of one CPD after another's.
+        """
+        return np.cumsum([0, *(len(g.cpds) * g.height * g.width for g in self.groups)])
+
+    @cached_property
+    def row_starts(self) -> Integers:
+        """Where each group's rows begin, as `entry_starts`, then where all end, (groups + 1,)."""
+        return np.cumsum([0, *(len(g.cpds) * g.height for g in self.groups)])
 
     @cached_property
     def shapes(self) -> list[list[int]]:

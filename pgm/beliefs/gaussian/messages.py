@@ -156,7 +156,7 @@ class RowMessages:
         """The stored message of a number: its rows A (V, s, s) and r (V, s, N); its log-scale g."""
         size = int(self.buffer.rounds.sizes[message])
         one = self.buffer.messages(np.array([message]), size)
-        log_scale = self.buffer.log_scale[:, len(self.places.sizes) + message]
+        log_scale = self.buffer.log_scale[:, len(self.places.blocks) + message]
         return row_messages.first(one), log_scale
 
     def belief(self, cluster: int) -> tuple[Rows, Array]:
@@ -194,7 +194,7 @@ class RowMessages:
         buffer = self.buffer
         stacked, _, sides = buffer.proper.right.shape
         found = Beliefs.empty(self.places, buffer.model.frame, stacked, sides)
-        logs = np.empty((stacked, len(self.places.sizes), sides))
+        logs = np.empty((stacked, len(self.places.blocks), sides))
         for stack in buffer.rounds.all_beliefs:
             done, logs[:, stack.clusters] = buffer.eliminate(stack)
             found.put(stack, done.offset, done.noise)

@@ -65,11 +65,12 @@ def run(
     bound = bind_values(network.cpds, evidence, network.lead, needed)
     plan = graph.derived(_plan, frozenset(bound.values), absent)
     linear = all(isinstance(cpd, AffineCPD) for cpd in cpds)
-    squares = [size * size for size in plan.places.sizes]
+    loopy = isinstance(schedule, Loopy)
+    places = plan.cluster_places if loopy else plan.places
+    squares = (places.blocks.sizes**2).tolist()
     require_size(graph, squares, "covariances")
     require_runs(sum(squares), 1 if linear else bound.runs, "the covariances of all clusters")
     at = None if start is None else _start(plan.layout, bound, start)
-    loopy = isinstance(schedule, Loopy)
     again = not loopy and careful.work(plan.layout, bound.runs, linear) <= careful.MOST_WORK
     with quiet():
         for judge in judged():
@@ -100,10 +101,11 @@ def _solved(
     loopy = isinstance(schedule, Loopy)
     try:
         model = Model.make(plan.layout, bound, lineariser, at, judge=judge)
-        buffer = Buffer.make(plan.rounds, model)
         if isinstance(schedule, Loopy):
+            buffer = Buffer.make(plan.rounds, model)
             found = _sent(plan, buffer, schedule)
         else:
+            buffer = Buffer.make(plan.stacks, model)
             done, status = _iterated(model, lambda: calibrate(plan, buffer), schedule)
             found = GaussianOutcome(graph, status, plan, model, done)
         digits = kept_digits(buffer, found._done.beliefs, found._done.log_evidence)
@@ -156,7 +158,7 @@ def _sent(plan: TreePlan, buffer: Buffer, schedule: Loopy) -> GaussianOutcome:
     iterations are used up. `buffer` is that of the model, and still holds only zeros.
     """
     graph, model = plan.layout.graph, buffer.model
-    messages = RowMessages.make(buffer, plan.places, schedule.damping)
+    messages = RowMessages.make(buffer, plan.cluster_places, schedule.damping)
     status = run_loopy(messages, schedule, model.lead)
     return GaussianOutcome(graph, status, plan, model, messages.calibrated(), messages)
 

@@ -125,7 +125,7 @@ class Search:
         """
         flat = at.swapaxes(0, 1).reshape(-1, at.shape[-1])
         model = self._linearised(flat)
-        return calibrate(self.plan, Buffer.make(self.plan.rounds, model))
+        return calibrate(self.plan, Buffer.make(self.plan.stacks, model))
 
     def climb(self, at: Array) -> Array:
         """Climb from points (runs, C, n) by steps of Gauss–Newton that raise the log-density.
