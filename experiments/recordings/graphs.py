@@ -166,7 +166,7 @@ def solve(
             lineariser=lineariser,
         )
     poses, landmarks = made.means(posterior)
-    covs = posterior.covs(made.poses)[:, :2, :2]
+    covs = made.covs(posterior)[0][:, :2, :2]
     errors = squared_errors(made.graph, poses, landmarks)
     return Solved(poses, landmarks, covs, errors, posterior.status, perf_counter() - begun)
 
@@ -181,8 +181,8 @@ def _held(made: PoseGraphNetwork) -> str:
     why = "as the file says" if made.graph.fixed.size else "the first, since the file holds none"
     sightings = len(made.graph.sightings)
     return (
-        f"{who}, {why}. {len(made.branches)} edges lead on, in a tree; {len(made.evidence)} are "
-        f"measurements that close it{', sightings of landmarks among them' if sightings else ''}."
+        f"{who}, {why}. {len(made.graph.edges)} edges measure one pose from another"
+        f"{f', and {sightings} are sightings of landmarks' if sightings else ''}."
     )
 
 
@@ -220,7 +220,6 @@ def _tables(
         about=f"χ² = Σ rᵀΩr over all edges, as g2o has it, of right noise {told - free} at the "
         "optimum, the components that are told less those that are free; the largest is that of "
         "one edge. Digits, where they had to be counted, are those of a mean that rounding leaves. "
-        "Taylor's optimum is the least error; sigma points see exact motions of a tree as "
-        "approximate ones, and end elsewhere.",
+        "Taylor's optimum is the least error; sigma points expect it over their beliefs.",
         best={"χ²": -np.inf},
     )

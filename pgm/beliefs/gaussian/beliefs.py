@@ -160,13 +160,41 @@ class Beliefs:
 
         They are in the user's units.
         """
+        mean, variance = self.in_frame()
+        scale = self.frame.scale
+        mean = self.frame.mean + scale * runs_first(mean)
+        return mean, scale * np.sqrt(variance)
+
+    def in_frame(self) -> tuple[Array, Array]:
+        """Means (V, size, N) and variances (V, size) of all hidden components, in the frame."""
         blocks = self.places.blocks
         home, column = blocks.homes
         where = blocks.starts[home] + column
         entries = self.places.block_starts[home] + column * (blocks.sizes[home] + 1)
-        scale = self.frame.scale
-        mean = self.frame.mean + scale * runs_first(self.mean[:, where])
-        return mean, scale * np.sqrt(np.maximum(self.cov[:, entries], 0.0))
+        return self.mean[:, where], np.maximum(self.cov[:, entries], 0.0)
+
+
+class Sizes(NamedTuple):
+    """The sizes of numbers that cost digits, the largest of all runs; see `certificate`.
+
+    Attributes
+    ----------
+    largest : float
+        The largest entry of all rows.
+    coarse : float
+        A tenth of the largest summand of a residual, in deviations of its noise; infinite where
+        rounding may decide which rows are exact.
+    information : ndarray or None
+        The square of each component's column in all rows, (V, size); None if rows are exact, or
+        messages go round loops.
+    magnified : float
+        How much larger summands of a variance are than itself, on the way down a tree.
+    """
+
+    largest: float
+    coarse: float
+    information: Array | None = None
+    magnified: float = 1.0
 
 
 class TreePoint(NamedTuple):
@@ -184,15 +212,18 @@ class TreePoint(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Calibrated:
-    """The result of sending all messages: the clusters' beliefs and ln p(evidence), (V, N).
+    """The result of sending all messages: beliefs, and ln p(evidence), (V, N).
 
-    `digits` (runs,) are the correct decimal digits of each run: k if rounding moves no mean by more
-    than about 10⁻ᵏ of its standard deviation, and ln p(evidence) by no more than about 10⁻ᵏ. It is
-    None for a solution in float64, whose digits are counted elsewhere.
+    `sizes` are those of numbers that decide how many digits float64 has kept; None where all digits
+    are known to be there. `digits` (runs,) are the correct decimal digits of each run: k if
+    rounding moves no mean by more than about 10⁻ᵏ of its standard deviation, and ln p(evidence) by
+    no more than about 10⁻ᵏ. It is None for a solution in float64, whose digits are counted
+    elsewhere.
     """
 
     beliefs: Beliefs
     log_evidence: Array
+    sizes: Sizes | None = None
     digits: Array | None = None
 
     @property

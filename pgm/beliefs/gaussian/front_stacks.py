@@ -2,8 +2,8 @@
 
 The *rows* of a front are those of its clusters' CPDs and those that its children leave: of a factor
 exp(−½ ‖A ξ − r‖²) over its components ξ, the rows of A, with r. Fronts of one level of the tree and
-one shape make a stack. In large trees shapes are rounded up, so that there are few: a front then has
-columns that stand for no component, with a unit row each where they are pivots.
+one shape make a stack. In large trees shapes are rounded up, so that there are few: a front then
+has columns that stand for no component, with a unit row each where they are pivots.
 """
 
 from __future__ import annotations
@@ -99,7 +99,9 @@ class FrontStacks:
             most = np.maximum(rows[members].max(initial=0), widths[members].max(initial=0))
             rooms[members] = max(int(most), 1)
         entries, right = self._filled(rooms, widths, spare)
-        return [[self._stack(members, rooms, entries, right) for members in level] for level in stacks]
+        return [
+            [self._stack(members, rooms, entries, right) for members in level] for level in stacks
+        ]
 
     @staticmethod
     def _powers(rows: Integers) -> Integers:
@@ -125,7 +127,9 @@ class FrontStacks:
             count = np.arange(front.size)[:, None]
             row = count * group.height + np.arange(group.height)
             where = (at * widths[front][:, None])[..., None] + columns[:, None, :]
-            entries.put(front, where, self.layout.entry_starts[k] + (row * group.width)[..., None] + inside)
+            entries.put(
+                front, where, self.layout.entry_starts[k] + (row * group.width)[..., None] + inside
+            )
             right.put(front, at, self.layout.row_starts[k] + row)
         begin = np.cumsum(fronts.separators) - fronts.separators
         sent = np.flatnonzero((fronts.parent >= 0) & (fronts.separators > 0))
@@ -151,9 +155,7 @@ class FrontStacks:
         own = self.fronts.pivots[fronts][:, None]
         return np.where(columns >= own, columns + self.pivots[fronts][:, None] - own, columns)
 
-    def _stack(
-        self, members: Integers, rooms: Integers, entries: _Ragged, right: _Ragged
-    ) -> Stack:
+    def _stack(self, members: Integers, rooms: Integers, entries: _Ragged, right: _Ragged) -> Stack:
         """The stack of some fronts of one shape."""
         first = members[0]
         room, drop = int(rooms[first]), int(self.pivots[first])
@@ -162,7 +164,9 @@ class FrontStacks:
         own, sizes = (each[members][:, None] for each in (self.fronts.pivots, blocks.sizes))
         column = np.where(inside < drop, inside, inside - drop + own)
         there = np.where(inside < drop, inside < own, column < sizes)
-        place = np.append(blocks.components, 0)[np.where(there, blocks.starts[members][:, None] + column, -1)]
+        place = np.append(blocks.components, 0)[
+            np.where(there, blocks.starts[members][:, None] + column, -1)
+        ]
         return Stack(
             members,
             members,
@@ -196,7 +200,8 @@ class _Ragged:
 
     def part(self, fronts: Integers, size: int) -> Integers:
         """The numbers of some fronts that have so many of them, (B, size)."""
-        return self.values[self.starts[fronts][:, None] + np.arange(size)]
+        found: Integers = self.values[self.starts[fronts][:, None] + np.arange(size)]
+        return found
 
 
 def _slots(owners: Integers, heights: Integers, used: Integers) -> Integers:

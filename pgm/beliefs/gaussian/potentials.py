@@ -30,6 +30,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.beliefs.gaussian.beliefs import Flat, by_run
+from pgm.beliefs.gaussian.layout import Layout
 from pgm.beliefs.gaussian.model import Model
 from pgm.beliefs.gaussian.refusals import indefinite_noise
 from pgm.kernels import roots, solving
@@ -55,6 +56,22 @@ class Potentials:
     exact: Flat | None
     log_scale: Array
     coarse: float
+
+
+def column_squares(layout: Layout, matrix: Array) -> Array:
+    """The squares of the columns of all rows, (V, size), by components' places.
+
+    `matrix` (V, entries) are the rows as `Potentials.proper` has them.
+    """
+    found = np.zeros((matrix.shape[0], layout.size))
+    for k, group in enumerate(layout.groups):
+        rows = matrix[:, layout.entry_starts[k] : layout.entry_starts[k + 1]]
+        rows = rows.reshape(len(found), len(group.cpds), group.height, group.width)
+        squares = np.einsum("vchw,vchw->vcw", rows, rows)
+        places = np.concatenate([group.child, group.parents], axis=1).ravel()
+        for one, own in zip(found, squares, strict=True):
+            one += np.bincount(places, own.ravel(), layout.size)
+    return found
 
 
 def make_potentials(model: Model) -> Potentials:

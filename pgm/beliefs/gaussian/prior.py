@@ -28,7 +28,7 @@ class Frame:
 
     x is the vector of all hidden components. `mean` (runs, size) are the prior's predictive means,
     or the means of a start. `scale` (size,) are the prior's predictive standard deviations, the
-    largest of all runs, with a floor where they are tiny. So neither the user's units nor large
+    largest of all runs, with a floor where they are tiny; of a flat prior they are 1. So neither the user's units nor large
     coordinates cost digits. The mask `certain` (size,) marks components without variance in the
     prior, in all runs: their ξ is zero. With a start none is marked.
     """
@@ -81,7 +81,8 @@ def prior_predictive(
         if not group.observed:
             child = group.child[row]
             matrix = family.matrix[row, :last]
-            own = moments.predict(inside, matrix, family.noise[row, :last])
+            noise = family.noise[row, :last]
+            own = moments.predict(inside, matrix, np.where(np.isinf(noise), 1.0, noise))
             if start is None or np.isnan(mean[0, child[0]]):
                 at = mean[:, parents]
                 mean[:, child] = apply(family.matrix[row], at) + family.offset[row]

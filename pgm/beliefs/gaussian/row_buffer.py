@@ -13,18 +13,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
 from pgm.beliefs.gaussian.beliefs import Flat
 from pgm.beliefs.gaussian.layout import Layout
 from pgm.beliefs.gaussian.model import Model
-from pgm.beliefs.gaussian.potentials import make_potentials
-from pgm.beliefs.gaussian.refusals import contradiction
+from pgm.beliefs.gaussian.potentials import Potentials, make_potentials
+from pgm.beliefs.gaussian.refusals import contradiction, improper
 from pgm.beliefs.gaussian.rounds import Stack
-from pgm.errors import NumericalError
-from pgm.factors.scope import names
 from pgm.kernels.arrays import LOG_2PI, Array, Integers
 from pgm.kernels.rows import Eliminated, Rows, eliminate
 
@@ -32,25 +30,35 @@ from pgm.kernels.rows import Eliminated, Rows, eliminate
 class Places(Protocol):
     """Where the rows of factors and messages stand in a buffer.
 
-    `entry_starts` and `row_starts` are where each message's begin, and where the zero stands; it is
-    followed by the entry of unit rows. `logs` counts the log-scales, and `of_cluster` (clusters,)
-    numbers those of clusters' CPDs.
+    A zero follows the last message, and the entry of unit rows follows it.
     """
 
     @property
-    def layout(self) -> Layout: ...
+    def layout(self) -> Layout:
+        """The layout of the components."""
+
     @property
-    def entry_starts(self) -> Integers: ...
+    def entry_starts(self) -> Integers:
+        """The index of each message's first entry, and of the zero, (messages + 1,)."""
+
     @property
-    def row_starts(self) -> Integers: ...
+    def row_starts(self) -> Integers:
+        """The index of each message's first row, and of the zero, (messages + 1,)."""
+
     @property
-    def logs(self) -> int: ...
+    def logs(self) -> int:
+        """How many log-scales there are."""
+
     @property
-    def of_cluster(self) -> Integers: ...
+    def of_cluster(self) -> Integers:
+        """The number of the log-scale of each cluster's CPDs, (clusters,)."""
+
+
+Standing = TypeVar("Standing", bound=Places)
 
 
 @dataclass(eq=False)
-class Buffer:
+class Buffer(Generic[Standing]):
     """Factors and messages as rows; `rounds` tells where each of them stands.
 
     `proper` are the rows with noise. `exact` are the rows of relations without noise, None if there
@@ -61,7 +69,7 @@ class Buffer:
     factors and eliminations.
     """
 
-    rounds: Places
+    rounds: Standing
     model: Model
     proper: Flat
     exact: Flat | None
@@ -70,7 +78,7 @@ class Buffer:
     largest: float = 0.0
 
     @classmethod
-    def make(cls, rounds: Places, model: Model) -> Buffer:
+    def make(cls, rounds: Standing, model: Model) -> Buffer[Standing]:
         """A buffer of zeros, for a model whose factors `refresh` puts in."""
         stacked, sides = (1, model.runs) if model.shared else (model.runs, 1)
         entries, rows = int(rounds.entry_starts[-1]) + 2, int(rounds.row_starts[-1]) + 1
@@ -78,9 +86,12 @@ class Buffer:
         proper.matrix[:, -1] = 1.0
         return cls(rounds, model, proper, None, np.zeros((stacked, rounds.logs, sides)))
 
-    def refresh(self) -> None:
-        """Put in the CPDs' factors as they are linearised now; the messages stay."""
-        potentials = make_potentials(self.model)
+    def refresh(self, potentials: Potentials | None = None) -> None:
+        """Put in the CPDs' factors as they are linearised now; the messages stay.
+
+        `potentials` are these factors, if they have been made already.
+        """
+        potentials = potentials or make_potentials(self.model)
         self.coarse = float(np.maximum(self.coarse, potentials.coarse))
         own = potentials.proper
         self.largest = float(np.maximum(self.largest, np.abs(own.matrix).max(initial=0.0)))
@@ -96,7 +107,9 @@ class Buffer:
         clusters = np.concatenate([none, *(group.clusters for group in layout.groups)])
         logs = self.rounds.of_cluster
         self.log_scale[:, logs] = 0.0
-        np.add.at(self.log_scale.swapaxes(0, 1), logs[clusters], potentials.log_scale.swapaxes(0, 1))
+        np.add.at(
+            self.log_scale.swapaxes(0, 1), logs[clusters], potentials.log_scale.swapaxes(0, 1)
+        )
 
     def factor(self, stack: Stack) -> Rows:
         """The rows that a stack's B eliminations gather: A (V, B, k, n) and r (V, B, k, N)."""
@@ -107,9 +120,7 @@ class Buffer:
         exact = () if self.exact is None else self.exact.at(entries, rows)
         return Rows(*self.proper.at(entries, rows), *exact)
 
-    def eliminate(
-        self, stack: Stack, clusters: Integers | None = None
-    ) -> tuple[Eliminated, Array]:
+    def eliminate(self, stack: Stack, clusters: Integers | None = None) -> tuple[Eliminated, Array]:
         """Integrate the first `stack.drop` columns out of each of a stack's B factors.
 
         Returns two results. The first, stacked (V, B, ...), has the conditionals of these columns
@@ -176,18 +187,4 @@ class Buffer:
         if np.isfinite(done).all():
             return
         bad = ~np.isfinite(done).all(axis=(0, *range(2, done.ndim)))
-        cluster = list(clusters)[int(np.flatnonzero(bad)[0])]
-        scope = self.rounds.layout.scopes[cluster]
-        if not scope:
-            raise NumericalError(
-                f"the density of the evidence in cluster {cluster} is beyond the range of float64: "
-                "a measurement is more than 1e150 deviations from what the model expects",
-                cluster=cluster,
-            )
-        raise NumericalError(
-            f"cluster {cluster} has no proper belief over {names(scope)}: its information is "
-            "singular in these numbers. Some noise is more than 1e11 times sharper than what else "
-            "is known of its variables, or, on a graph with loops, messages diverged or CPDs "
-            "without noise form a loop; scale the noise, or compile a junction tree",
-            cluster=cluster,
-        )
+        raise improper(self.rounds.layout, list(clusters)[int(np.flatnonzero(bad)[0])])

@@ -7,8 +7,8 @@ the axes of runs flattened to one.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -19,16 +19,19 @@ from pgm.beliefs.gaussian.layout import Layout, barren, known_parents
 from pgm.beliefs.gaussian.messages import RowMessages
 from pgm.beliefs.gaussian.model import Model
 from pgm.beliefs.gaussian.outcome import GaussianOutcome
+from pgm.beliefs.gaussian.rounds import Rounds
 from pgm.beliefs.gaussian.row_buffer import Buffer
-from pgm.beliefs.gaussian.tree import TreePlan, calibrate
+from pgm.beliefs.gaussian.solving import TreeSolver
+from pgm.beliefs.gaussian.tree import TreePlan
 from pgm.clustergraph import ClusterGraph
 from pgm.cpds import AffineCPD
 from pgm.errors import EvidenceError, NumericalError
 from pgm.evidence import Evidence
 from pgm.evidence.rows import as_rows, require_finite
 from pgm.evidence.static import BoundValues, bind_values
-from pgm.kernels import last_place
+from pgm.kernels import last_place, moments
 from pgm.kernels.arrays import Array, Mask, quiet
+from pgm.kernels.settling import TOLERANCE
 from pgm.linearisers import Lineariser
 from pgm.posteriors.status import ENOUGH_DIGITS, LAST_PLACE, Status
 from pgm.schedules.argument_checks import require_gaussian, require_plain
@@ -102,13 +105,12 @@ def _solved(
     try:
         model = Model.make(plan.layout, bound, lineariser, at, judge=judge)
         if isinstance(schedule, Loopy):
-            buffer = Buffer.make(plan.rounds, model)
-            found = _sent(plan, buffer, schedule)
+            found = _sent(plan, Buffer.make(plan.rounds, model), schedule)
         else:
-            buffer = Buffer.make(plan.stacks, model)
-            done, status = _iterated(model, lambda: calibrate(plan, buffer), schedule)
+            done, status = _iterated(model, TreeSolver(plan, model), schedule)
             found = GaussianOutcome(graph, status, plan, model, done)
-        digits = kept_digits(buffer, found._done.beliefs, found._done.log_evidence)
+        digits = kept_digits(model, found._done)
+        again = again and not model.flat  # decimals need a joint of all variables
         enough = digits >= SAFE_DIGITS or (loopy and not found.status.converged.all())
         if enough or not again:
             lost = None if enough else np.full(bound.runs, 10.0**-digits)
@@ -118,7 +120,7 @@ def _solved(
         if not again:
             raise
     model = Model.make(plan.layout, bound, lineariser, at, careful.predictive, judge=judge)
-    done, status = _iterated(model, lambda: _in_digits(plan, model), schedule)
+    done, status = _iterated(model, _InDigits(plan, model), schedule)
     assert done.digits is not None
     status = _told(status, model, done.beliefs, 10.0**-done.digits)
     return GaussianOutcome(graph, status, plan, model, done)
@@ -151,7 +153,7 @@ def _plan(
     return TreePlan(Layout(graph, observed, absent))
 
 
-def _sent(plan: TreePlan, buffer: Buffer, schedule: Loopy) -> GaussianOutcome:
+def _sent(plan: TreePlan, buffer: Buffer[Rounds], schedule: Loopy) -> GaussianOutcome:
     """The posterior by rounds of messages, on a graph that may have loops.
 
     Rounds are sent until no message changes by more than the schedule's tolerance, or its
@@ -167,13 +169,15 @@ def _sent(plan: TreePlan, buffer: Buffer, schedule: Loopy) -> GaussianOutcome:
 class _Tree:
     """A tree that is solved and linearised in turns: a `Problem` of `pgm.schedules.iteration`.
 
-    `solver` solves it with the CPDs of `model` as they are linearised now. Other problems have
+    `solver` solves it with the CPDs of `model` as they are linearised now; it may be told that a
+    solution is one `to_move` by, not to be given. Other problems have
     robust losses too, or anchors, which are measurements of all means added to hold a solution near
     a point; a tree has neither.
     """
 
     model: Model
-    solver: Callable[[], Calibrated]
+    solver: Solver
+    to_move: bool
 
     def linearise(self, at: TreePoint, active: Mask) -> None:
         """Linearise each nonlinear CPD anew at its cluster's belief in `at`, for the active runs.
@@ -188,12 +192,10 @@ class _Tree:
 
     def solve(self, anchor: Anchor | None = None) -> Calibrated:
         """Calibrate the tree with the CPDs as they are linearised now; `anchor` is ignored."""
-        return self.solver()
+        return self.solver.solve(to_move=self.to_move)
 
 
-def _iterated(
-    model: Model, solver: Callable[[], Calibrated], schedule: Schedule | None
-) -> tuple[Calibrated, Status]:
+def _iterated(model: Model, solver: Solver, schedule: Schedule | None) -> tuple[Calibrated, Status]:
     """Solve, linearise at the beliefs, and solve again, until the means stay.
 
     They stay when no mean moves by more than the schedule's tolerance, in standard deviations. A
@@ -202,18 +204,46 @@ def _iterated(
     they are linearised now. Returns the last solution and the status of convergence.
     """
     asked = schedule if isinstance(schedule, Calibration) else Calibration()
-    tree, exact = _Tree(model, solver), np.full(model.runs, model.exact)
-    done = tree.solve()
+    exact = np.full(model.runs, model.exact)
     if model.exact or asked.iterations == 1:
-        return done, Status.of([], exact, model.lead)
-    found = iterate(tree, done, Smoothing(asked.iterations, asked.tolerance), exact)
-    return found.solution, Status.of(found.residuals, found.converged, model.lead)
+        return solver.solve(), Status.of([], exact, model.lead)
+    tree = _Tree(model, solver, True)
+    limits = Smoothing(asked.iterations, asked.tolerance)
+    found = iterate(tree, tree.solve(), limits, exact)
+    done, residuals, converged = solver.solve(), found.residuals, found.converged
+    # The means of a solution that was one to move by may be wrong where it lost digits.
+    off = moments.moved(done.means, found.solution.means, done.point.std)
+    left = asked.iterations - 1 - len(residuals)
+    if (off > max(asked.tolerance, TOLERANCE)).any() and left > 0:
+        limits = Smoothing(left + 1, asked.tolerance)
+        again = iterate(_Tree(model, solver, False), done, limits, exact)
+        done, converged = again.solution, again.converged
+        residuals = [*residuals, *again.residuals]
+    return done, Status.of(residuals, converged, model.lead)
+
+
+class Solver(Protocol):
+    """A way to solve a tree as its CPDs are linearised now."""
+
+    def solve(self, *, to_move: bool = False) -> Calibrated:
+        """The beliefs; if it is one `to_move` by, maybe to fewer digits."""
+
+
+class _InDigits(NamedTuple):
+    """The solver in as many decimals as a network's numbers need."""
+
+    plan: TreePlan
+    model: Model
+
+    def solve(self, *, to_move: bool = False) -> Calibrated:
+        """The beliefs of the linearised network; all decimals are there if it is one to move by."""
+        return _in_digits(self.plan, self.model)
 
 
 def _in_digits(plan: TreePlan, model: Model) -> Calibrated:
     """The beliefs of the linearised network, in as many decimals as its numbers need."""
     found = careful.solve(plan, model)
-    return Calibrated(found.beliefs, found.log_evidence, found.digits)
+    return Calibrated(found.beliefs, found.log_evidence, digits=found.digits)
 
 
 def _start(layout: Layout, bound: BoundValues, start: Start) -> Array:

@@ -1,9 +1,10 @@
 """Calibrating a tree: rows are eliminated towards the roots, moments pushed back.
 
 The clusters are joined to *fronts*. Upward, each front integrates out its pivots c, the components
-that are not among its separators s, which it shares with its parent. It keeps their conditional, c = G s + offset + noise, with the *gain* G; this is a sparse QR
-factorisation. Downward, the parent's moments of s go through the conditional, which gives those of
-c. Nothing is divided or subtracted, and covariances may be singular.
+that are not among its separators s, which it shares with its parent. It keeps their conditional,
+c = G s + offset + noise, with the *gain* G; this is a sparse QR factorisation. Downward, the
+parent's moments of s go through the conditional, which gives those of c. Nothing is divided or
+subtracted, and covariances may be singular.
 
 A CPD or message is a factor exp(−½ ‖A ξ − r‖²), and is kept as *rows*: those of A, with right sides
 r. The rows of all CPDs and messages stand in one buffer. A *stack* is a batch of B eliminations of
@@ -13,20 +14,25 @@ else the number of runs.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 
-from pgm.beliefs.gaussian.beliefs import Beliefs, Calibrated, Places
+from pgm.beliefs.gaussian.beliefs import Beliefs, Calibrated, Places, Sizes
 from pgm.beliefs.gaussian.front_stacks import FrontStacks
 from pgm.beliefs.gaussian.fronts import Fronts
 from pgm.beliefs.gaussian.layout import Layout
+from pgm.beliefs.gaussian.machine_plan import told
+from pgm.beliefs.gaussian.potentials import Potentials, column_squares
 from pgm.beliefs.gaussian.rounds import Rounds, Stack
 from pgm.beliefs.gaussian.row_buffer import Buffer
 from pgm.clustergraph.structure import Forest
 from pgm.kernels import dense, step
-from pgm.kernels.arrays import Array, Integers, frozen, transpose
+from pgm.kernels.arrays import Array, Integers, apply, deviation, frozen, transpose
+from pgm.kernels.machine.fronts.plan import Plan
 from pgm.kernels.rows import Eliminated
 from pgm.progress import counted
 
@@ -74,6 +80,11 @@ class TreePlan:
         return places.means(*at), places.covs(*at)
 
     @cached_property
+    def machine(self) -> Plan:
+        """The fronts as machine code is told of them."""
+        return told(self.layout, self.fronts)
+
+    @cached_property
     def rounds(self) -> Rounds:
         """Where the rows of factors and of messages between clusters stand in a buffer."""
         return Rounds(self.layout)
@@ -103,37 +114,43 @@ class TreePlan:
 
 @dataclass(frozen=True, eq=False)
 class TreeBeliefs(Beliefs):
-    """Moments of a tree's fronts, with the gains of the upward pass.
+    """Moments of a tree's fronts.
 
-    `gains` are pairs of a stack and a matrix (V, B, c, s) of its B fronts: the regression of the c
-    pivots on the s separators.
+    `gain` gives, for the number of a front, the regression of its pivots on its separators, (V,
+    pivots, separators).
     """
 
-    fronts: Fronts
-    gains: list[tuple[Stack, Array]]
+    gain: Callable[[int], Array]
 
-    def gain(self, front: int) -> Array:
-        """The regression of a front's pivots on its separators, (V, pivots, separators)."""
+
+@dataclass(frozen=True, eq=False)
+class _Gains:
+    """The regressions that stacks of fronts have kept, (V, B, c, s) each."""
+
+    fronts: Fronts
+    stacks: list[tuple[Stack, Array]]
+
+    def __call__(self, front: int) -> Array:
         k, row = self._where[front]
         own, shared = int(self.fronts.pivots[front]), int(self.fronts.separators[front])
-        return self.gains[k][1][:, row, :own, :shared]
+        return self.stacks[k][1][:, row, :own, :shared]
 
     @cached_property
     def _where(self) -> dict[int, tuple[int, int]]:
         return {
             front: (k, row)
-            for k, (stack, _) in enumerate(self.gains)
+            for k, (stack, _) in enumerate(self.stacks)
             for row, front in enumerate(stack.members.tolist())
         }
 
 
-def calibrate(plan: TreePlan, buffer: Buffer) -> Calibrated:
+def calibrate(plan: TreePlan, buffer: Buffer[FrontStacks], potentials: Potentials) -> Calibrated:
     """The beliefs of a tree, and ln p(evidence): both passes, with the CPDs as linearised now.
 
     Measurements that contradict CPDs without noise, and a belief that is not proper, are a
-    NumericalError. `buffer` has its rows where `plan.stacks` has them.
+    NumericalError. `buffer` has its rows where `plan.stacks` has them; `potentials` are the CPDs'.
     """
-    buffer.refresh()
+    buffer.refresh(potentials)
     kept: list[list[Eliminated]] = []
     stacked, _, sides = buffer.proper.right.shape
     total = np.zeros((stacked, sides))
@@ -148,16 +165,11 @@ def calibrate(plan: TreePlan, buffer: Buffer) -> Calibrated:
             if stack.kept:
                 buffer.store(stack, done.rest, None)
     blank = Beliefs.empty(plan.places, buffer.model.frame, stacked, sides)
-    every = zip(plan.stacks.levels, kept, strict=True)
-    gains = [
-        (stack, done.gain)
-        for level, results in every
-        for stack, done in zip(level, results, strict=True)
-    ]
-    beliefs = TreeBeliefs(
-        blank.places, blank.frame, blank.mean, blank.cov, plan.fronts, gains
-    )
+    each = zip(chain.from_iterable(plan.stacks.levels), chain.from_iterable(kept), strict=True)
+    gains = _Gains(plan.fronts, [(stack, done.gain) for stack, done in each])
+    beliefs = TreeBeliefs(blank.places, blank.frame, blank.mean, blank.cov, gains)
     exact = buffer.exact is not None
+    magnified = 1.0
     below = list(zip(plan.stacks.levels, plan.separators, kept, strict=True))
     for level, separators, results in reversed(below):
         for stack, (where, entries), done in zip(level, separators, results, strict=True):
@@ -172,12 +184,17 @@ def calibrate(plan: TreePlan, buffer: Buffer) -> Calibrated:
                 cross = np.where(
                     (np.diagonal(own, axis1=-2, axis2=-1) > 0.0)[..., None], cross, 0.0
                 )
+            else:
+                summands = apply(np.abs(done.gain), deviation(spread))
+                magnified = max(magnified, float((summands / deviation(own)).max()) ** 2)
             beliefs.put(
                 stack,
                 np.concatenate([done.gain @ at + done.offset, at], axis=2),
                 np.block([[own, cross], [transpose(cross), spread]]),
             )
-    return Calibrated(beliefs, frozen(total))
+    information = None if exact else column_squares(plan.layout, potentials.proper.matrix)
+    sizes = Sizes(buffer.largest, buffer.coarse, information, magnified)
+    return Calibrated(beliefs, frozen(total), sizes)
 
 
 def _certain(cov: Array) -> Array:
