@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence, Set
+from collections.abc import Collection, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,7 @@ from pgm.evidence.values import Constant, Evidence, Sightings, Soft
 from pgm.factors.arrays import common_runs, flat
 from pgm.factors.axes import as_indices
 from pgm.factors.scope import listed
-from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.kernels.arrays import Array, Integers, Mask, is_finite
 from pgm.variables import Discrete, Variable
 
 NOT_OBSERVED = "leave a variable that was not observed out of the evidence, in all runs alike"
@@ -41,11 +41,35 @@ class BoundValues:
         return math.prod(self.lead)
 
 
+@dataclass(frozen=True, eq=False)
+class Roles:
+    """The roles that variables have in the CPDs of a network, found once for many calls.
+
+    known: All variables.
+    children: Those that a CPD explains.
+    dependent: Of each parent the child of a CPD.
+    """
+
+    known: frozenset[Variable]
+    children: frozenset[Variable]
+    dependent: Mapping[Variable, Variable]
+
+    @classmethod
+    def of(cls, cpds: Iterable[CPD]) -> Roles:
+        """The roles in some CPDs."""
+        children, dependent = set(), {}
+        for cpd in cpds:
+            children.add(cpd.child)
+            dependent.update(dict.fromkeys(cpd.parents, cpd.child))
+        return cls(frozenset(children.union(dependent)), frozenset(children), dependent)
+
+
 def bind_values(
     cpds: Sequence[CPD],
     evidence: Evidence,
     lead: tuple[int, ...] = (),
     needed: Iterable[Variable] = (),
+    roles: Roles | None = None,
 ) -> BoundValues:
     """Check the evidence of a continuous network without time.
 
@@ -53,15 +77,19 @@ def bind_values(
         variable on which no other depends: it integrates out.
     lead: Leading axes that the runs have at least.
     needed: Variables that must have evidence: inputs, and what the noise of a CPD depends on.
+    roles: The roles of variables in the CPDs, where they are known already.
     """
-    known = {v for cpd in cpds for v in cpd.scope}
-    children = {cpd.child for cpd in cpds}
-    dependent = {parent: cpd.child for cpd in cpds for parent in cpd.parents}
+    roles = roles or Roles.of(cpds)
+    known, children, dependent = roles.known, roles.children, roles.dependent
     arrays: dict[Variable, Array] = {}
     masks: dict[Variable, Mask] = {}
+    complete = complete_rows(evidence)
     for variable, value in evidence.items():
         if variable not in known:
             raise no_evidence_for(variable, known)
+        if variable in complete:
+            arrays[variable] = value
+            continue
         if isinstance(value, Sightings):
             raise EvidenceError(
                 f"sightings of {variable!r} are for dynamic networks; give the value of "
@@ -89,6 +117,22 @@ def bind_values(
         {v: flat(a, shape, 1) for v, a in arrays.items()},
         {v: flat(a, shape, 1) for v, a in masks.items()},
     )
+
+
+def complete_rows(evidence: Mapping[Variable, Any]) -> Collection[Variable]:
+    """The variables with one row of finite floats each, if all rows of such a form are finite.
+
+    Thousands of them are checked as one array.
+    """
+    rows = {
+        variable: value
+        for variable, value in evidence.items()
+        if type(value) is np.ndarray
+        and value.dtype == np.float64
+        and isinstance(variable, Variable)
+        and value.shape == (variable.dimension,)
+    }
+    return rows if rows and is_finite(np.concatenate(list(rows.values()))) else ()
 
 
 def _refuse_missing(variable: Variable, cpds: Iterable[CPD]) -> None:

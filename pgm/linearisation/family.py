@@ -121,7 +121,7 @@ class Family(Rows):
         plate = () if copies else tuple(plate)
         noise = own_noise(cpd, step if timed else None, rows, inputs, lead, numbering)
         if plate:
-            noise = np.concatenate([own_noise(each, None, 1, {}, lead, COUNTED) for each in plate])
+            noise = _stacked_noise(plate, lead)
         if isinstance(cpd, NonlinearGaussianCPD):
             template = template or cpd._template(hidden)
             if plate:
@@ -145,6 +145,10 @@ class Family(Rows):
         """F (d, n), or (rows, d, n) of a plate, and b (rows or 1, runs or 1, d) of affine CPDs."""
         if not self.plate:
             return _affine(self.cpd, self.hidden, self.inputs, lead)
+        offsets = [cpd.offset for cpd in self.plate if isinstance(cpd, AffineCPD)]
+        if not self.cpd.given and offsets[0].ndim == 1:  # as priors of thousands of variables
+            own = np.array(offsets)[:, None]
+            return np.zeros((len(own), own.shape[-1], 0)), own
         parts = []
         for row, cpd in enumerate(self.plate):
             own = self.parents_at(row)
@@ -669,6 +673,14 @@ def _affine(
     if not cpd.given and shift.ndim > 1:
         shift = np.broadcast_to(shift, (*lead, shift.shape[-1])).reshape(1, -1, shift.shape[-1])
     return constant, shift if shift.ndim == 3 else shift[None, None]
+
+
+def _stacked_noise(plate: Sequence[ConditionalGaussian], lead: tuple[int, ...]) -> Array:
+    """The noise covariances of the CPDs of a plate, (rows, runs or 1, d, d)."""
+    covs = [cpd.cov for cpd in plate]
+    if all(isinstance(cov, np.ndarray) and cov.ndim == 2 for cov in covs):
+        return np.array(covs)[:, None]
+    return np.concatenate([own_noise(each, None, 1, {}, lead, COUNTED) for each in plate])
 
 
 def _unplaced(function: BoundFunction) -> At:

@@ -23,20 +23,26 @@ from pgm.cpds import CPD, ConditionalGaussian
 from pgm.cpds.plates import plate
 from pgm.factors.scope import Scope, dimension
 from pgm.kernels.arrays import Integers
-from pgm.networks import BayesianNetwork
 from pgm.schedules.rounds import Directed
 from pgm.variables import Variable
 
 
-def known_parents(cpd: CPD, inputs: Collection[Variable]) -> list[Variable]:
-    """The parents of a CPD that must have evidence: inputs, and those that its noise depends on.
+def knowing(graph: ClusterGraph) -> list[tuple[CPD, list[Variable]]]:
+    """The CPDs some of whose parents must have evidence, with these parents, parents first.
 
-    `inputs` are the inputs of the network.
+    They are inputs of the network, and the parents that a noise depends on.
     """
-    return [v for v in cpd.parents if v in inputs or v in cpd.noise_given]
+    return graph.derived(_knowing)
 
 
-def barren(network: BayesianNetwork, evidence: Collection[Variable]) -> frozenset[Variable]:
+def _knowing(graph: ClusterGraph) -> list[tuple[CPD, list[Variable]]]:
+    inputs = set(graph.network.inputs)
+    every = ((cpd, cpd.noise_given) for cpd in graph.network.cpds)
+    found = ((cpd, [v for v in cpd.parents if v in inputs or v in noisy]) for cpd, noisy in every)
+    return [(cpd, known) for cpd, known in found if known]
+
+
+def barren(graph: ClusterGraph, evidence: Collection[Variable]) -> frozenset[Variable]:
     """The variables to leave out of inference, because a CPD lacks evidence that it needs.
 
     A CPD needs evidence of those parents that are inputs, or that its noise depends on. If such a
@@ -44,11 +50,19 @@ def barren(network: BayesianNetwork, evidence: Collection[Variable]) -> frozense
     if it is an input. But a variable stays if any variable that is not left out, observed or
     not, depends on it. `evidence` are the variables with evidence.
     """
+    lacking = {
+        cpd.child: missing
+        for cpd, known in knowing(graph)
+        if (missing := [v for v in known if v not in evidence])
+    }
+    if not lacking:
+        return frozenset()
+    network = graph.network
     inputs = set(network.inputs)
     used = {v for cpd in network.cpds if cpd.child in evidence for v in cpd.parents}
     absent: set[Variable] = set()
     for cpd in reversed(network.cpds):
-        missing = [v for v in known_parents(cpd, inputs) if v not in evidence]
+        missing = lacking.get(cpd.child, [])
         if missing and cpd.child not in evidence and cpd.child not in used:
             absent.add(cpd.child)
             absent.update(v for v in missing if v in inputs)

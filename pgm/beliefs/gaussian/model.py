@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple, TypeVar
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -73,12 +73,12 @@ class Model:
     `families` the linearised CPDs; `readings` the measured values of the children, (CPDs, runs or
     1, d), None if the children are hidden; `moved` the same values, (CPDs, runs, d), with angles
     moved by whole turns to within π of the CPD's value where it was linearised, None as `readings`;
-    `taken` a mask of the components that enter, (CPDs, runs or 1, d), None if all do: of an observed
-    child those measured, of a prior those of finite variance; `points` the moments of hidden parents where CPDs were linearised last.
-    `shared` says whether all runs have the same matrices, covariances and components measured.
+    `taken` a mask of the components that enter, (CPDs, runs or 1, d), None if all do: of an
+    observed child those measured, of a prior those of finite variance; `points` the moments of
+    hidden parents where CPDs were linearised last. `shared` says whether all runs have the same matrices, covariances and components measured.
     `frame` are the coordinates in which factors are kept. `first` is True until `relinearise` is
     called: until then `points` are the prior's moments or the user's start, maybe far from the
-    posterior.
+    posterior. `noises` is a cache of roots of the CPDs' own noise.
     """
 
     layout: Layout
@@ -91,6 +91,7 @@ class Model:
     frame: Frame
     points: list[LinearisedAt]
     first: bool = True
+    noises: dict[Any, Any] = field(default_factory=dict, repr=False)
 
     @classmethod
     def make(
@@ -264,4 +265,6 @@ def _stacked(
     """
     values = [rows[v] for v in variables]
     runs = max(value.shape[0] for value in values)
+    if all(value.shape[0] == runs for value in values):
+        return np.array(values)
     return np.stack([np.broadcast_to(value, (runs, value.shape[1])) for value in values])

@@ -15,7 +15,7 @@ import numpy as np
 from pgm.beliefs.gaussian import careful
 from pgm.beliefs.gaussian.beliefs import Beliefs, Calibrated, TreePoint, relinearise
 from pgm.beliefs.gaussian.certificate import SAFE_DIGITS, cause, kept_digits
-from pgm.beliefs.gaussian.layout import Layout, barren, known_parents
+from pgm.beliefs.gaussian.layout import Layout, barren, knowing
 from pgm.beliefs.gaussian.messages import RowMessages
 from pgm.beliefs.gaussian.model import Model
 from pgm.beliefs.gaussian.outcome import GaussianOutcome
@@ -28,7 +28,7 @@ from pgm.cpds import AffineCPD
 from pgm.errors import EvidenceError, NumericalError
 from pgm.evidence import Evidence
 from pgm.evidence.rows import as_rows, require_finite
-from pgm.evidence.static import BoundValues, bind_values
+from pgm.evidence.static import BoundValues, Roles, bind_values, complete_rows
 from pgm.kernels import last_place, moments
 from pgm.kernels.arrays import Array, Mask, quiet
 from pgm.kernels.settling import TOLERANCE
@@ -61,11 +61,11 @@ def run(
     network = graph.network
     require_gaussian(network.cpds, "Gaussian beliefs")
     require_plain(network.cpds)
-    absent = barren(network, evidence)
+    absent = barren(graph, evidence)
     cpds = [cpd for cpd in network.cpds if cpd.child not in absent]
-    inputs = set(network.inputs)
-    needed = (v for cpd in cpds for v in known_parents(cpd, inputs))
-    bound = bind_values(network.cpds, evidence, network.lead, needed)
+    needed = (v for cpd, known in knowing(graph) if cpd.child not in absent for v in known)
+    roles = graph.derived(_roles)
+    bound = bind_values(network.cpds, evidence, network.lead, needed, roles)
     plan = graph.derived(_plan, frozenset(bound.values), absent)
     linear = all(isinstance(cpd, AffineCPD) for cpd in cpds)
     loopy = isinstance(schedule, Loopy)
@@ -140,6 +140,10 @@ def _told(status: Status, model: Model, beliefs: Beliefs, lost: Array | None) ->
     elif not (place > 10.0**-ENOUGH_DIGITS).any():
         return status
     return status._losing(np.broadcast_to(place, (model.runs,)), LAST_PLACE)
+
+
+def _roles(graph: ClusterGraph) -> Roles:
+    return Roles.of(graph.network.cpds)
 
 
 def _plan(
@@ -254,15 +258,22 @@ def _start(layout: Layout, bound: BoundValues, start: Start) -> Array:
     """
     require_hidden(start, layout.places)
     mean = np.full((bound.runs, layout.size), np.nan)
-    parents = {v for group in layout.groups for cpd in group.cpds for v in cpd.given}
+    complete = complete_rows(start)
+    missing = [variable for variable in layout.hidden if variable not in start]
+    if missing:
+        parents = {v for group in layout.groups for cpd in group.cpds for v in cpd.given}
+        for variable in missing:
+            if variable in parents:
+                raise EvidenceError(
+                    f"start lacks {variable!r}; it takes means of all hidden parents",
+                    variable=variable,
+                )
     for variable in layout.hidden:
+        if variable in complete:
+            mean[:, layout.places[variable]] = start[variable]
+            continue
         if variable not in start:
-            if variable not in parents:
-                continue
-            raise EvidenceError(
-                f"start lacks {variable!r}; it takes means of all hidden parents",
-                variable=variable,
-            )
+            continue
         row = as_rows(variable, start[variable], None)
         row = require_finite(variable, row[..., None, :])[..., 0, :]
         mean[:, layout.places[variable]] = over_runs(variable, row, bound.lead, 1)

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.util import find_spec
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,6 +23,9 @@ from pgm.beliefs.gaussian.row_buffer import Buffer
 from pgm.beliefs.gaussian.tree import TreeBeliefs, TreePlan, calibrate
 from pgm.kernels.arrays import LOG_2PI, Array, frozen
 from pgm.kernels.rows import NEGLIGIBLE
+
+if TYPE_CHECKING:
+    from pgm.kernels.machine.fronts.solving import Solver
 
 # Fronts, counted once for each run with matrices of its own, from which on machine code pays.
 MANY = 150
@@ -64,34 +68,37 @@ class TreeSolver:
     def _buffer(self) -> Buffer[FrontStacks]:
         return Buffer.make(self.plan.stacks, self.model)
 
-    def _in_machine_code(self, potentials: Potentials, to_move: bool) -> Calibrated:
+    @cached_property
+    def _solver(self) -> Solver:
         from pgm.kernels.machine.fronts.solving import Solver
 
+        return Solver(self.plan.machine, self.model.runs if self.model.shared else 1)
+
+    def _in_machine_code(self, potentials: Potentials, to_move: bool) -> Calibrated:
+        plan, frame, solver = self.plan, self.model.frame, self._solver
         matrix, right = (np.ascontiguousarray(part) for part in potentials.proper)
         self._coarse = float(np.maximum(self._coarse, potentials.coarse))
         self._largest = float(np.maximum(self._largest, np.abs(matrix).max(initial=0.0)))
         stacked, _, sides = right.shape
-        plan = self.plan.machine
-        found = Beliefs.empty(self.plan.places, self.model.frame, stacked, sides)
+        found = Beliefs.empty(plan.places, frame, stacked, sides)
         total: Array = potentials.log_scale.sum(axis=1)
-        unit = float(np.log(self.model.frame.scale).sum()) + 0.5 * LOG_2PI * self.plan.layout.size
+        unit = float(np.log(frame.scale).sum()) + 0.5 * LOG_2PI * plan.layout.size
         kept, magnified = [], 1.0
         for v in range(stacked):
-            solver = Solver(plan, sides)
-            fault, residual = 0, np.zeros(sides)
+            room, residual, fault = solver.room(), np.zeros(sides), 0
             if to_move and self.squares:
-                fault = solver.squares(matrix[v], right[v], CANCELLED)
+                fault = solver.squares(matrix[v], right[v], room, CANCELLED)
                 self.squares = fault < 0
             if not (to_move and self.squares):
-                residual, fault = solver.rows(matrix[v], right[v], NEGLIGIBLE)
+                residual, fault = solver.rows(matrix[v], right[v], room, NEGLIGIBLE)
             if fault >= 0:
-                raise improper(self.plan.layout, int(self.plan.fronts.tops[fault]))
-            magnified = max(magnified, solver.back(found.mean[v], found.cov[v]))
-            total[v] += unit - solver.log_pivots() - 0.5 * residual
-            kept.append(solver.kept)
-        gains = _Gains(self.plan, sides, kept)
+                raise improper(plan.layout, int(plan.fronts.tops[fault]))
+            magnified = max(magnified, solver.back(room, found.mean[v], found.cov[v]))
+            total[v] = total[v] + (unit - solver.log_pivots(room)) - 0.5 * residual
+            kept.append(room)
+        gains = _Gains(plan, sides, kept)
         beliefs = TreeBeliefs(found.places, found.frame, found.mean, found.cov, gains)
-        information = column_squares(self.plan.layout, matrix)
+        information = column_squares(plan.layout, matrix)
         sizes = Sizes(self._largest, self._coarse, information, magnified)
         return Calibrated(beliefs, frozen(total), sizes)
 

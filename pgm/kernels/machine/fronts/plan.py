@@ -99,6 +99,15 @@ class Plan:
 
     def waiting(self, sides: int) -> tuple[Integers, int]:
         """Where on the stack each front leaves its rows, and how many floats the stack has."""
+        if sides not in self._stacks:
+            self._stacks[sides] = self._stack(sides)
+        return self._stacks[sides]
+
+    @cached_property
+    def _stacks(self) -> dict[int, tuple[Integers, int]]:
+        return {}
+
+    def _stack(self, sides: int) -> tuple[Integers, int]:
         size = (self.separators * (self.separators + sides)).tolist()
         first, children = self.first_child.tolist(), self.children.tolist()
         found, top, most = [0] * len(size), 0, 0

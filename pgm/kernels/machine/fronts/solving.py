@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,8 @@ def _machine() -> dict[str, Callable[..., Any]]:
     lanes = max(registers()[0], 4)
     for part in (rows, squares, back):
         part.write(module, lanes)
-    compiled = module.compile(2)
+    # Loops are written as they are to run: more of LLVM's passes make no faster code of them.
+    compiled = module.compile(1)
     return {name: compiled.callable(name) for name in ("rows", "squares", "back")}
 
 
@@ -51,7 +52,7 @@ class Solver:
         for name in TOLD:
             part = getattr(self.plan, name)
             if name == "keeps":
-                part = part(self.sides)
+                part = self._keeps
             elif name == "waiting":
                 part = part(self.sides)[0]
             found.append(np.ascontiguousarray(part, dtype=np.int64))
@@ -72,49 +73,57 @@ class Solver:
         down = down + pads * plan.sizes + pads * pivots
         return np.empty(int(np.maximum(up, down).max(initial=0)) + 4 * lanes)
 
-    @cached_property
-    def kept(self) -> Array:
-        """The triangles of all fronts, one's columns after another's; see `Plan.keeps`."""
-        return np.empty(int(self.plan.keeps(self.sides)[-1]) + 1)
+    def room(self) -> Array:
+        """Room for the triangles of all fronts, one's columns after another's; see `Plan.keeps`."""
+        return np.empty(int(self._keeps[-1]) + 1)
 
-    def rows(self, entries: Array, right: Array, negligible: float) -> tuple[Array, int]:
+    @cached_property
+    def _keeps(self) -> Integers:
+        return self.plan.keeps(self.sides)
+
+    def rows(
+        self, entries: Array, right: Array, kept: Array, negligible: float
+    ) -> tuple[Array, int]:
         """Make the rows of all fronts triangular; the rest of each side, and the front at fault.
 
         entries: The entries of all factors, as the plan has them.
         right: The right sides, (rows, sides).
+        kept: The `room` for triangles.
         """
         residual = np.zeros(self.sides)
-        given = (
-            _address(each) for each in (entries, right, self.kept, self._left, residual, self._work)
-        )
-        fault = _machine()["rows"](
-            _address(self._table[0]), *given, 0, len(self.plan.pivots), self.sides, negligible
-        )
+        arrays = entries, right, kept, self._left, residual, self._work
+        fault: int = self._called("rows", *arrays)(negligible)
         return residual, fault
 
-    def squares(self, entries: Array, right: Array, negligible: float) -> int:
+    def squares(self, entries: Array, right: Array, kept: Array, negligible: float) -> int:
         """Factorise the normal equations of all fronts: the front at fault, else −1."""
-        given = (_address(each) for each in (entries, right, self.kept, self._left, self._work))
-        found: int = _machine()["squares"](
-            _address(self._table[0]), *given, 0, len(self.plan.pivots), self.sides, negligible
-        )
+        arrays = entries, right, kept, self._left, self._work
+        found: int = self._called("squares", *arrays)(negligible)
         return found
 
-    def back(self, means: Array, covs: Array) -> float:
+    def back(self, kept: Array, means: Array, covs: Array) -> float:
         """Find the moments of all fronts: how much larger summands are than a variance."""
-        given = (_address(each) for each in (self.kept, means, covs, self._work))
-        found: float = _machine()["back"](
-            _address(self._table[0]), *given, 0, len(self.plan.pivots), self.sides
-        )
+        found: float = self._called("back", kept, means, covs, self._work)()
         return found
 
-    def log_pivots(self) -> float:
+    def _called(self, name: str, *arrays: Array) -> Callable[..., Any]:
+        """A function of all fronts, bound to its arrays."""
+        function, count = _machine()[name], len(self.plan.pivots)
+        table, _ = self._table
+        given = _address(table), *map(_address, arrays), 0, count, self.sides
+        return partial(function, *given)
+
+    def log_pivots(self, kept: Array) -> float:
         """The sum of the logarithms of all pivots."""
+        return float(np.log(kept[self._diagonal]).sum())
+
+    @cached_property
+    def _diagonal(self) -> Integers:
         pivots, size = self.plan.pivots, self.plan.sizes + self.sides
         owner = np.repeat(np.arange(pivots.size), pivots)
         inside = np.arange(owner.size) - np.repeat(np.cumsum(pivots) - pivots, pivots)
-        where = self.plan.keeps(self.sides)[owner] + inside * (size[owner] + 1)
-        return float(np.log(self.kept[where]).sum())
+        found: Integers = self._keeps[owner] + inside * (size[owner] + 1)
+        return found
 
 
 def _address(array: Array | Integers) -> int:
