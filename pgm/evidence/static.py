@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence, Set
+from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,7 @@ from pgm.evidence.values import Constant, Evidence, Sightings, Soft
 from pgm.factors.arrays import common_runs, flat
 from pgm.factors.axes import as_indices
 from pgm.factors.scope import listed
-from pgm.kernels.arrays import Array, Integers, Mask, is_finite
+from pgm.kernels.arrays import Array, Integers, Mask, frozen, is_finite
 from pgm.variables import Discrete, Variable
 
 NOT_OBSERVED = "leave a variable that was not observed out of the evidence, in all runs alike"
@@ -88,7 +88,6 @@ def bind_values(
         if variable not in known:
             raise no_evidence_for(variable, known)
         if variable in complete:
-            arrays[variable] = value
             continue
         if isinstance(value, Sightings):
             raise EvidenceError(
@@ -109,30 +108,33 @@ def bind_values(
             require_finite(variable, row[..., None, :], advice=advice)
         arrays[variable] = row
     for variable in needed:
-        if variable not in arrays:
+        if variable not in arrays and variable not in complete:
             _refuse_missing(variable, cpds)
     shape = common_runs([*((v, a.shape[:-1]) for v, a in arrays.items()), ("the model", lead)])
     return BoundValues(
         shape,
-        {v: flat(a, shape, 1) for v, a in arrays.items()},
+        complete | {v: flat(a, shape, 1) for v, a in arrays.items()},
         {v: flat(a, shape, 1) for v, a in masks.items()},
     )
 
 
-def complete_rows(evidence: Mapping[Variable, Any]) -> Collection[Variable]:
-    """The variables with one row of finite floats each, if all rows of such a form are finite.
+def complete_rows(values: Mapping[Variable, Any]) -> dict[Variable, Array]:
+    """The values of one row of floats each, (1, d), of variables of which all values are finite.
 
-    Thousands of them are checked as one array.
+    Thousands of them are checked together, those of one size as one array.
     """
-    rows = {
-        variable: value
-        for variable, value in evidence.items()
-        if type(value) is np.ndarray
-        and value.dtype == np.float64
-        and isinstance(variable, Variable)
-        and value.shape == (variable.dimension,)
-    }
-    return rows if rows and is_finite(np.concatenate(list(rows.values()))) else ()
+    alike: dict[int, list[Variable]] = {}
+    for variable, value in values.items():
+        if type(value) is np.ndarray and value.ndim == 1 and value.dtype == np.float64:
+            alike.setdefault(len(value), []).append(variable)
+    found: dict[Variable, Array] = {}
+    for size, variables in alike.items():
+        if any(getattr(variable, "dimension", None) != size for variable in variables):
+            continue
+        rows = np.array([values[variable] for variable in variables])
+        if is_finite(rows):
+            found.update(zip(variables, frozen(rows)[:, None], strict=True))
+    return found
 
 
 def _refuse_missing(variable: Variable, cpds: Iterable[CPD]) -> None:

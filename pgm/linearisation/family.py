@@ -145,17 +145,19 @@ class Family(Rows):
         """F (d, n), or (rows, d, n) of a plate, and b (rows or 1, runs or 1, d) of affine CPDs."""
         if not self.plate:
             return _affine(self.cpd, self.hidden, self.inputs, lead)
-        offsets = [cpd.offset for cpd in self.plate if isinstance(cpd, AffineCPD)]
-        if not self.cpd.given and offsets[0].ndim == 1:  # as priors of thousands of variables
-            own = np.array(offsets)[:, None]
-            return np.zeros((len(own), own.shape[-1], 0)), own
-        parts = []
-        for row, cpd in enumerate(self.plate):
-            own = self.parents_at(row)
-            inputs = {own[p]: values[row : row + 1] for p, values in self.inputs.items()}
-            parts.append(_affine(cpd, tuple(own[p] for p in self.hidden), inputs, lead))
-        matrices, shifts = zip(*parts, strict=True)
-        return np.stack(matrices), np.concatenate(shifts)
+        cpds = [cpd for cpd in self.plate if isinstance(cpd, AffineCPD)]
+        offset = np.array([cpd.offset for cpd in cpds])
+        if offset.ndim > 2:  # of priors with axes of runs, which all of a plate have alike
+            offset = np.stack([np.broadcast_to(own, (*lead, own.shape[-1])) for own in offset])
+        offset = offset.reshape(len(cpds), -1, offset.shape[-1])
+        slopes = [np.zeros((len(cpds), offset.shape[-1], 0))]
+        for k, parent in enumerate(self.cpd.given):
+            slope = np.array([cpd.matrices[cpd.given[k]] for cpd in cpds])
+            if parent in self.hidden:
+                slopes.append(slope)
+            else:
+                offset = offset + apply(slope[:, None], self.inputs[parent])
+        return np.concatenate(slopes, axis=2), offset
 
     @cached_property
     def shape(self) -> tuple[int, ...]:

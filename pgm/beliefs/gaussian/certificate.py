@@ -34,8 +34,9 @@ from pgm.posteriors.status import CLOSE_POINTS, FAR_APART
 
 # Decimal digits that float64 holds; a sum of many roundings takes one of them.
 _DIGITS, _OF_SUMS = 15.6, 14.6
-# Digits, counted from standard deviations, from which on an answer needs no warning.
-SAFE_DIGITS = 6.6
+# Digits, counted from standard deviations, from which on an answer needs no warning, and those from
+# which on a small network is not solved again in decimals.
+SAFE_DIGITS, ALL_BUT_FEW = 6.6, 10.0
 # Units whose squares are in range.
 _RANGE = 1e-140, 1e140
 

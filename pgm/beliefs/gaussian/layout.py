@@ -11,7 +11,7 @@ and a column for each hidden component x of child and parents.
 from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import groupby
 
@@ -23,6 +23,7 @@ from pgm.cpds import CPD, ConditionalGaussian
 from pgm.cpds.plates import plate
 from pgm.factors.scope import Scope, dimension
 from pgm.kernels.arrays import Integers
+from pgm.linearisation.family import Family
 from pgm.schedules.rounds import Directed
 from pgm.variables import Variable
 
@@ -79,7 +80,8 @@ class Group:
     `observed` says whether the children have evidence. `child` (rows, d) has the places of the d
     components of each child, and is (rows, 0) if the children are observed. `parents` (rows, n) has
     the places of the n components of each CPD's hidden parents, `clusters` (rows,) the number of
-    the cluster that each CPD is assigned to.
+    the cluster that each CPD is assigned to. `families` is a cache, by axes of runs, of what does
+    not depend on evidence.
     """
 
     cpds: tuple[ConditionalGaussian, ...]
@@ -88,6 +90,7 @@ class Group:
     child: Integers
     parents: Integers
     clusters: Integers
+    families: dict[tuple[int, ...], Family] = field(default_factory=dict, repr=False)
 
     @property
     def height(self) -> int:

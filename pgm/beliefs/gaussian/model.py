@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from pgm.beliefs.gaussian.layout import Group, Layout
 from pgm.beliefs.gaussian.prior import Frame, Predictive, prior_predictive
+from pgm.cpds import AffineCPD
 from pgm.errors import LinearisationError
 from pgm.evidence.static import BoundValues
 from pgm.kernels.angles import nearest_branch
@@ -75,7 +76,8 @@ class Model:
     moved by whole turns to within π of the CPD's value where it was linearised, None as `readings`;
     `taken` a mask of the components that enter, (CPDs, runs or 1, d), None if all do: of an
     observed child those measured, of a prior those of finite variance; `points` the moments of
-    hidden parents where CPDs were linearised last. `shared` says whether all runs have the same matrices, covariances and components measured.
+    hidden parents where CPDs were linearised last. `shared` says whether all runs have the same
+    matrices, covariances and components measured.
     `frame` are the coordinates in which factors are kept. `first` is True until `relinearise` is
     called: until then `points` are the prior's moments or the user's start, maybe far from the
     posterior. `noises` is a cache of roots of the CPDs' own noise.
@@ -215,9 +217,14 @@ class Model:
 def _family(group: Group, bound: BoundValues, lineariser: Lineariser) -> Family:
     """The CPDs of a group as one family, a row each, with the observed parents' values in `bound`.
 
-    Nonlinear CPDs are not linearised yet.
+    Nonlinear CPDs are not linearised yet. Affine ones of hidden parents alone are the same in all
+    calls, and kept with the group.
     """
     first = group.cpds[0]
+    plain = isinstance(first, AffineCPD) and first.noise is None
+    constant = plain and len(group.hidden) == len(first.parents)
+    if constant and bound.lead in group.families:
+        return group.families[bound.lead]
     inputs = {
         first.parents[k]: _stacked([cpd.parents[k] for cpd in group.cpds], bound.values)
         for k, parent in enumerate(first.parents)
@@ -226,7 +233,10 @@ def _family(group: Group, bound: BoundValues, lineariser: Lineariser) -> Family:
     step = np.array([cpd.child.step or 0 for cpd in group.cpds], dtype=np.intp)
     timed = first.child.step is not None
     parts = first, group.hidden, step, inputs, lineariser, bound.lead
-    return Family.make(*parts, timed=timed, plate=group.cpds)
+    made = Family.make(*parts, timed=timed, plate=group.cpds)
+    if constant and not bound.lead:
+        group.families[bound.lead] = made
+    return made
 
 
 def _taken(group: Group, bound: BoundValues, family: Family) -> Mask | None:

@@ -29,7 +29,8 @@ class Frame:
     x is the vector of all hidden components. `mean` (runs, size) are the prior's predictive means,
     or the means of a start. `scale` (size,) are the prior's predictive standard deviations, the
     largest of all runs, with a floor where they are tiny; a flat prior counts as one of variance 1.
-    So neither the user's units nor large coordinates cost digits. The mask `certain` (size,) marks components without variance in the
+    So neither the user's units nor large coordinates cost digits. The mask `certain` (size,) marks
+    components without variance in the
     prior, in all runs: their ξ is zero. With a start none is marked.
     """
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from pgm.beliefs.gaussian import careful
 from pgm.beliefs.gaussian.beliefs import Beliefs, Calibrated, TreePoint, relinearise
-from pgm.beliefs.gaussian.certificate import SAFE_DIGITS, cause, kept_digits
+from pgm.beliefs.gaussian.certificate import ALL_BUT_FEW, SAFE_DIGITS, cause, kept_digits
 from pgm.beliefs.gaussian.layout import Layout, barren, knowing
 from pgm.beliefs.gaussian.messages import RowMessages
 from pgm.beliefs.gaussian.model import Model
@@ -59,15 +59,14 @@ def run(
     digits give a `PrecisionWarning`.
     """
     network = graph.network
-    require_gaussian(network.cpds, "Gaussian beliefs")
-    require_plain(network.cpds)
+    linear = graph.derived(_linear)
     absent = barren(graph, evidence)
-    cpds = [cpd for cpd in network.cpds if cpd.child not in absent]
     needed = (v for cpd, known in knowing(graph) if cpd.child not in absent for v in known)
     roles = graph.derived(_roles)
     bound = bind_values(network.cpds, evidence, network.lead, needed, roles)
     plan = graph.derived(_plan, frozenset(bound.values), absent)
-    linear = all(isinstance(cpd, AffineCPD) for cpd in cpds)
+    if absent and not linear:
+        linear = all(isinstance(c, AffineCPD) for c in network.cpds if c.child not in absent)
     loopy = isinstance(schedule, Loopy)
     places = plan.cluster_places if loopy else plan.places
     squares = (places.blocks.sizes**2).tolist()
@@ -112,7 +111,7 @@ def _solved(
         digits = kept_digits(model, found._done)
         again = again and not model.flat  # decimals need a joint of all variables
         enough = digits >= SAFE_DIGITS or (loopy and not found.status.converged.all())
-        if enough or not again:
+        if digits >= ALL_BUT_FEW or not again:
             lost = None if enough else np.full(bound.runs, 10.0**-digits)
             status = _told(found.status, model, found._done.beliefs, lost)
             return replace(found, status=status)
@@ -140,6 +139,14 @@ def _told(status: Status, model: Model, beliefs: Beliefs, lost: Array | None) ->
     elif not (place > 10.0**-ENOUGH_DIGITS).any():
         return status
     return status._losing(np.broadcast_to(place, (model.runs,)), LAST_PLACE)
+
+
+def _linear(graph: ClusterGraph) -> bool:
+    """Whether all CPDs are affine; those that Gaussian beliefs do not take are refused."""
+    cpds = graph.network.cpds
+    require_gaussian(cpds, "Gaussian beliefs")
+    require_plain(cpds)
+    return all(isinstance(cpd, AffineCPD) for cpd in cpds)
 
 
 def _roles(graph: ClusterGraph) -> Roles:
@@ -270,7 +277,7 @@ def _start(layout: Layout, bound: BoundValues, start: Start) -> Array:
                 )
     for variable in layout.hidden:
         if variable in complete:
-            mean[:, layout.places[variable]] = start[variable]
+            mean[:, layout.places[variable]] = complete[variable]
             continue
         if variable not in start:
             continue

@@ -83,7 +83,7 @@ class TreeSolver:
         found = Beliefs.empty(plan.places, frame, stacked, sides)
         total: Array = potentials.log_scale.sum(axis=1)
         unit = float(np.log(frame.scale).sum()) + 0.5 * LOG_2PI * plan.layout.size
-        kept, magnified = [], 1.0
+        kept, magnified = list[Array](), 1.0
         for v in range(stacked):
             room, residual, fault = solver.room(), np.zeros(sides), 0
             if to_move and self.squares:
@@ -94,7 +94,7 @@ class TreeSolver:
             if fault >= 0:
                 raise improper(plan.layout, int(plan.fronts.tops[fault]))
             magnified = max(magnified, solver.back(room, found.mean[v], found.cov[v]))
-            total[v] = total[v] + (unit - solver.log_pivots(room)) - 0.5 * residual
+            total[v] += unit - solver.log_pivots(room) - 0.5 * residual
             kept.append(room)
         gains = _Gains(plan, sides, kept)
         beliefs = TreeBeliefs(found.places, found.frame, found.mean, found.cov, gains)
@@ -118,5 +118,4 @@ class _Gains:
         there = slice(begin, begin + own * (size + self.sides))
         rows = np.stack([each[there].reshape(own, size + self.sides) for each in self.kept])
         triangle = np.triu(rows[..., :own])
-        found: Array = -np.linalg.solve(triangle, rows[..., own:size])
-        return found
+        return -np.asarray(np.linalg.solve(triangle, rows[..., own:size]))
