@@ -187,4 +187,5 @@ class Buffer(Generic[Standing]):
         if np.isfinite(done).all():
             return
         bad = ~np.isfinite(done).all(axis=(0, *range(2, done.ndim)))
-        raise improper(self.rounds.layout, list(clusters)[int(np.flatnonzero(bad)[0])])
+        cluster = list(clusters)[int(np.flatnonzero(bad)[0])]
+        raise improper(self.model, cluster, self.proper.matrix)

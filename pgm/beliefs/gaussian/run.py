@@ -103,13 +103,13 @@ def _solved(
     loopy = isinstance(schedule, Loopy)
     try:
         model = Model.make(plan.layout, bound, lineariser, at, judge=judge)
+        again = again and not model.flat  # decimals need a joint of all variables
         if isinstance(schedule, Loopy):
             found = _sent(plan, Buffer.make(plan.rounds, model), schedule)
         else:
             done, status = _iterated(model, TreeSolver(plan, model), schedule)
             found = GaussianOutcome(graph, status, plan, model, done)
         digits = kept_digits(model, found._done)
-        again = again and not model.flat  # decimals need a joint of all variables
         enough = digits >= SAFE_DIGITS or (loopy and not found.status.converged.all())
         if digits >= ALL_BUT_FEW or not again:
             lost = None if enough else np.full(bound.runs, 10.0**-digits)

@@ -92,7 +92,7 @@ class TreeSolver:
             if not (to_move and self.squares):
                 residual, fault = solver.rows(matrix[v], right[v], room, NEGLIGIBLE)
             if fault >= 0:
-                raise improper(plan.layout, int(plan.fronts.tops[fault]))
+                raise improper(self.model, int(plan.fronts.tops[fault]), matrix)
             magnified = max(magnified, solver.back(room, found.mean[v], found.cov[v]))
             total[v] += unit - solver.log_pivots(room) - 0.5 * residual
             kept.append(room)
