@@ -107,7 +107,9 @@ def _solved(
         if isinstance(schedule, Loopy):
             found = _sent(plan, Buffer.make(plan.rounds, model), schedule)
         else:
-            done, status = _iterated(model, TreeSolver(plan, model), schedule)
+            solver = TreeSolver(plan, model)
+            done, status = _iterated(model, solver, schedule)
+            status = status.with_compilation(solver.compilation)
             found = GaussianOutcome(graph, status, plan, model, done)
         digits = kept_digits(model, found._done)
         enough = digits >= SAFE_DIGITS or (loopy and not found.status.converged.all())

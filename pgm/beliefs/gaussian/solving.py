@@ -21,6 +21,7 @@ from pgm.beliefs.gaussian.potentials import Potentials, column_squares, make_pot
 from pgm.beliefs.gaussian.refusals import improper
 from pgm.beliefs.gaussian.row_buffer import Buffer
 from pgm.beliefs.gaussian.tree import TreeBeliefs, TreePlan, calibrate
+from pgm.compile.machine import COMPILED
 from pgm.kernels.arrays import LOG_2PI, Array, frozen
 from pgm.kernels.rows import NEGLIGIBLE
 
@@ -43,23 +44,32 @@ class TreeSolver:
     model : Model
     squares : bool
         Whether normal equations may be factorised; `solve` sets it to False where that fails.
+    compilation : str
+        How the last solution was made, as `Status.compilation` tells it.
     """
 
     plan: TreePlan
     model: Model
     squares: bool = True
+    compilation: str = ""
     _largest: float = field(default=0.0, init=False)
     _coarse: float = field(default=0.0, init=False)
 
     def solve(self, *, to_move: bool = False) -> Calibrated:
         """The beliefs, and ln p(evidence); of one `to_move` by, ln p is not asked for."""
         potentials = make_potentials(self.model)
-        if potentials.exact is None and self._pays:
-            return self._in_machine_code(potentials, to_move)
+        if self._pays:
+            if potentials.exact is None:
+                self.compilation = COMPILED
+                return self._in_machine_code(potentials, to_move)
+            self.compilation = "not compiled: CPDs without noise are left to NumPy"
         return calibrate(self.plan, self._buffer, potentials)
 
     @property
     def _pays(self) -> bool:
+        choice = self.plan.layout.graph.compiled
+        if choice is not None:
+            return bool(choice)
         stacked = 1 if self.model.shared else self.model.runs
         many = len(self.plan.fronts) * stacked >= MANY
         return many and find_spec("llvmlite") is not None
