@@ -29,6 +29,7 @@ from experiments import (
     plaza,
     recordings,
     seven_nodes,
+    slam,
     smoothing,
     topological,
     wide_start,
@@ -48,6 +49,9 @@ THEMES: dict[str, dict[str, ModuleType]] = {
         "linearisers": linearisers,
         "nonlinear_measurement": nonlinear_measurement,
         "learning": learning,
+    },
+    "Maps": {
+        "slam": slam,
     },
     "Recorded robots": {
         "recordings": recordings,
