@@ -27,6 +27,7 @@ from experiments import (
     nonlinear_measurement,
     particle_counts,
     plaza,
+    pose_graphs,
     recordings,
     seven_nodes,
     slam,
@@ -52,6 +53,7 @@ THEMES: dict[str, dict[str, ModuleType]] = {
     },
     "Maps": {
         "slam": slam,
+        "pose_graphs": pose_graphs,
     },
     "Recorded robots": {
         "recordings": recordings,

@@ -125,6 +125,13 @@ FINDINGS = {
         "{dead_reckoning:.2f} m, and the NEES is {landmarks/nees:.2f} a degree of freedom where 1 "
         "is right.",
     ),
+    "pose_graphs": Finding(
+        "Does a pose graph's optimum know its errors?",
+        "The drawn graph's χ² goes from {results/*/before/*:.4g} to "
+        "{results/*/against_truth/*/error:.5g} where right noise has {results/*/due}; its poses "
+        "are then off by {results/*/against_truth/*/rmse:.2f} m (RMSE) with an NEES of "
+        "{results/*/against_truth/*/nees:.2f} a degree of freedom.",
+    ),
     "recordings": Finding(
         "What do gates and robust noise gain on a real recording?",
         "On {settings/data/0} the filter is off by {results/*/filter/Taylor/rmse:.3f} m, gated by "

@@ -15,6 +15,7 @@ from tests.plot import legible
 LOOKED_AT = {
     "localisation",
     "slam",
+    "pose_graphs",
     "smoothing",
     "kalman",
     "imu_heading",
