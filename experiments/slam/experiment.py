@@ -142,6 +142,7 @@ def _judged(record: Record, driven: Drive, whole: Map, parts: dict[int, Map]) ->
     """Tables of errors, of consistency, and of what it took."""
     reckoned = driven.reckoned()
     apart = np.linalg.norm(reckoned[..., :2] - driven.truth[:, :2], axis=-1)
+    digits = whole.posterior.status.digits
     result: dict[str, Any] = {
         "dead_reckoning": float(np.sqrt(np.mean(apart**2))),
         "poses": judged(whole.poses[:, 1:], driven.truth[1:]),
@@ -150,6 +151,7 @@ def _judged(record: Record, driven: Drive, whole: Map, parts: dict[int, Map]) ->
         "filter": compared(driven, parts, whole),
         "iterations": int(whole.posterior.status.iterations),
         "converged": float(whole.posterior.status.converged.mean()),
+        "digits": None if digits is None else float(np.min(digits)),
         "seconds": whole.seconds,
     }
     runs, fit = len(driven.odometry), result["misfit"]
@@ -199,7 +201,8 @@ def _judged(record: Record, driven: Drive, whole: Map, parts: dict[int, Map]) ->
         ("declare", "compile", "infer"),
         [tuple(f"{whole.seconds[key]:.2f}" for key in ("declare", "compile", "infer"))],
         about=f"As measured here, of the whole drive: all {runs} runs in one call, with the "
-        "covariances of all poses and landmarks.",
+        "covariances of all poses and landmarks."
+        + ("" if digits is None else f" Rounding leaves {np.min(digits):.1f} digits of a mean."),
         folded=True,
     )
     return result

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from time import perf_counter
 
@@ -114,7 +115,9 @@ def mapped(drive: Drive, poses: Array | None = None) -> Map:
     m = [place(k) for k in drive.seen.tolist()]
     start = dict(zip(x, poses.swapaxes(0, 1), strict=True))
     start |= dict(zip(m, drive.placed(poses).swapaxes(0, 1), strict=True))
-    posterior = pgm.infer(graph, evidence(drive), schedule=SCHEDULE, start=start)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", pgm.PrecisionWarning)  # a table has the digits
+        posterior = pgm.infer(graph, evidence(drive), schedule=SCHEDULE, start=start)
     ways = pgm.Gaussian(
         pose, posterior.means(x), posterior.covs(x), steps=np.arange(drive.steps + 1)
     )
