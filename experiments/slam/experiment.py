@@ -30,7 +30,7 @@ def run(
     side: Annotated[int, typer.Option(min=1, help="Rooms along each of four sides.")] = 5,
     landmarks: Annotated[int, typer.Option(min=12, help="Landmarks on the walls.")] = 300,
     poses: Annotated[int, typer.Option(min=60, help="Poses along the way.")] = 2000,
-    runs: Annotated[int, typer.Option(min=2, help="Drives to average over.")] = 10,
+    runs: Annotated[int, typer.Option(min=2, help="Drives to average over.")] = 5,
 ) -> None:
     """Map a house of landmarks and locate the robot in it, before and after a loop is closed."""
     record = Record(

@@ -38,7 +38,8 @@ def closed(drive: Drive, before: Map, after: Map) -> Figure:
         every = max(1, len(drive.truth) // ELLIPSES)
         some = np.append(np.arange(every, last, every), last)
         pgm.plot.ellipses(found.poses[0, some], colour=POSES, linewidth=0.8, ax=ax)
-        pgm.plot.ellipses(found.landmarks[0], colour=LANDMARKS, linewidth=0.8, ax=ax)
+        marks = found.landmarks[0]  # too many to fill
+        pgm.plot.ellipses(marks, colour=LANDMARKS, linewidth=0.7, facecolors="none", ax=ax)
         if legend := ax.get_legend():
             legend.remove()
         ax.plot(*drive.truth[: last + 1, :2].T, color=INK, lw=0.7, zorder=2.5)
