@@ -244,8 +244,8 @@ def _held(made: PoseGraphNetwork) -> str:
     why = "as the file says" if made.graph.fixed.size else "the first, since the file holds none"
     sightings = len(made.graph.sightings)
     return (
-        f"{who}, {why}. {len(made.branches)} edges lead on, in a tree; {len(made.evidence)} are "
-        f"measurements that close it{', sightings of landmarks among them' if sightings else ''}."
+        f"{who}, {why}. {len(made.graph.edges)} edges measure one pose from another"
+        f"{f', and {sightings} are sightings of landmarks' if sightings else ''}."
     )
 
 
@@ -283,7 +283,6 @@ def _table(
         "optimum, the components that are told less those that are free; the largest is that of "
         f"one edge.{known} Digits, where they had to be counted, are those of a mean that rounding "
         "leaves; seconds, as measured here, those of inference with all covariances. Taylor's "
-        "optimum is the least error; sigma points see exact motions of a tree as approximate ones, "
-        "and end elsewhere.",
+        "optimum is the least error; sigma points expect it over their beliefs.",
         best={"χ²": -np.inf},
     )

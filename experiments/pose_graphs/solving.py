@@ -100,7 +100,7 @@ def solve(
             lineariser=lineariser or pgm.Taylor(),
         )
     poses, landmarks = made.means(posterior)
-    covs = posterior.covs(made.poses)
+    covs, _ = made.covs(posterior)
     seconds = perf_counter() - begun
     errors = squared_errors(made.graph, poses, landmarks)
     return Solved(poses, landmarks, covs, errors, posterior.status, seconds)

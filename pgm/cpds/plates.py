@@ -9,6 +9,7 @@ it is.
 from __future__ import annotations
 
 from collections.abc import Hashable
+from functools import lru_cache
 from types import MethodType
 from typing import Any
 
@@ -39,8 +40,13 @@ def plate(cpd: ConditionalGaussian) -> Hashable:
     return cpd.origin
 
 
-def _form(variable: Variable) -> tuple[int, bytes]:
-    return variable.dimension, variable.angle_mask.tobytes()
+def _form(variable: Variable) -> Hashable:
+    return _angles(variable.components, variable.angles)
+
+
+@lru_cache(maxsize=1024)
+def _angles(components: tuple[str, ...], angles: tuple[str, ...]) -> tuple[bool, ...]:
+    return tuple(name in angles for name in components)
 
 
 def _identity(part: Any) -> Hashable:

@@ -11,31 +11,39 @@ and a column for each hidden component x of child and parents.
 from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import groupby
 
 import numpy as np
 
+from pgm.beliefs.gaussian.blocks import Blocks
 from pgm.clustergraph import ClusterGraph
 from pgm.cpds import CPD, ConditionalGaussian
 from pgm.cpds.plates import plate
 from pgm.factors.scope import Scope, dimension
 from pgm.kernels.arrays import Integers
-from pgm.networks import BayesianNetwork
+from pgm.linearisation.family import Family
 from pgm.schedules.rounds import Directed
 from pgm.variables import Variable
 
 
-def known_parents(cpd: CPD, inputs: Collection[Variable]) -> list[Variable]:
-    """The parents of a CPD that must have evidence: inputs, and those that its noise depends on.
+def knowing(graph: ClusterGraph) -> list[tuple[CPD, list[Variable]]]:
+    """The CPDs some of whose parents must have evidence, with these parents, parents first.
 
-    `inputs` are the inputs of the network.
+    They are inputs of the network, and the parents that a noise depends on.
     """
-    return [v for v in cpd.parents if v in inputs or v in cpd.noise_given]
+    return graph.derived(_knowing)
 
 
-def barren(network: BayesianNetwork, evidence: Collection[Variable]) -> frozenset[Variable]:
+def _knowing(graph: ClusterGraph) -> list[tuple[CPD, list[Variable]]]:
+    inputs = set(graph.network.inputs)
+    every = ((cpd, cpd.noise_given) for cpd in graph.network.cpds)
+    found = ((cpd, [v for v in cpd.parents if v in inputs or v in noisy]) for cpd, noisy in every)
+    return [(cpd, known) for cpd, known in found if known]
+
+
+def barren(graph: ClusterGraph, evidence: Collection[Variable]) -> frozenset[Variable]:
     """The variables to leave out of inference, because a CPD lacks evidence that it needs.
 
     A CPD needs evidence of those parents that are inputs, or that its noise depends on. If such a
@@ -43,11 +51,19 @@ def barren(network: BayesianNetwork, evidence: Collection[Variable]) -> frozense
     if it is an input. But a variable stays if any variable that is not left out, observed or
     not, depends on it. `evidence` are the variables with evidence.
     """
+    lacking = {
+        cpd.child: missing
+        for cpd, known in knowing(graph)
+        if (missing := [v for v in known if v not in evidence])
+    }
+    if not lacking:
+        return frozenset()
+    network = graph.network
     inputs = set(network.inputs)
     used = {v for cpd in network.cpds if cpd.child in evidence for v in cpd.parents}
     absent: set[Variable] = set()
     for cpd in reversed(network.cpds):
-        missing = [v for v in known_parents(cpd, inputs) if v not in evidence]
+        missing = lacking.get(cpd.child, [])
         if missing and cpd.child not in evidence and cpd.child not in used:
             absent.add(cpd.child)
             absent.update(v for v in missing if v in inputs)
@@ -64,7 +80,8 @@ class Group:
     `observed` says whether the children have evidence. `child` (rows, d) has the places of the d
     components of each child, and is (rows, 0) if the children are observed. `parents` (rows, n) has
     the places of the n components of each CPD's hidden parents, `clusters` (rows,) the number of
-    the cluster that each CPD is assigned to.
+    the cluster that each CPD is assigned to. `families` is a cache, by axes of runs, of what does
+    not depend on evidence.
     """
 
     cpds: tuple[ConditionalGaussian, ...]
@@ -73,6 +90,7 @@ class Group:
     child: Integers
     parents: Integers
     clusters: Integers
+    families: dict[tuple[int, ...], Family] = field(default_factory=dict, repr=False)
 
     @property
     def height(self) -> int:
@@ -137,18 +155,20 @@ class Layout:
         return [self.without_evidence(cluster.scope) for cluster in self.graph.clusters]
 
     @cached_property
+    def blocks(self) -> Blocks:
+        """The hidden components of each cluster, in the order of its scope."""
+        sizes = np.array([dimension(scope) for scope in self.scopes], dtype=np.intp)
+        places = [self.places[v] for scope in self.scopes for v in scope]
+        none = np.zeros(0, dtype=np.intp)
+        return Blocks(self.size, sizes, np.concatenate([none, *places]))
+
+    @cached_property
     def columns(self) -> list[dict[int, int]]:
         """For each cluster a map from the place of each component that it holds to its column."""
         return [
             {int(place): k for k, place in enumerate(self.components(scope))}
             for scope in self.scopes
         ]
-
-    def columns_of(self, clusters: Integers, places: Integers) -> Integers:
-        """Columns (B, n) of components in the scopes of clusters (B,), by their `places` (B, n)."""
-        pairs = zip(clusters.tolist(), places.tolist(), strict=True)
-        found = [[self.columns[cluster][place] for place in row] for cluster, row in pairs]
-        return np.array(found, dtype=np.intp).reshape(places.shape)
 
     @cached_property
     def directed(self) -> Directed:
@@ -190,6 +210,19 @@ class Layout:
             )
             groups.append(group)
         return sorted(groups, key=Group.shape)
+
+    @cached_property
+    def entry_starts(self) -> Integers:
+        """Where the entries of each group's rows begin, one group's after another's, then the end.
+
+        (groups + 1,): all rows of a CPD stand together, those of one CPD after another's.
+        """
+        return np.cumsum([0, *(len(g.cpds) * g.height * g.width for g in self.groups)])
+
+    @cached_property
+    def row_starts(self) -> Integers:
+        """Where each group's rows begin, as `entry_starts`, then where all end, (groups + 1,)."""
+        return np.cumsum([0, *(len(g.cpds) * g.height for g in self.groups)])
 
     @cached_property
     def shapes(self) -> list[list[int]]:

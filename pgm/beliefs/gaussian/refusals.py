@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pgm.beliefs.gaussian.layout import Layout
 from pgm.beliefs.gaussian.model import Model
 from pgm.cpds import CPD
 from pgm.errors import NumericalError
@@ -19,6 +20,24 @@ def contradiction(model: Model, cluster: int, run: int) -> NumericalError:
         f"evidence contradicts an exact model at cluster {cluster}, {names(scope)}{which}: "
         "CPDs without noise determine a value in two ways that differ; give one of them, or "
         "the prior, some noise",
+        cluster=cluster,
+    )
+
+
+def improper(layout: Layout, cluster: int) -> NumericalError:
+    """The error that a cluster, by its number, has no proper belief, or the evidence no density."""
+    scope = layout.scopes[cluster]
+    if not scope:
+        return NumericalError(
+            f"the density of the evidence in cluster {cluster} is beyond the range of float64: "
+            "a measurement is more than 1e150 deviations from what the model expects",
+            cluster=cluster,
+        )
+    return NumericalError(
+        f"cluster {cluster} has no proper belief over {names(scope)}: its information is "
+        "singular in these numbers. Some noise is more than 1e11 times sharper than what else "
+        "is known of its variables, or, on a graph with loops, messages diverged or CPDs "
+        "without noise form a loop; scale the noise, or compile a junction tree",
         cluster=cluster,
     )
 

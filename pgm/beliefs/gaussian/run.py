@@ -7,28 +7,31 @@ the axes of runs flattened to one.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from pgm.beliefs.gaussian import careful
 from pgm.beliefs.gaussian.beliefs import Beliefs, Calibrated, TreePoint, relinearise
-from pgm.beliefs.gaussian.certificate import SAFE_DIGITS, cause, kept_digits
-from pgm.beliefs.gaussian.layout import Layout, barren, known_parents
+from pgm.beliefs.gaussian.certificate import ALL_BUT_FEW, SAFE_DIGITS, cause, kept_digits
+from pgm.beliefs.gaussian.layout import Layout, barren, knowing
 from pgm.beliefs.gaussian.messages import RowMessages
 from pgm.beliefs.gaussian.model import Model
 from pgm.beliefs.gaussian.outcome import GaussianOutcome
+from pgm.beliefs.gaussian.rounds import Rounds
 from pgm.beliefs.gaussian.row_buffer import Buffer
-from pgm.beliefs.gaussian.tree import TreePlan, calibrate
+from pgm.beliefs.gaussian.solving import TreeSolver
+from pgm.beliefs.gaussian.tree import TreePlan
 from pgm.clustergraph import ClusterGraph
 from pgm.cpds import AffineCPD
 from pgm.errors import EvidenceError, NumericalError
 from pgm.evidence import Evidence
 from pgm.evidence.rows import as_rows, require_finite
-from pgm.evidence.static import BoundValues, bind_values
-from pgm.kernels import last_place
+from pgm.evidence.static import BoundValues, Roles, bind_values, complete_rows
+from pgm.kernels import last_place, moments
 from pgm.kernels.arrays import Array, Mask, quiet
+from pgm.kernels.settling import TOLERANCE
 from pgm.linearisers import Lineariser
 from pgm.posteriors.status import ENOUGH_DIGITS, LAST_PLACE, Status
 from pgm.schedules.argument_checks import require_gaussian, require_plain
@@ -56,20 +59,20 @@ def run(
     digits give a `PrecisionWarning`.
     """
     network = graph.network
-    require_gaussian(network.cpds, "Gaussian beliefs")
-    require_plain(network.cpds)
-    absent = barren(network, evidence)
-    cpds = [cpd for cpd in network.cpds if cpd.child not in absent]
-    inputs = set(network.inputs)
-    needed = (v for cpd in cpds for v in known_parents(cpd, inputs))
-    bound = bind_values(network.cpds, evidence, network.lead, needed)
+    linear = graph.derived(_linear)
+    absent = barren(graph, evidence)
+    needed = (v for cpd, known in knowing(graph) if cpd.child not in absent for v in known)
+    roles = graph.derived(_roles)
+    bound = bind_values(network.cpds, evidence, network.lead, needed, roles)
     plan = graph.derived(_plan, frozenset(bound.values), absent)
-    linear = all(isinstance(cpd, AffineCPD) for cpd in cpds)
-    squares = [size * size for size in plan.places.sizes]
+    if absent and not linear:
+        linear = all(isinstance(c, AffineCPD) for c in network.cpds if c.child not in absent)
+    loopy = isinstance(schedule, Loopy)
+    places = plan.cluster_places if loopy else plan.places
+    squares = (places.blocks.sizes**2).tolist()
     require_size(graph, squares, "covariances")
     require_runs(sum(squares), 1 if linear else bound.runs, "the covariances of all clusters")
     at = None if start is None else _start(plan.layout, bound, start)
-    loopy = isinstance(schedule, Loopy)
     again = not loopy and careful.work(plan.layout, bound.runs, linear) <= careful.MOST_WORK
     with quiet():
         for judge in judged():
@@ -100,15 +103,15 @@ def _solved(
     loopy = isinstance(schedule, Loopy)
     try:
         model = Model.make(plan.layout, bound, lineariser, at, judge=judge)
-        buffer = Buffer.make(plan.rounds, model)
         if isinstance(schedule, Loopy):
-            found = _sent(plan, buffer, schedule)
+            found = _sent(plan, Buffer.make(plan.rounds, model), schedule)
         else:
-            done, status = _iterated(model, lambda: calibrate(plan, buffer), schedule)
+            done, status = _iterated(model, TreeSolver(plan, model), schedule)
             found = GaussianOutcome(graph, status, plan, model, done)
-        digits = kept_digits(buffer, found._done.beliefs, found._done.log_evidence)
+        digits = kept_digits(model, found._done)
+        again = again and not model.flat  # decimals need a joint of all variables
         enough = digits >= SAFE_DIGITS or (loopy and not found.status.converged.all())
-        if enough or not again:
+        if digits >= ALL_BUT_FEW or not again:
             lost = None if enough else np.full(bound.runs, 10.0**-digits)
             status = _told(found.status, model, found._done.beliefs, lost)
             return replace(found, status=status)
@@ -116,7 +119,7 @@ def _solved(
         if not again:
             raise
     model = Model.make(plan.layout, bound, lineariser, at, careful.predictive, judge=judge)
-    done, status = _iterated(model, lambda: _in_digits(plan, model), schedule)
+    done, status = _iterated(model, _InDigits(plan, model), schedule)
     assert done.digits is not None
     status = _told(status, model, done.beliefs, 10.0**-done.digits)
     return GaussianOutcome(graph, status, plan, model, done)
@@ -138,6 +141,18 @@ def _told(status: Status, model: Model, beliefs: Beliefs, lost: Array | None) ->
     return status._losing(np.broadcast_to(place, (model.runs,)), LAST_PLACE)
 
 
+def _linear(graph: ClusterGraph) -> bool:
+    """Whether all CPDs are affine; those that Gaussian beliefs do not take are refused."""
+    cpds = graph.network.cpds
+    require_gaussian(cpds, "Gaussian beliefs")
+    require_plain(cpds)
+    return all(isinstance(cpd, AffineCPD) for cpd in cpds)
+
+
+def _roles(graph: ClusterGraph) -> Roles:
+    return Roles.of(graph.network.cpds)
+
+
 def _plan(
     graph: ClusterGraph, observed: frozenset[Variable], absent: frozenset[Variable]
 ) -> TreePlan:
@@ -149,14 +164,14 @@ def _plan(
     return TreePlan(Layout(graph, observed, absent))
 
 
-def _sent(plan: TreePlan, buffer: Buffer, schedule: Loopy) -> GaussianOutcome:
+def _sent(plan: TreePlan, buffer: Buffer[Rounds], schedule: Loopy) -> GaussianOutcome:
     """The posterior by rounds of messages, on a graph that may have loops.
 
     Rounds are sent until no message changes by more than the schedule's tolerance, or its
     iterations are used up. `buffer` is that of the model, and still holds only zeros.
     """
     graph, model = plan.layout.graph, buffer.model
-    messages = RowMessages.make(buffer, plan.places, schedule.damping)
+    messages = RowMessages.make(buffer, plan.cluster_places, schedule.damping)
     status = run_loopy(messages, schedule, model.lead)
     return GaussianOutcome(graph, status, plan, model, messages.calibrated(), messages)
 
@@ -165,13 +180,15 @@ def _sent(plan: TreePlan, buffer: Buffer, schedule: Loopy) -> GaussianOutcome:
 class _Tree:
     """A tree that is solved and linearised in turns: a `Problem` of `pgm.schedules.iteration`.
 
-    `solver` solves it with the CPDs of `model` as they are linearised now. Other problems have
+    `solver` solves it with the CPDs of `model` as they are linearised now; it may be told that a
+    solution is one `to_move` by, not to be given. Other problems have
     robust losses too, or anchors, which are measurements of all means added to hold a solution near
     a point; a tree has neither.
     """
 
     model: Model
-    solver: Callable[[], Calibrated]
+    solver: Solver
+    to_move: bool
 
     def linearise(self, at: TreePoint, active: Mask) -> None:
         """Linearise each nonlinear CPD anew at its cluster's belief in `at`, for the active runs.
@@ -186,12 +203,10 @@ class _Tree:
 
     def solve(self, anchor: Anchor | None = None) -> Calibrated:
         """Calibrate the tree with the CPDs as they are linearised now; `anchor` is ignored."""
-        return self.solver()
+        return self.solver.solve(to_move=self.to_move)
 
 
-def _iterated(
-    model: Model, solver: Callable[[], Calibrated], schedule: Schedule | None
-) -> tuple[Calibrated, Status]:
+def _iterated(model: Model, solver: Solver, schedule: Schedule | None) -> tuple[Calibrated, Status]:
     """Solve, linearise at the beliefs, and solve again, until the means stay.
 
     They stay when no mean moves by more than the schedule's tolerance, in standard deviations. A
@@ -200,18 +215,46 @@ def _iterated(
     they are linearised now. Returns the last solution and the status of convergence.
     """
     asked = schedule if isinstance(schedule, Calibration) else Calibration()
-    tree, exact = _Tree(model, solver), np.full(model.runs, model.exact)
-    done = tree.solve()
+    exact = np.full(model.runs, model.exact)
     if model.exact or asked.iterations == 1:
-        return done, Status.of([], exact, model.lead)
-    found = iterate(tree, done, Smoothing(asked.iterations, asked.tolerance), exact)
-    return found.solution, Status.of(found.residuals, found.converged, model.lead)
+        return solver.solve(), Status.of([], exact, model.lead)
+    tree = _Tree(model, solver, True)
+    limits = Smoothing(asked.iterations, asked.tolerance)
+    found = iterate(tree, tree.solve(), limits, exact)
+    done, residuals, converged = solver.solve(), found.residuals, found.converged
+    # The means of a solution that was one to move by may be wrong where it lost digits.
+    off = moments.moved(done.means, found.solution.means, done.point.std)
+    left = asked.iterations - 1 - len(residuals)
+    if (off > max(asked.tolerance, TOLERANCE)).any() and left > 0:
+        limits = Smoothing(left + 1, asked.tolerance)
+        again = iterate(_Tree(model, solver, False), done, limits, exact)
+        done, converged = again.solution, again.converged
+        residuals = [*residuals, *again.residuals]
+    return done, Status.of(residuals, converged, model.lead)
+
+
+class Solver(Protocol):
+    """A way to solve a tree as its CPDs are linearised now."""
+
+    def solve(self, *, to_move: bool = False) -> Calibrated:
+        """The beliefs; if it is one `to_move` by, maybe to fewer digits."""
+
+
+class _InDigits(NamedTuple):
+    """The solver in as many decimals as a network's numbers need."""
+
+    plan: TreePlan
+    model: Model
+
+    def solve(self, *, to_move: bool = False) -> Calibrated:
+        """The beliefs of the linearised network; all decimals are there if it is one to move by."""
+        return _in_digits(self.plan, self.model)
 
 
 def _in_digits(plan: TreePlan, model: Model) -> Calibrated:
     """The beliefs of the linearised network, in as many decimals as its numbers need."""
     found = careful.solve(plan, model)
-    return Calibrated(found.beliefs, found.log_evidence, found.digits)
+    return Calibrated(found.beliefs, found.log_evidence, digits=found.digits)
 
 
 def _start(layout: Layout, bound: BoundValues, start: Start) -> Array:
@@ -222,15 +265,22 @@ def _start(layout: Layout, bound: BoundValues, start: Start) -> Array:
     """
     require_hidden(start, layout.places)
     mean = np.full((bound.runs, layout.size), np.nan)
-    parents = {v for group in layout.groups for cpd in group.cpds for v in cpd.given}
+    complete = complete_rows(start)
+    missing = [variable for variable in layout.hidden if variable not in start]
+    if missing:
+        parents = {v for group in layout.groups for cpd in group.cpds for v in cpd.given}
+        for variable in missing:
+            if variable in parents:
+                raise EvidenceError(
+                    f"start lacks {variable!r}; it takes means of all hidden parents",
+                    variable=variable,
+                )
     for variable in layout.hidden:
+        if variable in complete:
+            mean[:, layout.places[variable]] = complete[variable]
+            continue
         if variable not in start:
-            if variable not in parents:
-                continue
-            raise EvidenceError(
-                f"start lacks {variable!r}; it takes means of all hidden parents",
-                variable=variable,
-            )
+            continue
         row = as_rows(variable, start[variable], None)
         row = require_finite(variable, row[..., None, :])[..., 0, :]
         mean[:, layout.places[variable]] = over_runs(variable, row, bound.lead, 1)
