@@ -24,12 +24,20 @@ def plate(cpd: ConditionalGaussian) -> Hashable:
 
     Nonlinear ones have the same function, Jacobians and lineariser, and the same objects, as equal
     ones of a user's may compute different values. Affine ones have any numbers. All have parents
-    and children of the same numbers of components, with angles at the same places. A CPD at a step
-    of time, or whose noise depends on parents, is of a plate with its own copies.
+    and children of the same numbers of components, with angles at the same places. Those at
+    steps of time are apart from others. A CPD whose noise depends on parents is of a plate with its
+    own copies.
     """
-    if cpd.child.step is not None or isinstance(cpd.cov, Noise):
+    if isinstance(cpd.cov, Noise):
         return cpd.origin
-    shape = _form(cpd.child), tuple(map(_form, cpd.given)), cpd.cov.shape, _identity(cpd.noise)
+    timed = cpd.child.step is not None
+    shape = (
+        timed,
+        _form(cpd.child),
+        tuple(map(_form, cpd.given)),
+        cpd.cov.shape,
+        _identity(cpd.noise),
+    )
     if isinstance(cpd, NonlinearGaussianCPD):
         jacobians = tuple(_identity(cpd.jacobian.get(parent)) for parent in cpd.given)
         rule = cpd.lineariser
