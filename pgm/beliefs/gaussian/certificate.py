@@ -35,8 +35,8 @@ from pgm.posteriors.status import CLOSE_POINTS, FAR_APART
 # Decimal digits that float64 holds; a sum of many roundings takes one of them.
 _DIGITS, _OF_SUMS = 15.6, 14.6
 # Digits, counted from standard deviations, from which on an answer needs no warning, and those from
-# which on a small network is not solved again in decimals.
-SAFE_DIGITS, ALL_BUT_FEW = 6.6, 10.0
+# which on a small network is not solved again in decimals, where their number is no mere bound.
+SAFE_DIGITS, _MOST_DIGITS = 6.6, 9.0
 # Units whose squares are in range.
 _RANGE = 1e-140, 1e140
 
@@ -66,6 +66,12 @@ def kept_digits(model: Model, done: Calibrated) -> float:
         moved = float((alone[..., None] * np.abs(mean)).max(initial=1.0))
     moved = max(moved, sizes.coarse, shift(model), 1.0)
     return float(min(_OF_SUMS - np.log10(moved), _DIGITS - np.log10(max(spread, 1.0))))
+
+
+def are_few(digits: float, done: Calibrated) -> bool:
+    """Whether a solution has so few digits that one in decimals is worth its time."""
+    assert done.sizes is not None
+    return digits < (SAFE_DIGITS if done.sizes.information is None else _MOST_DIGITS)
 
 
 def cause(model: Model) -> str:
