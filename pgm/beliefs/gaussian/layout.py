@@ -22,7 +22,7 @@ from pgm.clustergraph import ClusterGraph
 from pgm.cpds import CPD, ConditionalGaussian
 from pgm.cpds.plates import plate
 from pgm.factors.scope import Scope, dimension
-from pgm.kernels.arrays import Integers
+from pgm.kernels.arrays import Integers, Mask
 from pgm.linearisation.family import Family
 from pgm.schedules.rounds import Directed
 from pgm.variables import Variable
@@ -70,6 +70,22 @@ def barren(graph: ClusterGraph, evidence: Collection[Variable]) -> frozenset[Var
         else:
             used.update(cpd.parents)
     return frozenset(absent - used)
+
+
+def _plates(graph: ClusterGraph) -> list[tuple[Integers, Integers]]:
+    """The plates of a graph's CPDs: their numbers (rows,), and the places of their families.
+
+    A family is the child, then the parents, (rows, 1 + parents), by their places in the network.
+    """
+    alike: dict[Hashable, list[int]] = {}
+    network = graph.network
+    for number, cpd in enumerate(network.cpds):
+        assert isinstance(cpd, ConditionalGaussian)
+        alike.setdefault(plate(cpd), []).append(number)
+    return [
+        (np.array(numbers), np.array([network._families[number] for number in numbers]))
+        for numbers in alike.values()
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,25 +207,57 @@ class Layout:
     @cached_property
     def groups(self) -> list[Group]:
         """The groups of CPDs, sorted by the shape of their factors."""
-        home = {cpd.child: cluster.index for cluster in self.graph.clusters for cpd in cluster.cpds}
-        alike: dict[tuple[Hashable, tuple[bool, ...], bool], list[ConditionalGaussian]] = {}
-        for cpd in self._cpds:
-            mask = tuple(v in self.observed for v in cpd.given)
-            alike.setdefault((plate(cpd), mask, cpd.child in self.observed), []).append(cpd)
-        groups = []
-        for (_, _, observed), cpds in alike.items():
-            hidden = [self.without_evidence(cpd.given) for cpd in cpds]
-            none = np.zeros((len(cpds), 0), dtype=np.intp)
-            group = Group(
-                tuple(cpds),
-                hidden[0],
-                observed,
-                none if observed else np.array([self.places[cpd.child] for cpd in cpds]),
-                np.array([self.components(scope) for scope in hidden]),
-                np.array([home[cpd.child] for cpd in cpds], dtype=np.intp),
-            )
-            groups.append(group)
-        return sorted(groups, key=Group.shape)
+        place = self.graph.network._places
+        first, observed, absent = (
+            np.zeros(len(place), dtype=np.intp),
+            *np.zeros((2, len(place)), bool),
+        )
+        observed[[place[v] for v in self.observed if v in place]] = True
+        absent[[place[v] for v in self.absent]] = True
+        first[[place[v] for v in self.hidden]] = [places[0] for places in self.places.values()]
+        home = np.zeros(len(self.graph.network.cpds), dtype=np.intp)
+        for cluster, own in enumerate(self.graph._assigned):
+            home[list(own)] = cluster
+        found = []
+        for numbers, families in self.graph.derived(_plates):
+            numbers, families = (part[~absent[families[:, 0]]] for part in (numbers, families))
+            # Rows in which the same variables are observed are one group.
+            known = observed[families]
+            for row in np.unique(known, axis=0):
+                alike = (known == row).all(axis=1)
+                found.append(
+                    (numbers[alike], self._group(numbers[alike], families[alike], row, first, home))
+                )
+        found.sort(key=lambda each: (each[1].shape(), each[0][0]))
+        return [group for _, group in found]
+
+    def _group(
+        self, numbers: Integers, families: Integers, known: Mask, first: Integers, home: Integers
+    ) -> Group:
+        """The group of some CPDs of a plate, by their numbers in the network.
+
+        `families` are the places, in the network, of each child and its parents, of which those
+        that are `known` are observed; `first` has where each hidden variable's components begin,
+        and `home` the cluster of each CPD.
+        """
+        every = self.graph.network.cpds
+        cpds = tuple([every[number] for number in numbers.tolist()])
+        sizes = [v.dimension for v in (cpds[0].child, *cpds[0].given)]
+        columns = [
+            first[families[:, k], None] + np.arange(size)
+            for k, (size, seen) in enumerate(zip(sizes, known, strict=False))
+            if not seen
+        ]
+        none = np.zeros((len(cpds), 0), dtype=np.intp)
+        child, parents = (none, columns) if known[0] else (columns[0], columns[1:])
+        return Group(
+            cpds,
+            self.without_evidence(cpds[0].given),
+            bool(known[0]),
+            child,
+            np.concatenate([none, *parents], axis=1),
+            home[numbers],
+        )
 
     @cached_property
     def entry_starts(self) -> Integers:
