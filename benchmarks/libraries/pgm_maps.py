@@ -6,7 +6,7 @@ import pgm
 from benchmarks.timing import Contender
 from benchmarks.work.asked import Asked, Beliefs, Work
 
-# A step of a tenth of a thousandth of a deviation is the last one, as of gtsam by its own defaults.
+# In deviations. By its own defaults gtsam stops about as far from its optimum.
 TO_THE_OPTIMUM = pgm.Calibration(iterations=50, tolerance=1e-4)
 
 

@@ -16,7 +16,7 @@ from pgm.recordings import Edges, PoseGraph, read_pose_graph
 
 DATA = Path(os.environ.get("PGM_DATA") or Path(__file__).parents[3] / "shared" / "data")
 # By file: poses and edges, of which a world is drawn where there is no file.
-PUBLISHED = {"m3500": (3_500, 5_453), "intel": (1_728, 2_512), "CSAIL": (1_045, 1_171)}
+PUBLISHED = {"m3500": (3_500, 5_453), "intel": (1_728, 2_512), "CSAIL": (1_045, 1_172)}
 CITY = 10_000, 20_687  # as many as the graph city10000 has
 BLOCK = 5  # streets are as many metres apart
 EDGE_STD = (0.05, 0.05, 0.02)  # of a measured motion [m, m, rad]
