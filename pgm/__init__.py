@@ -33,6 +33,7 @@ from pgm.cpds import (
     TableCPD,
     TruncatedLeastSquares,
     noise,
+    plate,
     shifts,
 )
 from pgm.display.notebook import hand_in as _hand_in
@@ -300,6 +301,7 @@ __all__ = [
     "maps",
     "most_probable",
     "noise",
+    "plate",
     "plot",
     "prepare",
     "query",
