@@ -30,8 +30,11 @@ class JunctionTree(InCode):
     ----------
     order : Order or iterable of Variable, optional
         Elimination order: `StochasticMinFill()`, if not given, `MinFill()`, `WeightedMinFill()`,
-        `NestedDissection()`, a function from networks to variables, or the variables themselves,
-        each once. What it decides is what calibrating costs: compare `graph.cost`.
+        `MinDegree()`, `NestedDissection()`, a function from networks to variables, or the variables
+        themselves, each once. What it decides is what calibrating costs: compare `graph.cost`. If
+        not given, it is chosen by the network: for tables min-fill, and a search where it pays; for
+        continuous networks min-fill as long as at most 5,000 variables are parents, and minimum
+        degree above.
 
     References
     ----------

@@ -109,6 +109,8 @@ class GaussianCPD(AffineCPD):
             ) from None
 
     def _lead(self) -> tuple[int, ...]:
+        if self.offset.ndim == 1 and (isinstance(self.cov, Noise) or self.cov.ndim == 2):
+            return ()  # networks of thousands ask each of theirs
         covs = self.cov.shape[:-2] if isinstance(self.cov, np.ndarray) else ()
         return np.broadcast_shapes(self.offset.shape[:-1], covs)
 
