@@ -75,6 +75,8 @@ def in_order(cpds: Sequence[C], parents: Callable[[C], Scope]) -> tuple[C, ...]:
     """CPDs with parents before children, otherwise in the given order."""
     place = {cpd.child: k for k, cpd in enumerate(cpds)}
     waiting = [[place[p] for p in parents(cpd) if p in place] for cpd in cpds]
+    if all(k > parent for k, before in enumerate(waiting) for parent in before):
+        return tuple(cpds)
     children: dict[int, list[int]] = defaultdict(list)
     for k, before in enumerate(waiting):
         for parent in before:
