@@ -14,7 +14,7 @@ from pgm.arguments import public
 from pgm.boundary import as_tuple, is_unordered, is_whole
 from pgm.display import InCode
 from pgm.errors import ModelError
-from pgm.resources import require_memory
+from pgm.resources import require_memory, uncollected
 
 # Numbers of memory that the name of a state takes.
 _STATE = 8
@@ -314,10 +314,12 @@ def variables(
             variable=first,
         )
     made = [first]
-    for name in found[1:]:
-        if not isinstance(name, str) or not name:
-            Variable(name)  # which refuses it
-        made.append(first._with(name=name, components=(name,)) if own else first._with(name=name))
+    with uncollected(len(found)):
+        for name in found[1:]:
+            if not isinstance(name, str) or not name:
+                Variable(name)  # which refuses it
+            scalar = {"components": (name,)} if own else {}
+            made.append(first._with(name=name, **scalar))
     if len(set(found)) < len(found):
         twice = next(name for name, times in Counter(found).items() if times > 1)
         raise ModelError(

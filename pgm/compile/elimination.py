@@ -15,18 +15,21 @@ from heapq import heapify, heappop, heappush
 from itertools import chain, cycle, islice, repeat
 
 from pgm.networks import BayesianNetwork
+from pgm.resources import uncollected
 
 Adjacency = Sequence[set[int]]
 
 
 def moral(network: BayesianNetwork) -> list[set[int]]:
     """The moral graph: every family is a clique; vertices are places in `network.variables`."""
-    adjacent: list[set[int]] = [set() for _ in network.variables]
-    for family in network._families:
-        for vertex in family:
-            adjacent[vertex].update(family)
-    for vertex, near in enumerate(adjacent):
-        near.discard(vertex)
+    families = network._families
+    with uncollected(len(families)):
+        adjacent: list[set[int]] = [set() for _ in network.variables]
+        for family in families:
+            for vertex in family:
+                adjacent[vertex].update(family)
+        for vertex, near in enumerate(adjacent):
+            near.discard(vertex)
     return adjacent
 
 

@@ -15,6 +15,7 @@ from pgm.display import InCode
 from pgm.errors import GraphError
 from pgm.factors.scope import Scope, listed
 from pgm.networks import BayesianNetwork
+from pgm.resources import uncollected
 from pgm.variables import Variable
 
 
@@ -63,8 +64,10 @@ class JunctionTree(InCode):
     def __call__(self, network: BayesianNetwork) -> ClusterGraph:
         """Compile a network."""
         adjacent = moral(network)
-        tree = clique_tree(adjacent, places(self.order, network, adjacent))
-        return ClusterGraph._tree(network, tree.cliques, tree.sepsets)
+        order = places(self.order, network, adjacent)
+        with uncollected(len(order)):
+            tree = clique_tree(adjacent, order)
+            return ClusterGraph._tree(network, tree.cliques, tree.sepsets)
 
 
 def graph_of(

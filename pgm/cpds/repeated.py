@@ -21,6 +21,7 @@ from pgm.factors.arrays import Shape, as_covariance, covariance_fault, diagonal,
 from pgm.factors.scope import as_value, described, listed, namesake
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, frozen
+from pgm.resources import uncollected
 from pgm.variables import Variable
 
 C = TypeVar("C", bound=ConditionalGaussian)
@@ -97,7 +98,8 @@ def plate(
     bare.__dict__.update(cpd._bare(), _origin=None)
     scope = cpd.scope
     families = zip(*columns, strict=True)
-    rows = [bare._copy(dict(zip(scope, each, strict=True)).__getitem__) for each in families]
+    with uncollected(len(columns[0])):
+        rows = [bare._copy(dict(zip(scope, each, strict=True)).__getitem__) for each in families]
     _require_families(rows, columns)
     numbers = _Numbers(cpd, shape, rows)
     if mean is not None:
@@ -324,8 +326,10 @@ class _Numbers:
                 raise self._unfit(what, array.shape[1:], f"{'() or ' * (due[0] == due[1])}{due}")
             self._require_finite(array, what)
             stacks.append(frozen(array))
-        for row, *each in zip(self.rows, *stacks, strict=True):
-            row.__dict__["matrices"] = MappingProxyType(dict(zip(row.given, each, strict=True)))
+        with uncollected(len(self.rows)):
+            for row, *each in zip(self.rows, *stacks, strict=True):
+                matrices = dict(zip(row.given, each, strict=True))
+                row.__dict__["matrices"] = MappingProxyType(matrices)
 
     @property
     def _size(self) -> int:
@@ -384,5 +388,6 @@ class _Numbers:
 
     def _put(self, name: str, values: Sequence[Array] | Array) -> None:
         each = frozen(values) if isinstance(values, np.ndarray) else map(frozen, values)
-        for row, value in zip(self.rows, each, strict=True):
-            row.__dict__[name] = value
+        with uncollected(len(self.rows)):
+            for row, value in zip(self.rows, each, strict=True):
+                row.__dict__[name] = value

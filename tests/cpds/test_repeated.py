@@ -120,7 +120,10 @@ def test_a_plate_is_the_network_that_is_declared_one_by_one(made):
     assert_array_equal(found.covs(variables), due.covs(variables))
 
 
-def test_the_field_has_the_posterior_of_its_normal_equations():
+@pytest.mark.parametrize(
+    "order", [pgm.StochasticMinFill(), pgm.MinDegree(), pgm.NestedDissection(small=2)], ids=repr
+)
+def test_the_field_has_the_posterior_of_its_normal_equations(order):
     plates, _, evidence, variables = field()
     place = {v: k for k, v in enumerate(variables)}
     information, pull = np.zeros((len(place), len(place))), np.zeros(len(place))
@@ -134,7 +137,8 @@ def test_the_field_has_the_posterior_of_its_normal_equations():
                 row[place[parent]] = matrix[0, 0]
         information += weight * np.outer(row, row)
         pull += weight * row * due
-    found = pgm.infer(pgm.compile(pgm.BayesianNetwork(plates)), evidence)
+    graph = pgm.compile(pgm.BayesianNetwork(plates), method=pgm.JunctionTree(order))
+    found = pgm.infer(graph, evidence)
     cov = np.linalg.inv(information)
     assert_allclose(found.means(variables)[:, 0], cov @ pull, rtol=1e-9, atol=1e-12)
     assert_allclose(found.covs(variables)[:, 0, 0], np.diag(cov), rtol=1e-9)
