@@ -109,7 +109,7 @@ class MinDegree(Rule):
         return [*np.flatnonzero(~inner).tolist(), *order.tolist()]
 
 
-# Parents of a continuous network from which on it is ordered by degrees.
+# A continuous network with more parents than this is ordered by degrees.
 LARGE = 5000
 
 
@@ -158,8 +158,7 @@ class StochasticMinFill(Rule):
 
     def _places(self, network: BayesianNetwork, adjacent: Adjacency) -> list[int]:
         if not network.discrete:
-            large = np.count_nonzero(_parents(network)) > LARGE
-            rule = MinDegree() if large else MinFill()
+            rule = MinDegree() if _is_large(network) else MinFill()
             return rule._places(network, adjacent)
         return cheapest(adjacent, _weights(network), self.tries, self.seed)
 
@@ -203,9 +202,9 @@ class NestedDissection(Rule):
             )
 
     def _places(self, network: BayesianNetwork, adjacent: Adjacency) -> list[int]:
-        inner = _parents(network)
-        if np.count_nonzero(inner) <= LARGE:
+        if not _is_large(network):
             return min_fill(adjacent, _weights(network), dissect(adjacent, self.small))
+        inner = _parents(network)
         graph = SparseGraph.of(adjacent).part(inner)
         stage = stages(graph, self.small)
         apart = graph.without(stage[graph.tails] != stage[graph.heads])
@@ -246,6 +245,12 @@ def places(
         twice = next(variable for variable in found if found.count(variable) > 1)
         raise GraphError(f"the elimination order names {twice!r} twice", variable=twice)
     return order_
+
+
+def _is_large(network: BayesianNetwork) -> bool:
+    """Whether more than `LARGE` variables are parents."""
+    most = len(network.variables)
+    return most > LARGE and int(np.count_nonzero(_parents(network))) > LARGE
 
 
 def _parents(network: BayesianNetwork) -> Mask:
