@@ -86,9 +86,9 @@ class WeightedMinFill(Rule):
 class MinDegree(Rule):
     """Next is a variable with the fewest neighbours, after all that are no parents.
 
-    Nothing has to be counted but neighbours: 90,000 variables are ordered in a fifth of a second,
-    where `MinFill` takes half a minute. On Gaussian fields and pose graphs it leads to a tenth to a
-    fifth more operations.
+    Nothing has to be counted but neighbours: the 90,000 pixels of a field are ordered in a third of
+    a second, where `MinFill` takes half a minute. It leads to more operations: on a field of that
+    size a third, on smaller ones and pose graphs a tenth to a fifth.
 
     References
     ----------
