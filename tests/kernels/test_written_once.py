@@ -340,7 +340,7 @@ TURNS = listed({STEP: "turns"}, {"kernels/angles.py": "wrap", "kernels/bins.py":
 GAPS = listed(
     {"kernels/arrays.py": "independent", "kernels/dense.py": "independent"},
     # Of infinite variances, which do not count.
-    {"beliefs/moments/steps/cost.py": "squares"},
+    {"linearisation/costs.py": "squares"},
 )
 WEIGHED = listed(
     # Of points without values, and of eigenvalues.
@@ -364,7 +364,7 @@ SOLUTIONS = listed(
     {"kernels/moments.py": "kl principal_axes"},
     {"kernels/normal_density.py": "off whitened whitener", "factors/arrays.py": "covariance_fault"},
     {"cpds/conditional.py": "_robust", "beliefs/points/laws.py": "log_density"},
-    {"beliefs/moments/steps/weights.py": "of", "posteriors/innovations.py": "whitened"},
+    {"linearisation/weights.py": "of", "posteriors/innovations.py": "whitened"},
     {"consistency/errors.py": "nees_and_dof", "consistency/ranking.py": "_by_sighting"},
     {"beliefs/particles/guided_proposal.py": "_whitened steered"},
     {"inference/audit/corrected.py": "_from_gaussian"},
