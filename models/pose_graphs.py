@@ -119,13 +119,16 @@ class Branch:
     onward: bool
 
 
-def pose_graph_network(graph: PoseGraph) -> PoseGraphNetwork:
+def pose_graph_network(graph: PoseGraph, noise: pgm.RobustNoise | None = None) -> PoseGraphNetwork:
     r"""The Bayesian network of a pose graph.
 
     Parameters
     ----------
     graph : PoseGraph
         The tree prefers edges to the next pose, then the file's order.
+    noise : RobustNoise, optional
+        The noise of all edges and sightings that are not of the tree, some of which may be wrong;
+        Gaussian, if not given.
 
     Raises
     ------
@@ -147,12 +150,12 @@ def pose_graph_network(graph: PoseGraph) -> PoseGraphNetwork:
         for name in graph.landmark_names.tolist()
     )
     held = tuple(dict.fromkeys(graph.fixed.tolist())) or (0,)
-    noise, sights = _covariances(graph, graph.edges), _covariances(graph, graph.sightings)
+    moves, sights = _covariances(graph, graph.edges), _covariances(graph, graph.sightings)
     cpds: list[CPD] = [pgm.GaussianCPD(poses[row], graph.poses[row], 0.0) for row in held]
     evidence: dict[pgm.Variable, Array] = {}
     branches = (*_tree(graph, held), *_placed(graph))
     for branch in branches:
-        cov = (sights if branch.sees else noise)[branch.edge]
+        cov = (sights if branch.sees else moves)[branch.edge]
         told = branch.edges.motions[branch.edge]
         parent, u = poses[branch.parent], branch.variable
         child = (landmarks if branch.sees else poses)[branch.child]
@@ -174,7 +177,7 @@ def pose_graph_network(graph: PoseGraph) -> PoseGraphNetwork:
             )
         )
     for sees, edges, ends, covs in (
-        (False, graph.edges, poses, noise),
+        (False, graph.edges, poses, moves),
         (True, graph.sightings, landmarks, sights),
     ):
         used = {branch.edge for branch in branches if branch.sees == sees}
@@ -188,6 +191,7 @@ def pose_graph_network(graph: PoseGraph) -> PoseGraphNetwork:
                     function=motion.relative,
                     cov=covs[row],
                     jacobian={one: motion.relative_by_state, other: motion.relative_by_other},
+                    noise=noise,
                 )
             )
             evidence[z] = edges.motions[row]

@@ -43,11 +43,15 @@ def weighted(family: Family, residual: Array, cov: Array) -> Array:
     """
     total = squares(residual, cov)
     if total is None:
+        cpd = family.cpd
+        if family.plate:
+            rows = zip(family.plate, residual[:, None], cov[:, None], strict=True)
+            cpd = next((c for c, *at in rows if squares(*at) is None), cpd)
         raise NumericalError(
-            f"{family.cpd!r}: with {family.lineariser!r} its noise is indefinite, so that a step "
-            "has no cost; use a rule with positive weights, or damping=0.5",
-            variable=family.cpd.child,
-            cpd=family.cpd,
+            f"{cpd!r}: with {family.lineariser!r} its noise is indefinite, so that a step has no "
+            "cost; use a rule with positive weights, or damping=0.5",
+            variable=cpd.child,
+            cpd=cpd,
         )
     return total
 

@@ -358,7 +358,7 @@ KINDS = listed(
 SOLUTIONS = listed(
     # The roots of the kinds themselves, and equations of arrays by them.
     {"kernels/dense.py": "__init__ left solve solve_transposed"},
-    {"kernels/solving.py": "_solve regression solve whiten", "kernels/roots.py": "root"},
+    {"kernels/solving.py": "_solve left_open regression solve whiten", "kernels/roots.py": "root"},
     {"kernels/semidefinite.py": "semidefinite"},
     # Densities, divergences and draws.
     {"kernels/moments.py": "kl principal_axes"},
@@ -375,11 +375,11 @@ SOLUTIONS = listed(
     {"kernels/rows.py": "_eliminate_proper _svd triangular"},
     {"kernels/elements.py": "_meet compose moved"},
     {"beliefs/gaussian/potentials.py": "_factor", "beliefs/gaussian/joints.py": "_gain"},
+    {"beliefs/gaussian/relations.py": "_solved_for"},
     {"beliefs/moments/passes/likelihoods.py": "of"},
     {"beliefs/moments/passes/messages.py": "likelihoods"},
     # Unknown directions, exact relations, bounds of rounding, and whether messages settle.
     {f"{DIGITS}careful_belief.py": "solved", f"{DIGITS}reversal_rounding.py": "injected"},
-    {"beliefs/moments/smoothers/exact_relations.py": "_left_open"},
     {"beliefs/gaussian/walks.py": "spectral_radius"},
     # The points of a rule, and the cells of a grid.
     {"kernels/regression.py": "_line fit range_inverse"},

@@ -14,6 +14,7 @@ from collections.abc import Collection, Hashable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
+from typing import ClassVar
 
 import numpy as np
 
@@ -38,9 +39,9 @@ def known_parents(cpd: CPD, inputs: Collection[Variable]) -> list[Variable]:
 def barren(network: BayesianNetwork, evidence: Collection[Variable]) -> frozenset[Variable]:
     """The variables to leave out of inference, because a CPD lacks evidence that it needs.
 
-    A CPD needs evidence of those parents that are inputs, or that its noise depends on. If such a
-    parent has none, the CPD's child is left out, unless it is observed; the parent is left out too
-    if it is an input. But a variable stays if any variable that is not left out, observed or
+    A CPD needs evidence of those parents that are inputs, or that its noise depends on; one of
+    robust noise, of its child. Without it the CPD's child is left out, unless it is observed; a
+    parent is left out too if it is an input that has none. But a variable stays if any variable that is not left out, observed or
     not, depends on it. `evidence` are the variables with evidence.
     """
     inputs = set(network.inputs)
@@ -48,7 +49,9 @@ def barren(network: BayesianNetwork, evidence: Collection[Variable]) -> frozense
     absent: set[Variable] = set()
     for cpd in reversed(network.cpds):
         missing = [v for v in known_parents(cpd, inputs) if v not in evidence]
-        if missing and cpd.child not in evidence and cpd.child not in used:
+        weighed = isinstance(cpd, ConditionalGaussian) and cpd.noise is not None
+        lacking = missing or weighed
+        if lacking and cpd.child not in evidence and cpd.child not in used:
             absent.add(cpd.child)
             absent.update(v for v in missing if v in inputs)
         else:
@@ -93,17 +96,43 @@ class Group:
 
 
 @dataclass(frozen=True, eq=False)
+class Unary:
+    """Factors of one row each, over one component: a measurement of each hidden component.
+
+    A component's factor belongs to the smallest cluster that holds it. `parents` (size, 1) are the
+    components' places, `child` is (size, 0), `clusters` (size,).
+    """
+
+    parents: Integers
+    clusters: Integers
+
+    @property
+    def child(self) -> Integers:
+        """No places, (size, 0): what is measured has a value."""
+        return self.parents[:, :0]
+
+    height: ClassVar[int] = 1
+    width: ClassVar[int] = 1
+
+
+# Factors of one shape: where their rows, over the components of children and parents, belong.
+Factors = Group | Unary
+
+
+@dataclass(frozen=True, eq=False)
 class Layout:
     """The layout of a cluster graph's hidden components: their places, columns, and CPD groups.
 
     Variables that are `observed`, and those that are `absent` because `barren` leaves them out,
     have no places. A layout is made once for each set of observed variables, and kept with the
-    graph.
+    graph. One that is `anchored` has, beside the CPDs' factors, those of an `Anchor`: a measurement
+    of each hidden component, by which steps are controlled.
     """
 
     graph: ClusterGraph
     observed: frozenset[Variable]
     absent: frozenset[Variable]
+    anchored: bool = False
 
     @cached_property
     def hidden(self) -> Scope:
@@ -190,6 +219,20 @@ class Layout:
             )
             groups.append(group)
         return sorted(groups, key=Group.shape)
+
+    @cached_property
+    def factors(self) -> list[Factors]:
+        """The factors of all groups, and those of an anchor after them, in the order of rows."""
+        return [*self.groups, self.anchors] if self.anchored else list(self.groups)
+
+    @cached_property
+    def anchors(self) -> Unary:
+        """The factors of an anchor, in the order of places."""
+        home, sizes = np.empty(self.size, dtype=np.intp), [len(held) for held in self.columns]
+        # Of clusters of one size the first is written last, and stays.
+        for k in reversed(np.argsort(sizes, kind="stable").tolist()):
+            home[list(self.columns[k])] = k
+        return Unary(np.arange(self.size)[:, None], home)
 
     @cached_property
     def shapes(self) -> list[list[int]]:

@@ -76,13 +76,13 @@ class Rounds:
     @cached_property
     def own_entries(self) -> Integers:
         """The index of each group's first entry, and of the first message's, (groups + 1,)."""
-        groups = self.layout.groups
-        return np.cumsum([0, *(len(g.cpds) * g.height * g.width for g in groups)])
+        factors = self.layout.factors
+        return np.cumsum([0, *(len(g.clusters) * g.height * g.width for g in factors)])
 
     @cached_property
     def own_rows(self) -> Integers:
         """The index of each group's first row, and of the first message's, (groups + 1,)."""
-        return np.cumsum([0, *(len(g.cpds) * g.height for g in self.layout.groups)])
+        return np.cumsum([0, *(len(g.clusters) * g.height for g in self.layout.factors)])
 
     @cached_property
     def entry_starts(self) -> Integers:
@@ -110,7 +110,7 @@ class Rounds:
         """
         found: list[list[tuple[Integers, Integers]]] = [[] for _ in self.layout.scopes]
         starts = self.own_entries.tolist(), self.own_rows.tolist()
-        for group, entry, first in zip(self.layout.groups, *starts, strict=False):
+        for group, entry, first in zip(self.layout.factors, *starts, strict=False):
             height = group.height
             scope = np.concatenate([group.child, group.parents], axis=1)
             for row, cluster in enumerate(group.clusters.tolist()):

@@ -25,6 +25,7 @@ from pgm.errors import NumericalError
 from pgm.factors.scope import names
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.rows import Eliminated, Rows, eliminate
+from pgm.schedules.iteration import Anchor
 
 
 @dataclass(eq=False)
@@ -56,9 +57,9 @@ class Buffer:
         proper = Flat(np.zeros((stacked, entries)), np.zeros((stacked, rows, sides)))
         return cls(rounds, model, proper, None, np.zeros((stacked, logs, sides)))
 
-    def refresh(self) -> None:
-        """Put in the CPDs' factors as they are linearised now; the messages stay."""
-        potentials = make_potentials(self.model)
+    def refresh(self, anchor: Anchor | None = None) -> None:
+        """Put in the CPDs' factors as they are linearised now, and an anchor's; messages stay."""
+        potentials = make_potentials(self.model, anchor)
         self.coarse = float(np.maximum(self.coarse, potentials.coarse))
         own = potentials.proper
         self.largest = float(np.maximum(self.largest, np.abs(own.matrix).max(initial=0.0)))

@@ -7,18 +7,20 @@ the axes of runs flattened to one.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from pgm.beliefs.gaussian import careful
-from pgm.beliefs.gaussian.beliefs import Beliefs, Calibrated, TreePoint, relinearise
+from pgm.beliefs.gaussian.beliefs import Beliefs, Calibrated
 from pgm.beliefs.gaussian.certificate import SAFE_DIGITS, cause, kept_digits
+from pgm.beliefs.gaussian.iterated import is_controlled, iterated
 from pgm.beliefs.gaussian.layout import Layout, barren, known_parents
 from pgm.beliefs.gaussian.messages import RowMessages
 from pgm.beliefs.gaussian.model import Model
 from pgm.beliefs.gaussian.outcome import GaussianOutcome
+from pgm.beliefs.gaussian.reweighting import require_weighable
 from pgm.beliefs.gaussian.row_buffer import Buffer
 from pgm.beliefs.gaussian.tree import TreePlan, calibrate
 from pgm.clustergraph import ClusterGraph
@@ -28,14 +30,14 @@ from pgm.evidence import Evidence
 from pgm.evidence.rows import as_rows, require_finite
 from pgm.evidence.static import BoundValues, bind_values
 from pgm.kernels import last_place
-from pgm.kernels.arrays import Array, Mask, quiet
+from pgm.kernels.arrays import Array, quiet
 from pgm.linearisers import Lineariser
 from pgm.posteriors.status import ENOUGH_DIGITS, LAST_PLACE, Status
-from pgm.schedules.argument_checks import require_gaussian, require_plain
-from pgm.schedules.iteration import Anchor, iterate
+from pgm.schedules.argument_checks import require_gaussian
+from pgm.schedules.iteration import Anchor
 from pgm.schedules.limits import require_runs, require_size
 from pgm.schedules.loopy import run_loopy
-from pgm.schedules.schedule import Calibration, Loopy, Schedule, Smoothing
+from pgm.schedules.schedule import Loopy, Schedule
 from pgm.schedules.starting_points import Start, over_runs, require_hidden
 from pgm.tracing import Judge, judged
 from pgm.variables import Variable
@@ -57,14 +59,15 @@ def run(
     """
     network = graph.network
     require_gaussian(network.cpds, "Gaussian beliefs")
-    require_plain(network.cpds)
     absent = barren(network, evidence)
     cpds = [cpd for cpd in network.cpds if cpd.child not in absent]
+    require_weighable(graph, cpds, evidence, schedule)
     inputs = set(network.inputs)
     needed = (v for cpd in cpds for v in known_parents(cpd, inputs))
     bound = bind_values(network.cpds, evidence, network.lead, needed)
-    plan = graph.derived(_plan, frozenset(bound.values), absent)
-    linear = all(isinstance(cpd, AffineCPD) for cpd in cpds)
+    linear = all(isinstance(cpd, AffineCPD) and cpd.noise is None for cpd in cpds)
+    anchored = not linear and is_controlled(schedule)
+    plan = graph.derived(_plan, frozenset(bound.values), absent, anchored)
     squares = [size * size for size in plan.places.sizes]
     require_size(graph, squares, "covariances")
     require_runs(sum(squares), 1 if linear else bound.runs, "the covariances of all clusters")
@@ -104,7 +107,8 @@ def _solved(
         if isinstance(schedule, Loopy):
             found = _sent(plan, buffer, schedule)
         else:
-            done, status = _iterated(model, lambda: calibrate(plan, buffer), schedule)
+            solver = partial(_in_float64, plan, buffer)
+            done, status = iterated(model, solver, schedule, started=at is not None)
             found = GaussianOutcome(graph, status, plan, model, done)
         digits = kept_digits(buffer, found._done.beliefs, found._done.log_evidence)
         enough = digits >= SAFE_DIGITS or (loopy and not found.status.converged.all())
@@ -116,7 +120,8 @@ def _solved(
         if not again:
             raise
     model = Model.make(plan.layout, bound, lineariser, at, careful.predictive, judge=judge)
-    done, status = _iterated(model, lambda: _in_digits(plan, model), schedule)
+    solver = partial(_in_digits, plan, model)
+    done, status = iterated(model, solver, schedule, started=at is not None)
     assert done.digits is not None
     status = _told(status, model, done.beliefs, 10.0**-done.digits)
     return GaussianOutcome(graph, status, plan, model, done)
@@ -139,14 +144,17 @@ def _told(status: Status, model: Model, beliefs: Beliefs, lost: Array | None) ->
 
 
 def _plan(
-    graph: ClusterGraph, observed: frozenset[Variable], absent: frozenset[Variable]
+    graph: ClusterGraph,
+    observed: frozenset[Variable],
+    absent: frozenset[Variable],
+    anchored: bool,
 ) -> TreePlan:
     """The plan of a graph's messages, for evidence of the `observed` variables.
 
-    The `absent` variables, whose CPDs lack evidence that they need, are left out. The plan is kept
-    with the graph.
+    The `absent` variables, whose CPDs lack evidence that they need, are left out. If `anchored`, an
+    anchor's measurements can be added. The plan is kept with the graph.
     """
-    return TreePlan(Layout(graph, observed, absent))
+    return TreePlan(Layout(graph, observed, absent, anchored))
 
 
 def _sent(plan: TreePlan, buffer: Buffer, schedule: Loopy) -> GaussianOutcome:
@@ -161,56 +169,21 @@ def _sent(plan: TreePlan, buffer: Buffer, schedule: Loopy) -> GaussianOutcome:
     return GaussianOutcome(graph, status, plan, model, messages.calibrated(), messages)
 
 
-@dataclass(frozen=True, eq=False)
-class _Tree:
-    """A tree that is solved and linearised in turns: a `Problem` of `pgm.schedules.iteration`.
+def _in_float64(plan: TreePlan, buffer: Buffer, anchor: Anchor | None) -> Calibrated:
+    """The beliefs of the linearised network in float64, with an anchor's measurement, if any.
 
-    `solver` solves it with the CPDs of `model` as they are linearised now. Other problems have
-    robust losses too, or anchors, which are measurements of all means added to hold a solution near
-    a point; a tree has neither.
+    A solution with an anchor is a try, whose digits are not counted.
     """
-
-    model: Model
-    solver: Callable[[], Calibrated]
-
-    def linearise(self, at: TreePoint, active: Mask) -> None:
-        """Linearise each nonlinear CPD anew at its cluster's belief in `at`, for the active runs.
-
-        `active` (runs,) marks these runs.
-        """
-        relinearise(at.beliefs, self.model, active)
-
-    def settled(self) -> bool:
-        """Whether a run may converge: True, since no robust loss has to settle first."""
-        return True
-
-    def solve(self, anchor: Anchor | None = None) -> Calibrated:
-        """Calibrate the tree with the CPDs as they are linearised now; `anchor` is ignored."""
-        return self.solver()
+    before = buffer.largest, buffer.coarse
+    done = calibrate(plan, buffer, anchor)
+    if anchor is not None:
+        buffer.largest, buffer.coarse = before
+    return done
 
 
-def _iterated(
-    model: Model, solver: Callable[[], Calibrated], schedule: Schedule | None
-) -> tuple[Calibrated, Status]:
-    """Solve, linearise at the beliefs, and solve again, until the means stay.
-
-    They stay when no mean moves by more than the schedule's tolerance, in standard deviations. A
-    schedule of k iterations solves at most k times, the first included. Any schedule but a
-    `Calibration`, and None, counts as `Calibration()`. `solver` solves the tree with the CPDs as
-    they are linearised now. Returns the last solution and the status of convergence.
-    """
-    asked = schedule if isinstance(schedule, Calibration) else Calibration()
-    tree, exact = _Tree(model, solver), np.full(model.runs, model.exact)
-    done = tree.solve()
-    if model.exact or asked.iterations == 1:
-        return done, Status.of([], exact, model.lead)
-    found = iterate(tree, done, Smoothing(asked.iterations, asked.tolerance), exact)
-    return found.solution, Status.of(found.residuals, found.converged, model.lead)
-
-
-def _in_digits(plan: TreePlan, model: Model) -> Calibrated:
+def _in_digits(plan: TreePlan, model: Model, anchor: Anchor | None) -> Calibrated:
     """The beliefs of the linearised network, in as many decimals as its numbers need."""
-    found = careful.solve(plan, model)
+    found = careful.solve(plan, model, anchor)
     return Calibrated(found.beliefs, found.log_evidence, found.digits)
 
 

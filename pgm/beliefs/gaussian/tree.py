@@ -27,6 +27,7 @@ from pgm.kernels import dense, step
 from pgm.kernels.arrays import Array, Integers, frozen, transpose
 from pgm.kernels.rows import Eliminated
 from pgm.progress import counted
+from pgm.schedules.iteration import Anchor
 
 # Variances below this, in units of the prior's, are rounding of what exact relations determine.
 CERTAIN = 1e-28
@@ -122,13 +123,14 @@ class TreeBeliefs(Beliefs):
     gains: list[list[Array]]
 
 
-def calibrate(plan: TreePlan, buffer: Buffer) -> Calibrated:
+def calibrate(plan: TreePlan, buffer: Buffer, anchor: Anchor | None = None) -> Calibrated:
     """The beliefs of a tree, and ln p(evidence): both passes, with the CPDs as linearised now.
 
+    An anchor's measurement is added to them, if there is one; the layout has to be anchored then.
     Measurements that contradict CPDs without noise, and a belief that is not proper, are a
     NumericalError.
     """
-    buffer.refresh()
+    buffer.refresh(anchor)
     kept: list[list[Eliminated]] = []
     stacked, _, sides = buffer.proper.right.shape
     total = np.zeros((stacked, sides))
