@@ -14,6 +14,7 @@ from typing import Any
 
 from pgm.cpds.conditional import ConditionalGaussian, Noise
 from pgm.cpds.gaussian import AffineCPD, NonlinearGaussianCPD
+from pgm.cpds.robust import LOSSES, RobustNoise
 from pgm.linearisers.lineariser import by_values
 from pgm.variables import Variable
 
@@ -28,7 +29,7 @@ def plate(cpd: ConditionalGaussian) -> Hashable:
     """
     if cpd.child.step is not None or isinstance(cpd.cov, Noise):
         return cpd.origin
-    shape = _form(cpd.child), tuple(map(_form, cpd.given)), cpd.cov.shape, _identity(cpd.noise)
+    shape = _form(cpd.child), tuple(map(_form, cpd.given)), cpd.cov.shape, _loss(cpd.noise)
     if isinstance(cpd, NonlinearGaussianCPD):
         jacobians = tuple(_identity(cpd.jacobian.get(parent)) for parent in cpd.given)
         rule = cpd.lineariser
@@ -41,6 +42,11 @@ def plate(cpd: ConditionalGaussian) -> Hashable:
 
 def _form(variable: Variable) -> tuple[int, bytes]:
     return variable.dimension, variable.angle_mask.tobytes()
+
+
+def _loss(noise: RobustNoise | None) -> Hashable:
+    """A key of robust noise: its numbers, or of a user's own class its identity."""
+    return noise if type(noise) in LOSSES else _identity(noise)
 
 
 def _identity(part: Any) -> Hashable:

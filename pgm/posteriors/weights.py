@@ -37,6 +37,9 @@ class Weights(EachSensor[Array]):
             if not seen.size:
                 lines.append(f"{variable!r}: nothing read")
                 continue
+            if weight.size == 1:
+                lines.append(f"{variable!r}: {number(float(seen[0]))}")
+                continue
             few = int((seen < _HARDLY).sum())
             lines.append(
                 f"{variable!r}: {number(seen.min())} to {number(seen.max())}, median "

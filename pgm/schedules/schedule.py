@@ -111,7 +111,8 @@ class Calibration(OnChains):
     Without nonlinear CPDs one iteration is exact. The first linearisation of nonlinear ones is at
     their parents' prior predictive moments, or at a given start; each further one is of every CPD
     at the belief of its cluster, after which all messages are sent again: no evidence is counted
-    twice. With `Taylor` that is Gauss–Newton.
+    twice. With `Taylor` that is Gauss–Newton. Measurements of robust noise are weighed anew at each
+    solution, for which it takes dozens of iterations.
 
     Parameters
     ----------

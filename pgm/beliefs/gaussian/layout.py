@@ -41,8 +41,9 @@ def barren(network: BayesianNetwork, evidence: Collection[Variable]) -> frozense
 
     A CPD needs evidence of those parents that are inputs, or that its noise depends on; one of
     robust noise, of its child. Without it the CPD's child is left out, unless it is observed; a
-    parent is left out too if it is an input that has none. But a variable stays if any variable that is not left out, observed or
-    not, depends on it. `evidence` are the variables with evidence.
+    parent is left out too if it is an input that has none. But a variable stays if any variable
+    that is not left out, observed or not, depends on it. `evidence` are the variables with
+    evidence.
     """
     inputs = set(network.inputs)
     used = {v for cpd in network.cpds if cpd.child in evidence for v in cpd.parents}

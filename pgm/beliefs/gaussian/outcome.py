@@ -111,9 +111,9 @@ class GaussianOutcome(Outcome[Gaussian]):
             )
         if variable in layout.absent:
             raise EvidenceError(
-                f"{variable!r} was left out, since nothing depends on it, and inputs of its CPD have "
-                "no evidence or its noise is robust, which weighs measurements alone; give them "
-                "values, or leave noise= out",
+                f"{variable!r} was left out, since nothing depends on it, and inputs of its CPD "
+                "have no evidence or its noise is robust, which weighs measurements alone; give "
+                "them values, or leave noise= out",
                 variable=variable,
             )
         raise EvidenceError(
