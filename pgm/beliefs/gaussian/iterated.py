@@ -53,15 +53,16 @@ def iterated(
     """
     asked = schedule if isinstance(schedule, Calibration) else Calibration()
     runs, frame = model.runs, model.frame
-    tree = _Controlled(model, solver) if is_controlled(asked) else _Tree(model, solver)
     begin = None
     if not model.settled and (started or model.taylor):
         std = np.broadcast_to(frame.scale, frame.mean.shape)
         begin = TreePoint(frame.mean[None], std[None], None)
     if started and begin is not None:
         reweigh(model, begin, np.ones(runs, dtype=bool))
-    done = tree.solve()
     once = asked.iterations == 1 and (begin is None or not is_controlled(asked))
+    controlled = is_controlled(asked) and not (model.settled or once)
+    tree = _Controlled(model, solver) if controlled else _Tree(model, solver)
+    done = tree.solve()
     if model.settled or once:
         return done, Status.of([], np.full(runs, model.settled), model.lead)
     found = iterate(tree, done, asked, np.zeros(runs, dtype=bool), begin)
@@ -109,7 +110,8 @@ class _Controlled(_Tree):
 
     def solve(self, anchor: Anchor | None = None) -> Calibrated:
         """The solution, with means that obey nonlinear relations themselves, not their lines."""
-        done, relations = self.solver(anchor), self.relations
+        relations = self.relations  # which are refused before the work
+        done = self.solver(anchor)
         if not relations.nonlinear:
             return done
         return replace(done, moved=relations.retracted(done.means[0]))

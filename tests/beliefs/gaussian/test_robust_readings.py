@@ -14,6 +14,7 @@ from scipy.optimize import least_squares
 import pgm
 from models import motion
 from models.pose_graphs import pose_graph_network
+from pgm.cpds.plates import plate
 from pgm.recordings import Edges, read_pose_graph
 from tests.models.test_pose_graphs import residuals, written
 
@@ -301,16 +302,22 @@ def test_sharp_numbers_are_weighed_in_decimals():
     assert found.log_evidence == pytest.approx(density, abs=1e-6)
 
 
-def test_equal_noises_are_of_one_plate():
-    """Ever harder losses then begin where the worst of all residuals asks for it."""
-    cpds = line(TLS).cpds[:2]
-    own = [
-        pgm.LinearGaussianCPD(v, {b: 1.0}, cov=0.5, noise=pgm.TruncatedLeastSquares(4.0))
-        for v in READ
-    ]
-    evidence = dict(zip(READ, VALUES, strict=True))
-    found = settle(pgm.BayesianNetwork([*cpds, *own]), evidence)
-    assert found.status.iterations == settle(line(TLS), evidence).status.iterations
+def test_equal_losses_are_of_one_plate():
+    """Which are sharpened together; those of a class of one's own may compute other values."""
+
+    class Own(pgm.Huber):
+        """A loss of one's own."""
+
+    def sensor(noise):
+        return plate(pgm.LinearGaussianCPD(z, {b: 1.0}, cov=0.5, noise=noise))
+
+    assert sensor(pgm.Huber(2.0)) == sensor(pgm.Huber(2.0))
+    assert sensor(pgm.Huber(2.0)) != sensor(pgm.Huber(3.0))
+    assert sensor(pgm.Huber(2.0)) != sensor(None)
+    own, other = Own(2.0), Own(2.0)
+    assert own == other
+    assert sensor(own) != sensor(other)
+    assert sensor(own) == sensor(own)
 
 
 def test_an_audit_finds_the_evidence_that_the_bound_is_below():
