@@ -27,8 +27,10 @@ from experiments import (
     nonlinear_measurement,
     particle_counts,
     plaza,
+    pose_graphs,
     recordings,
     seven_nodes,
+    slam,
     smoothing,
     topological,
     wide_start,
@@ -48,6 +50,10 @@ THEMES: dict[str, dict[str, ModuleType]] = {
         "linearisers": linearisers,
         "nonlinear_measurement": nonlinear_measurement,
         "learning": learning,
+    },
+    "Maps": {
+        "slam": slam,
+        "pose_graphs": pose_graphs,
     },
     "Recorded robots": {
         "recordings": recordings,

@@ -1,9 +1,8 @@
-"""Pose graphs as Bayesian networks: poses held, motions that lead on, and measurements that close.
+"""Pose graphs as Bayesian networks: flat priors of poses and landmarks, and edges that measure.
 
-Edges of a spanning tree are motions u with a prior, N(z, C): the pose at their other end is exactly
-x ⊕ u, or x ⊕ (−u) where an edge leads the other way. All other edges are measurements of one pose
-seen from another, z = relative(x, y) + e. Landmarks are placed by their first sighting, likewise.
-Twice the negative log-density of the network is then, but for a constant, the error
+An edge is a measurement of one pose, or landmark, seen from another, z = relative(x, y) + e. Poses
+that are held are known, as evidence; all others have flat priors, of infinite variance. Twice the
+negative log-density of the network is then, but for a constant, the error
 
     χ² = Σ rᵀ Ω r,    r = −z ⊕ relative(x, y),
 
@@ -27,6 +26,7 @@ from pgm.recordings import Edges, PoseGraph
 Array = npt.NDArray[np.float64]
 _POSE = {"components": ("east", "north", "heading"), "angles": ("heading",)}
 _MOTION = {"components": ("forward", "left", "turn"), "angles": ("turn",)}
+_SIGHT = {"components": ("forward", "left")}
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,14 +38,13 @@ class PoseGraphNetwork:
     graph : PoseGraph
     network : BayesianNetwork
     evidence : mapping of Variable to ndarray
-        The measurements that are not of the tree.
+        The measurements, and the poses that are held.
     poses, landmarks : tuple of Variable
         As in the graph.
     held : tuple of int
         Rows of the poses that are known exactly: those that the file fixes, else the first.
-    branches : tuple of (int, Edges, int, bool)
-        The tree: the row of the parent pose, the kind of edge, its row, and whether it leads on
-        to its second end.
+    branches : tuple of Branch
+        A tree of edges that leads from these to all others, parents first.
     """
 
     graph: PoseGraph
@@ -69,26 +68,28 @@ class PoseGraphNetwork:
         return poses, landmarks
 
     def start(self, poses: Array, landmarks: Array) -> dict[pgm.Variable, Array]:
-        """Means for ``start=``, at poses (N, 3) and landmarks (L, 2); headings follow the tree."""
-        poses = poses.copy()
-        means: dict[pgm.Variable, Array] = {}
-        for branch in self.branches:
-            here = poses[branch.parent]
-            if branch.sees:
-                means[branch.variable] = motion.relative(here, landmarks[branch.child])
-                continue
-            there, told = poses[branch.child], branch.edges.motions[branch.edge, 2]
-            turn = told if branch.onward else -told
-            there[2] = here[2] + turn + _wrapped(there[2] - here[2] - turn)
-            ends = (here, there) if branch.onward else (there, here)
-            means[branch.variable] = motion.relative(*ends)
-        means |= dict(zip(self.poses, poses, strict=True))
+        """Means for ``start=``, at poses (N, 3) and landmarks (L, 2)."""
+        means = {self.poses[row]: poses[row] for row in self.free}
         return means | dict(zip(self.landmarks, landmarks, strict=True))
+
+    @property
+    def free(self) -> list[int]:
+        """Rows of the poses that are not held."""
+        return sorted(set(range(len(self.poses))) - set(self.held))
 
     def means(self, posterior: pgm.results.Posterior) -> tuple[Array, Array]:
         """Poses (N, 3) and landmarks (L, 2) of a posterior."""
+        poses, free = self.graph.poses.copy(), self.free
+        poses[free] = posterior.means([self.poses[row] for row in free])
         landmarks = posterior.means(self.landmarks) if self.landmarks else np.zeros((0, 2))
-        return posterior.means(self.poses), landmarks
+        return poses, landmarks
+
+    def covs(self, posterior: pgm.results.Posterior) -> tuple[Array, Array]:
+        """Covariances of poses (N, 3, 3), zero of those held, and of landmarks (L, 2, 2)."""
+        covs, free = np.zeros((len(self.poses), 3, 3)), self.free
+        covs[free] = posterior.covs([self.poses[row] for row in free])
+        landmarks = posterior.covs(self.landmarks) if self.landmarks else np.zeros((0, 2, 2))
+        return covs, landmarks
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +103,6 @@ class Branch:
     edges : Edges
     edge : int
         Its row in these.
-    variable : Variable
-        The motion.
     sees : bool
         Whether it is a sighting of a landmark.
     onward : bool
@@ -114,7 +113,6 @@ class Branch:
     child: int
     edges: Edges
     edge: int
-    variable: pgm.Variable
     sees: bool
     onward: bool
 
@@ -141,8 +139,8 @@ def pose_graph_network(graph: PoseGraph, noise: pgm.RobustNoise | None = None) -
     >>> edge = "EDGE_SE2 0 1 1 0 0 9 0 0 9 0 9\n"
     >>> file = StringIO("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 2 0 0\n" + 2 * edge)
     >>> made = pose_graph_network(pgm.recordings.read_pose_graph(file))
-    >>> made.network.cpds[2:]
-    (NonlinearGaussianCPD(x1 | x0, u0), NonlinearGaussianCPD(z1 | x0, x1))
+    >>> made.network.cpds[1:]
+    (GaussianCPD(x1), NonlinearGaussianCPD(z0 | x0, x1), NonlinearGaussianCPD(z1 | x0, x1))
     """
     poses = tuple(pgm.Variable(f"x{name}", **_POSE) for name in graph.names.tolist())
     landmarks = tuple(
@@ -151,50 +149,33 @@ def pose_graph_network(graph: PoseGraph, noise: pgm.RobustNoise | None = None) -
     )
     held = tuple(dict.fromkeys(graph.fixed.tolist())) or (0,)
     moves, sights = _covariances(graph, graph.edges), _covariances(graph, graph.sightings)
-    cpds: list[CPD] = [pgm.GaussianCPD(poses[row], graph.poses[row], 0.0) for row in held]
-    evidence: dict[pgm.Variable, Array] = {}
     branches = (*_tree(graph, held), *_placed(graph))
-    for branch in branches:
-        cov = (sights if branch.sees else moves)[branch.edge]
-        told = branch.edges.motions[branch.edge]
-        parent, u = poses[branch.parent], branch.variable
-        child = (landmarks if branch.sees else poses)[branch.child]
-        leads = (
-            (motion.place, motion.place_by_state, motion.place_by_sight)
-            if branch.sees
-            else (motion.increment, motion.increment_by_state, motion.increment_by_control)
-            if branch.onward
-            else (motion.retreat, motion.retreat_by_state, motion.retreat_by_control)
-        )
-        cpds.append(pgm.GaussianCPD(u, told, cov))
-        cpds.append(
-            pgm.NonlinearGaussianCPD(
-                child,
-                given=(parent, u),
-                function=leads[0],
-                cov=0.0,
-                jacobian={parent: leads[1], u: leads[2]},
-            )
-        )
-    for sees, edges, ends, covs in (
-        (False, graph.edges, poses, moves),
-        (True, graph.sightings, landmarks, sights),
+    trusted = {(branch.sees, branch.edge) for branch in branches}
+    cpds: list[CPD] = [
+        pgm.GaussianCPD(vertex, at, np.inf)
+        for vertices, means in ((poses, graph.poses), (landmarks, graph.landmarks))
+        for vertex, at in zip(vertices, means, strict=True)
+    ]
+    evidence = {poses[row]: graph.poses[row] for row in held}
+    for letter, form, edges, ends, covs in (
+        ("z", _MOTION, graph.edges, poses, moves),
+        ("s", _SIGHT, graph.sightings, landmarks, sights),
     ):
-        used = {branch.edge for branch in branches if branch.sees == sees}
-        for row in sorted(set(range(len(edges))) - used):
-            one, other = poses[edges.first[row]], ends[edges.second[row]]
-            z = _measured("s" if sees else "z", row, sees)
+        rows = zip(edges.first.tolist(), edges.second.tolist(), edges.motions, covs, strict=True)
+        for row, (first, second, told, cov) in enumerate(rows):
+            one, other = poses[first], ends[second]
+            z = pgm.Variable(f"{letter}{row}", **form)
             cpds.append(
                 pgm.NonlinearGaussianCPD(
                     z,
                     given=(one, other),
                     function=motion.relative,
-                    cov=covs[row],
+                    cov=cov,
                     jacobian={one: motion.relative_by_state, other: motion.relative_by_other},
-                    noise=noise,
+                    noise=None if (letter == "s", row) in trusted else noise,
                 )
             )
-            evidence[z] = edges.motions[row]
+            evidence[z] = told
     return PoseGraphNetwork(
         graph, pgm.BayesianNetwork(cpds), evidence, poses, landmarks, held, branches
     )
@@ -244,12 +225,6 @@ def _turns(edges: Edges) -> Array:
     return out
 
 
-def _measured(letter: str, row: int, sees: bool) -> pgm.Variable:
-    if sees:
-        return pgm.Variable(f"{letter}{row}", components=("forward", "left"))
-    return pgm.Variable(f"{letter}{row}", **_MOTION)
-
-
 def _tree(graph: PoseGraph, held: tuple[int, ...]) -> list[Branch]:
     """The edges by which each pose that is not held comes about, parents first."""
     edges, root = graph.edges, -1
@@ -273,8 +248,7 @@ def _tree(graph: PoseGraph, held: tuple[int, ...]) -> list[Branch]:
         if parent != root:
             row = tree.edges[parent, child]["edge"]
             onward = ends[row] == (parent, child)
-            u = _measured("u", row, False)
-            found.append(Branch(parent, child, edges, row, u, False, onward))
+            found.append(Branch(parent, child, edges, row, False, onward))
     return found
 
 
@@ -291,7 +265,6 @@ def _placed(graph: PoseGraph) -> list[Branch]:
             int(landmark),
             graph.sightings,
             int(row),
-            _measured("p", int(row), True),
             True,
             True,
         )

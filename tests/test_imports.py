@@ -42,7 +42,7 @@ ROOMS = {
         *("association", "outcomes", "bound", "solvers", "parts", "online"),
     ),
     "pgm.inference": ("audit", "query"),
-    "pgm.kernels.machine": ("emitter", "matrices", "sweeps", "newton"),
+    "pgm.kernels.machine": ("emitter", "matrices", "fronts", "sweeps", "newton"),
     "pgm.kernels.machine.matrices": ("in_memory",),
     "pgm.kernels.machine.sweeps": ("told",),
     "pgm.plot": ("drawing", "beliefs", "diagrams", "moving", "statistics"),

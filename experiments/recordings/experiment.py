@@ -15,7 +15,7 @@ import typer
 
 import pgm
 from experiments.record import Out, Record, Seed, note, progress
-from experiments.recordings import drives, figures, graphs
+from experiments.recordings import drives, figures
 from experiments.recordings.drives import Drive
 from experiments.recordings.methods import LINEARISERS, methods
 from experiments.recordings.setting_file import READERS, described
@@ -28,7 +28,7 @@ from pgm.recordings import Recording
 QUICK: dict[str, Any] = {"data": "labyrinth", "linearisers": "Taylor"}
 PLANE = ("east", "north")
 _NONE = "unnormalised"
-KNOWN = list(dict.fromkeys((*SETTINGS, *READERS, graphs.READER)))
+KNOWN = list(dict.fromkeys((*SETTINGS, *READERS)))
 
 
 def run(
@@ -59,6 +59,11 @@ def run(
     ] = False,
 ) -> None:
     """Estimate recorded drives by filters, smoothers, gates and robust noise."""
+    if data == "pose_graph":
+        raise pgm.EvidenceError(
+            "a pose graph is no drive of sensors, and an experiment of its own: pose_graphs --path "
+            "FILE"
+        )
     for what, value, known in (
         ("a recording", data, KNOWN),
         ("a lineariser", linearisers, LINEARISERS),
@@ -70,20 +75,16 @@ def run(
             raise pgm.EvidenceError(
                 f"{option} is of one recording; say of which kind: recordings plaza1"
             )
-    if settings is not None and data not in (*READERS, graphs.READER):
+    if settings is not None and data not in READERS:
         raise pgm.EvidenceError(
-            f"{data} has settings of its own; with --settings name the reader: "
-            f"{', '.join((*READERS, graphs.READER))}"
+            f"{data} has settings of its own; with --settings name the reader: {', '.join(READERS)}"
         )
-    if data is not None and settings is None and data not in (*SETTINGS, graphs.READER):
+    if data is not None and settings is None and data not in SETTINGS:
         raise pgm.EvidenceError(
             f"recordings {data} needs --settings FILE, in which the noise and the sensors of the "
             "recording stand; the guide's page about recordings has an example"
         )
     used = [linearisers] if linearisers else list(LINEARISERS)
-    if data == graphs.READER:
-        graphs.run(out, seed, path, settings, [linearisers] if linearisers else ["Taylor"])
-        return
     if data is not None and settings is not None:
         told = described(settings, data, path)
         whole = drives.read(told.setting, told.path)

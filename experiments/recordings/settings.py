@@ -19,7 +19,7 @@ from pgm.recordings import Recording
 _ROBUST = pgm.Cauchy(1.0)
 # The folder of recordings, where it is not beside the checkout.
 VARIABLE = "PGM_DATA"
-_BESIDE = Path(__file__).parents[3] / "shared" / "data"
+BESIDE = Path(__file__).parents[3] / "shared" / "data"
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ def _in_gtsam(name: str) -> Path | None:
 
 
 def _beside(name: str) -> Path | None:
-    folder = Path(os.environ.get(VARIABLE) or _BESIDE) / name
+    folder = Path(os.environ.get(VARIABLE) or BESIDE) / name
     return folder if folder.is_dir() else None
 
 

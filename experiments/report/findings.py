@@ -116,6 +116,22 @@ FINDINGS = {
         "Kalman, extended and unscented filters and smoothers differ from textbook "
         "implementations by {largest_difference:.0e} at most.",
     ),
+    "slam": Finding(
+        "How far does it reach that a loop is closed?",
+        "When the robot sees the beginning of its way of {closing/way:.0f} m again, the deviation "
+        "of the median pose of the last quarter goes to {closing/ratio:.2f} of what it was, and "
+        "poses {closing/reach:.0f} m back are known at least a tenth better; over {settings/runs} "
+        "runs landmarks are off by {landmarks/rmse:.3f} m (RMSE), dead reckoning by "
+        "{dead_reckoning:.2f} m, and the NEES is {landmarks/nees:.2f} a degree of freedom where 1 "
+        "is right.",
+    ),
+    "pose_graphs": Finding(
+        "Does a pose graph's optimum know its errors?",
+        "The drawn graph's χ² goes from {results/*/before/*:.4g} to "
+        "{results/*/against_truth/*/error:.5g} where right noise has {results/*/due}; its poses "
+        "are then off by {results/*/against_truth/*/rmse:.2f} m (RMSE) with an NEES of "
+        "{results/*/against_truth/*/nees:.2f} a degree of freedom.",
+    ),
     "recordings": Finding(
         "What do gates and robust noise gain on a real recording?",
         "On {settings/data/0} the filter is off by {results/*/filter/Taylor/rmse:.3f} m, gated by "

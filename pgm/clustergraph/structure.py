@@ -84,6 +84,8 @@ class ClusterGraph(Drawn, Immutable):
     _shared: Mapping[Edge, Places]
     # Of each cluster, the places of its CPDs in the network.
     _assigned: Sequence[Sequence[int]]
+    # Whether its tree is solved in machine code, as `compile` was asked; None where it pays.
+    compiled: Any = None
 
     def __init__(
         self,

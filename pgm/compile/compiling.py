@@ -8,6 +8,7 @@ transitions. So edges are arithmetic on indices, and nothing has to be stored.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Protocol, overload
@@ -23,6 +24,7 @@ from pgm.errors import GraphError, ModelError
 from pgm.factors.scope import Scope
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.resources import require_memory
+from pgm.variables import Discrete
 
 
 @dataclass(frozen=True)
@@ -187,7 +189,11 @@ def compile(
 
 @overload
 def compile(
-    model: BayesianNetwork, steps: None = None, method: Method | None = None
+    model: BayesianNetwork,
+    steps: None = None,
+    method: Method | None = None,
+    *,
+    compiled: Choice = None,
 ) -> ClusterGraph: ...
 
 
@@ -213,11 +219,13 @@ def compile(
         is a `ClusterGraph(network, clusters)`. Methods and elimination orders differ much in what
         their graphs cost: compare `graph.cost`.
     compiled : bool or Compiled, optional
-        Whether sweeps along the chain of a dynamic network run in machine code, by LLVM, with
-        equal results to rounding. ``graph.compilation`` tells which CPDs can be: a function that
+        Whether sweeps along the chain of a dynamic network, or over the tree of a Gaussian network
+        without time, run in machine code, by LLVM, with equal results to rounding. Of a chain
+        ``graph.compilation`` tells which CPDs can be: a function that
         cannot is called in the middle of it; with some other CPDs, all of it runs without. If not
         given, that is where llvmlite is installed and NumPy would take longer than compiling does,
-        which is from some 2,500 steps of one run on, or 230 of a thousand.
+        which is from some 2,500 steps of one run on, or 230 of a thousand, and in trees of some
+        hundred clusters.
 
     Examples
     --------
@@ -235,10 +243,9 @@ def compile(
         raise GraphError(
             f"{titled(model)} has no time, so it is not compiled for steps; leave out steps"
         )
-    if compiled is not None:
-        raise without_machine_code("static", model)
+    choice = as_choice(compiled, "pgm.compile(...)")
     if method is None:
-        return TREE(model)
+        return _chosen(TREE(model), choice)
     if isinstance(method, Balanced):
         raise GraphError(
             f"{method!r} dissects the chain of a dynamic network, and {titled(model)} has no time; "
@@ -256,7 +263,20 @@ def compile(
             f"{method!r} returned a graph of {titled(graph.network)}, not of the network it was "
             f"given, {titled(model)}; a method compiles the network that it is given"
         )
-    return graph
+    return _chosen(graph, choice)
+
+
+def _chosen(graph: ClusterGraph, choice: Choice) -> ClusterGraph:
+    """The graph of a network without time, with the user's choice of machine code."""
+    if choice is None:
+        return graph
+    if choice and any(isinstance(v, Discrete) for v in graph.network.variables):
+        raise without_machine_code("tables", graph.network)
+    if choice and not graph.is_tree:
+        raise without_machine_code("rounds", graph)
+    found = copy(graph)
+    found._set(compiled=choice)
+    return found
 
 
 def _dynamic(model: DynamicBayesianNetwork, steps: Any, method: Any, compiled: Any) -> DynamicGraph:

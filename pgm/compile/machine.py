@@ -88,12 +88,8 @@ def as_choice(compiled: Any, what: str) -> Choice:
     return compiled
 
 
-# Why compiled= is refused, and the remedy, of a network without time, one of tables, and a method.
+# Why compiled= is refused, and the remedy, of a network of tables, and of what goes in rounds.
 _NO_USE: dict[str, tuple[type[PgmError], str]] = {
-    "static": (
-        GraphError,
-        "compiled= is for the chain of a dynamic network, and {of} has no time; leave it out",
-    ),
     "tables": (
         ModelError,
         "compiled= is for networks of Gaussian CPDs, and {of} is of tables: leave it out",
@@ -101,7 +97,7 @@ _NO_USE: dict[str, tuple[type[PgmError], str]] = {
     "rounds": (
         GraphError,
         "{of} is solved in rounds by NumPy: leave out compiled=, or the method, since machine code "
-        "goes along the chain of slices",
+        "goes along the chain of slices, or over a tree of a network without time",
     ),
 }
 
@@ -109,7 +105,7 @@ _NO_USE: dict[str, tuple[type[PgmError], str]] = {
 def without_machine_code(why: str, of: object) -> PgmError:
     """The error for `compiled=` where there is no machine code.
 
-    `why` is ``"static"``, ``"tables"`` or ``"rounds"``; `of` is the network, its graph, or the
+    `why` is ``"tables"`` or ``"rounds"``; `of` is the network, its graph, or the
     method.
     """
     error, text = _NO_USE[why]

@@ -107,6 +107,8 @@ class GaussianCPD(AffineCPD):
 
     def _lead(self) -> tuple[int, ...]:
         covs = self.cov.shape[:-2] if isinstance(self.cov, np.ndarray) else ()
+        if not covs:
+            return self.offset.shape[:-1]
         return np.broadcast_shapes(self.offset.shape[:-1], covs)
 
     @property

@@ -9,6 +9,7 @@ it is.
 from __future__ import annotations
 
 from collections.abc import Hashable
+from functools import lru_cache
 from types import MethodType
 from typing import Any
 
@@ -24,12 +25,20 @@ def plate(cpd: ConditionalGaussian) -> Hashable:
 
     Nonlinear ones have the same function, Jacobians and lineariser, and the same objects, as equal
     ones of a user's may compute different values. Affine ones have any numbers. All have parents
-    and children of the same numbers of components, with angles at the same places. A CPD at a step
-    of time, or whose noise depends on parents, is of a plate with its own copies.
+    and children of the same numbers of components, with angles at the same places. Those at
+    steps of time are apart from others. A CPD whose noise depends on parents is of a plate with its
+    own copies.
     """
-    if cpd.child.step is not None or isinstance(cpd.cov, Noise):
+    if isinstance(cpd.cov, Noise):
         return cpd.origin
-    shape = _form(cpd.child), tuple(map(_form, cpd.given)), cpd.cov.shape, _loss(cpd.noise)
+    timed = cpd.child.step is not None
+    shape = (
+        timed,
+        _form(cpd.child),
+        tuple(map(_form, cpd.given)),
+        cpd.cov.shape,
+        _loss(cpd.noise),
+    )
     if isinstance(cpd, NonlinearGaussianCPD):
         jacobians = tuple(_identity(cpd.jacobian.get(parent)) for parent in cpd.given)
         rule = cpd.lineariser
@@ -40,8 +49,13 @@ def plate(cpd: ConditionalGaussian) -> Hashable:
     return cpd.origin
 
 
-def _form(variable: Variable) -> tuple[int, bytes]:
-    return variable.dimension, variable.angle_mask.tobytes()
+def _form(variable: Variable) -> Hashable:
+    return _angles(variable.components, variable.angles)
+
+
+@lru_cache(maxsize=1024)
+def _angles(components: tuple[str, ...], angles: tuple[str, ...]) -> tuple[bool, ...]:
+    return tuple(name in angles for name in components)
 
 
 def _loss(noise: RobustNoise | None) -> Hashable:

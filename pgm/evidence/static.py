@@ -16,7 +16,7 @@ from pgm.evidence.values import Constant, Evidence, Sightings, Soft
 from pgm.factors.arrays import common_runs, flat
 from pgm.factors.axes import as_indices
 from pgm.factors.scope import listed
-from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.kernels.arrays import Array, Integers, Mask, frozen, is_finite
 from pgm.variables import Discrete, Variable
 
 NOT_OBSERVED = "leave a variable that was not observed out of the evidence, in all runs alike"
@@ -41,11 +41,35 @@ class BoundValues:
         return math.prod(self.lead)
 
 
+@dataclass(frozen=True, eq=False)
+class Roles:
+    """The roles that variables have in the CPDs of a network, found once for many calls.
+
+    known: All variables.
+    children: Those that a CPD explains.
+    dependent: Of each parent the child of a CPD.
+    """
+
+    known: frozenset[Variable]
+    children: frozenset[Variable]
+    dependent: Mapping[Variable, Variable]
+
+    @classmethod
+    def of(cls, cpds: Iterable[CPD]) -> Roles:
+        """The roles in some CPDs."""
+        children, dependent = set(), {}
+        for cpd in cpds:
+            children.add(cpd.child)
+            dependent.update(dict.fromkeys(cpd.parents, cpd.child))
+        return cls(frozenset(children.union(dependent)), frozenset(children), dependent)
+
+
 def bind_values(
     cpds: Sequence[CPD],
     evidence: Evidence,
     lead: tuple[int, ...] = (),
     needed: Iterable[Variable] = (),
+    roles: Roles | None = None,
 ) -> BoundValues:
     """Check the evidence of a continuous network without time.
 
@@ -53,15 +77,18 @@ def bind_values(
         variable on which no other depends: it integrates out.
     lead: Leading axes that the runs have at least.
     needed: Variables that must have evidence: inputs, and what the noise of a CPD depends on.
+    roles: The roles of variables in the CPDs, where they are known already.
     """
-    known = {v for cpd in cpds for v in cpd.scope}
-    children = {cpd.child for cpd in cpds}
-    dependent = {parent: cpd.child for cpd in cpds for parent in cpd.parents}
+    roles = roles or Roles.of(cpds)
+    known, children, dependent = roles.known, roles.children, roles.dependent
     arrays: dict[Variable, Array] = {}
     masks: dict[Variable, Mask] = {}
+    complete = complete_rows(evidence)
     for variable, value in evidence.items():
         if variable not in known:
             raise no_evidence_for(variable, known)
+        if variable in complete:
+            continue
         if isinstance(value, Sightings):
             raise EvidenceError(
                 f"sightings of {variable!r} are for dynamic networks; give the value of "
@@ -81,14 +108,33 @@ def bind_values(
             require_finite(variable, row[..., None, :], advice=advice)
         arrays[variable] = row
     for variable in needed:
-        if variable not in arrays:
+        if variable not in arrays and variable not in complete:
             _refuse_missing(variable, cpds)
     shape = common_runs([*((v, a.shape[:-1]) for v, a in arrays.items()), ("the model", lead)])
     return BoundValues(
         shape,
-        {v: flat(a, shape, 1) for v, a in arrays.items()},
+        complete | {v: flat(a, shape, 1) for v, a in arrays.items()},
         {v: flat(a, shape, 1) for v, a in masks.items()},
     )
+
+
+def complete_rows(values: Mapping[Variable, Any]) -> dict[Variable, Array]:
+    """The values of one row of floats each, (1, d), of variables of which all values are finite.
+
+    Thousands of them are checked together, those of one size as one array.
+    """
+    alike: dict[int, list[Variable]] = {}
+    for variable, value in values.items():
+        if type(value) is np.ndarray and value.ndim == 1 and value.dtype == np.float64:
+            alike.setdefault(len(value), []).append(variable)
+    found: dict[Variable, Array] = {}
+    for size, variables in alike.items():
+        if any(getattr(variable, "dimension", None) != size for variable in variables):
+            continue
+        rows = np.array([values[variable] for variable in variables])
+        if is_finite(rows):
+            found.update(zip(variables, frozen(rows)[:, None], strict=True))
+    return found
 
 
 def _refuse_missing(variable: Variable, cpds: Iterable[CPD]) -> None:

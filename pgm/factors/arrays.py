@@ -218,7 +218,7 @@ def common_runs(shapes: Iterable[tuple[object, Shape]]) -> Shape:
     """The axes of runs that all evidence broadcasts to; refuses axes that do not, and no runs."""
     found = tuple(shapes)
     try:
-        lead = np.broadcast_shapes(*(shape for _, shape in found))
+        lead = np.broadcast_shapes(*dict.fromkeys(shape for _, shape in found))
     except ValueError:
         raise EvidenceError(
             "the leading axes of the evidence do not broadcast to one set of runs: "

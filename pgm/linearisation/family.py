@@ -121,7 +121,7 @@ class Family(Rows):
         plate = () if copies else tuple(plate)
         noise = own_noise(cpd, step if timed else None, rows, inputs, lead, numbering)
         if plate:
-            noise = np.concatenate([own_noise(each, None, 1, {}, lead, COUNTED) for each in plate])
+            noise = _stacked_noise(plate, lead)
         if isinstance(cpd, NonlinearGaussianCPD):
             template = template or cpd._template(hidden)
             if plate:
@@ -145,13 +145,19 @@ class Family(Rows):
         """F (d, n), or (rows, d, n) of a plate, and b (rows or 1, runs or 1, d) of affine CPDs."""
         if not self.plate:
             return _affine(self.cpd, self.hidden, self.inputs, lead)
-        parts = []
-        for row, cpd in enumerate(self.plate):
-            own = self.parents_at(row)
-            inputs = {own[p]: values[row : row + 1] for p, values in self.inputs.items()}
-            parts.append(_affine(cpd, tuple(own[p] for p in self.hidden), inputs, lead))
-        matrices, shifts = zip(*parts, strict=True)
-        return np.stack(matrices), np.concatenate(shifts)
+        cpds = [cpd for cpd in self.plate if isinstance(cpd, AffineCPD)]
+        offset = np.array([cpd.offset for cpd in cpds])
+        if offset.ndim > 2:  # of priors with axes of runs, which all of a plate have alike
+            offset = np.stack([np.broadcast_to(own, (*lead, own.shape[-1])) for own in offset])
+        offset = offset.reshape(len(cpds), -1, offset.shape[-1])
+        slopes = [np.zeros((len(cpds), offset.shape[-1], 0))]
+        for k, parent in enumerate(self.cpd.given):
+            slope = np.array([cpd.matrices[cpd.given[k]] for cpd in cpds])
+            if parent in self.hidden:
+                slopes.append(slope)
+            else:
+                offset = offset + apply(slope[:, None], self.inputs[parent])
+        return np.concatenate(slopes, axis=2), offset
 
     @cached_property
     def shape(self) -> tuple[int, ...]:
@@ -669,6 +675,14 @@ def _affine(
     if not cpd.given and shift.ndim > 1:
         shift = np.broadcast_to(shift, (*lead, shift.shape[-1])).reshape(1, -1, shift.shape[-1])
     return constant, shift if shift.ndim == 3 else shift[None, None]
+
+
+def _stacked_noise(plate: Sequence[ConditionalGaussian], lead: tuple[int, ...]) -> Array:
+    """The noise covariances of the CPDs of a plate, (rows, runs or 1, d, d)."""
+    covs = [cpd.cov for cpd in plate]
+    if all(isinstance(cov, np.ndarray) and cov.ndim == 2 for cov in covs):
+        return np.array(covs)[:, None]
+    return np.concatenate([own_noise(each, None, 1, {}, lead, COUNTED) for each in plate])
 
 
 def _unplaced(function: BoundFunction) -> At:

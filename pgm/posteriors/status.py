@@ -83,10 +83,10 @@ class Status(Shown, Immutable):
         digits were not measured and that last rounding is at most 10⁻⁶ deviations for each mean.
         Fewer than six give a `PrecisionWarning`.
     compilation : str
-        An account of the sweeps along a chain: ``"compiled"``, where machine code made them, with
-        the CPDs whose functions it called back; ``"not compiled: ..."`` or ``"compiled, but for:
-        ..."``, where it was due and something of the call left it to NumPy, with the reasons; ``"by
-        NumPy: ..."``, where it was not due. Else empty.
+        An account of the sweeps along a chain, or over a tree: ``"compiled"``, where machine code
+        made them, with the CPDs whose functions it called back; ``"not compiled: ..."`` or
+        ``"compiled, but for: ..."``, where it was due and something of the call left it to NumPy,
+        with the reasons; ``"by NumPy: ..."``, where it was not due. Else empty.
 
     numbers : mapping of str to object
         A belief family's own figures, by name; also as attributes of the status. Those of a grid

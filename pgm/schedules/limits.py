@@ -108,6 +108,8 @@ def _require_axes(graph: ClusterGraph) -> None:
     # Of two states each, so many variables would be refused above: most of them have one.
     if len(graph.network.variables) <= AXES or graph.width < AXES:
         return
+    if not any(isinstance(v, Discrete) for v in graph.network.variables):
+        return
     for cluster in graph.clusters:
         scope = tuple(v for v in cluster.scope if isinstance(v, Discrete))
         require_axes(scope, f"cluster {cluster.index}", cluster=cluster.index)

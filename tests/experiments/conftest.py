@@ -14,6 +14,8 @@ from tests.plot import legible
 # Experiments whose figures are few; those of the others are looked at by slow tests.
 LOOKED_AT = {
     "localisation",
+    "slam",
+    "pose_graphs",
     "smoothing",
     "kalman",
     "imu_heading",

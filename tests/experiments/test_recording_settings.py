@@ -17,7 +17,6 @@ from experiments.recordings.settings import Sensor
 from models import motion
 from models.networks import distance, pose
 from pgm import consistency
-from tests.models.test_pose_graphs import written
 
 TURN = 0.3
 TRUE = np.zeros((41, 3))
@@ -260,22 +259,6 @@ def test_the_guides_settings_are_taken(tmp_path, reader):
         assert np.linalg.norm(last[:2] - [-1.03, 7.61]) < 0.1  # as the page has it
 
 
-def test_a_pose_graph_with_the_guides_settings(tmp_path):
-    (tmp_path / "killian-small.toro").write_text(written())
-    file = tmp_path / "own.toml"
-    file.write_text(examples()["pose_graph"])
-    found = results(tmp_path / "out", "pose_graph", file)["results"]["killian-small"]
-    ends = [found["solved"][start]["Taylor"] for start in found["solved"]]
-    assert ends[0]["error"] == pytest.approx(ends[1]["error"])
-    assert ends[0]["error"] < 0.2 * min(found["before"].values())
-    assert all(each["converged"] for each in ends)
-    file.write_text(file.read_text() + "gate = 0.9\n")
-    with pytest.raises(
-        pgm.errors.FileError, match=r"methods.gate is unknown; known are iterations"
-    ):
-        results(tmp_path / "out", "pose_graph", file)
-
-
 WRONG = {
     "[motion]\nstd = [0.1, 0.1]": r"own.toml: motion.std is \[0.1, 0.1\]; of one second, 3 numbers",
     "[motion]\nstd = [0.1, 0.1, -1]": r"motion.std is .*\(forward, left, turn\), was due",
@@ -355,7 +338,7 @@ def test_refusals(tmp_path):
         recordings.run(data="plaza1", settings=tmp_path / "own.toml")
     with pytest.raises(pgm.EvidenceError, match="--settings is of one recording"):
         recordings.run(settings=tmp_path / "own.toml")
-    with pytest.raises(pgm.EvidenceError, match="pose_graph needs --path"):
+    with pytest.raises(pgm.EvidenceError, match="experiment of its own: pose_graphs --path FILE"):
         recordings.run(data="pose_graph")
     with pytest.raises(pgm.errors.FileError, match=r"none.toml: it cannot be read \(No such file"):
         setting_file.described(tmp_path / "none.toml", "csv")

@@ -1,12 +1,12 @@
-"""Beliefs of the clusters of a Gaussian network: means and covariances in a frame's coordinates.
+"""Beliefs of a Gaussian network's clusters or fronts: means and covariances, in a frame's units.
 
 The components of all hidden variables make one vector x, (size,). A *frame* has coordinates ξ of
 it, x = mean + scale ξ (`Frame`). The *place* of a component is its index in x; its *column* is its
-index in the scope of a cluster.
+index in the scope of a cluster, or in a front. Clusters and fronts are *blocks* of components.
 
 V is the number of covariances that are kept, and N the number of columns of means that go with each
 of them: V = 1 and N = runs where all runs share their covariances, else V = runs and N = 1. The
-means of all clusters stand one after another along one axis, and so do the entries of their
+means of all blocks stand one after another along one axis, and so do the entries of their
 covariances, row by row; an index along such an axis is a *flat index*.
 
 A *group* is made of copies of one CPD in which the same variables have evidence. A *stack* is a
@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pgm.beliefs.gaussian.blocks import Blocks
 from pgm.beliefs.gaussian.layout import Layout
 from pgm.beliefs.gaussian.model import Model
 from pgm.beliefs.gaussian.prior import Frame
@@ -48,41 +49,43 @@ def runs_first(array: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Where the clusters' moments stand along the flat axes of `Beliefs`.
+    """Where the moments of clusters, or of fronts, stand along the flat axes of `Beliefs`.
 
-    The means of cluster k begin at starts[k], in the order of its columns; its covariance, row by
-    row, at block_starts[k].
+    Each is a block of components. The means of block k begin at blocks.starts[k], in the order of
+    its columns; its covariance, row by row, at block_starts[k]. `of_cluster` (clusters,) tells the
+    block of each cluster.
     """
 
     layout: Layout
-
-    @cached_property
-    def sizes(self) -> list[int]:
-        """The number of components of each cluster."""
-        return [len(columns) for columns in self.layout.columns]
-
-    @cached_property
-    def starts(self) -> Integers:
-        """The flat index where each cluster's means begin, then where all end, (clusters + 1,)."""
-        return np.cumsum([0, *self.sizes])
+    blocks: Blocks
+    of_cluster: Integers
 
     @cached_property
     def block_starts(self) -> Integers:
-        """The flat index where each covariance begins, then where all end, (clusters + 1,)."""
-        return np.cumsum([0, *(size * size for size in self.sizes)])
+        """The flat index where each covariance begins, then where all end, (blocks + 1,)."""
+        return np.concatenate([[0], np.cumsum(self.blocks.sizes**2)]).astype(np.intp)
 
-    def means(self, clusters: Integers, columns: Integers) -> Integers:
-        """Flat indices (B, n) of means: row b has those at columns[b], (n,), in clusters[b]."""
-        return self.starts[clusters][:, None] + columns
+    def means(self, blocks: Integers, columns: Integers) -> Integers:
+        """Flat indices (B, n) of means: row b has those at columns[b], (n,), in blocks[b].
 
-    def covs(self, clusters: Integers, columns: Integers) -> Integers:
-        """Flat indices (B, n, n) of covariances: those of columns[b], (n,), in clusters[b]."""
-        size = np.array(self.sizes, dtype=np.intp)[clusters][:, None, None]
-        start = self.block_starts[clusters][:, None, None]
-        return start + columns[:, :, None] * size + columns[:, None, :]
+        A column of −1 has the index behind all means, where a zero stands.
+        """
+        found = self.blocks.starts[blocks][:, None] + columns
+        return np.where(columns < 0, self.blocks.starts[-1], found)
+
+    def covs(self, blocks: Integers, columns: Integers) -> Integers:
+        """Flat indices (B, n, n) of covariances: those of columns[b], (n,), in blocks[b].
+
+        A column of −1 has indices behind all covariances, where a zero stands.
+        """
+        size = self.blocks.sizes[blocks][:, None, None]
+        start = self.block_starts[blocks][:, None, None]
+        found = start + columns[:, :, None] * size + columns[:, None, :]
+        nothing = (columns[:, :, None] < 0) | (columns[:, None, :] < 0)
+        return np.where(nothing, self.block_starts[-1], found)
 
     def of_stack(self, stack: Stack) -> tuple[Integers, Integers]:
-        """Flat indices of the moments of a stack's clusters, in its order; they are kept."""
+        """Flat indices of the moments of a stack's blocks, in its order; they are kept."""
         known = self._stacks.get(stack)
         if known is None:
             at = stack.clusters, stack.columns
@@ -93,44 +96,30 @@ class Places:
     def _stacks(self) -> dict[Stack, tuple[Integers, Integers]]:
         return {}
 
-    def of(self, clusters: Integers, components: Integers) -> tuple[Integers, Integers]:
-        """Flat indices of means (B, n) and covariances (B, n, n) of components in clusters (B,).
+    def of(self, blocks: Integers, components: Integers) -> tuple[Integers, Integers]:
+        """Flat indices of means (B, n) and covariances (B, n, n) of components in blocks (B,).
 
-        `components` (B, n) are their places; row b is of components that cluster
-        clusters[b] holds.
+        `components` (B, n) are their places; row b is of components that blocks[b] holds.
         """
-        at = clusters, self.layout.columns_of(clusters, components)
+        at = blocks, self.blocks.columns(blocks, components)
         return self.means(*at), self.covs(*at)
-
-    @cached_property
-    def homes(self) -> tuple[Integers, Integers]:
-        """The smallest cluster that holds each component, and the component's column in it.
-
-        Both are (size,), by place. The smallest cluster is the one of fewest components, and of
-        equals the first.
-        """
-        cluster, column = np.empty((2, self.layout.size), dtype=np.intp)
-        # Of clusters of one size the first is written last, and stays.
-        for k in reversed(np.argsort(self.sizes, kind="stable").tolist()):
-            places = list(self.layout.columns[k])
-            cluster[places], column[places] = k, np.arange(len(places))
-        return cluster, column
 
     @cached_property
     def families(self) -> list[tuple[Integers, Integers]]:
         """For each group of CPDs a pair: flat indices of the moments of the CPDs' hidden parents.
 
         Those of means are (CPDs, n), those of covariances (CPDs, n, n), for n components of the
-        parents; the moments are those of the cluster that each CPD is assigned to.
+        parents; the moments are those of the block of the cluster that each CPD is assigned to.
         """
-        return [self.of(group.clusters, group.parents) for group in self.layout.groups]
+        groups = self.layout.groups
+        return [self.of(self.of_cluster[group.clusters], group.parents) for group in groups]
 
 
 @dataclass(frozen=True, eq=False)
 class Beliefs:
-    """Moments of all clusters in a frame: means (V, components, N), covariances (V, entries).
+    """Moments of all blocks in a frame: means (V, components + 1, N), covariances (V, entries + 1).
 
-    `places` tells where each cluster's moments stand.
+    `places` tells where each block's moments stand; both end in a zero.
     """
 
     places: Places
@@ -141,21 +130,20 @@ class Beliefs:
     @classmethod
     def empty(cls, places: Places, frame: Frame, stacked: int, sides: int) -> Beliefs:
         """Beliefs whose arrays are not initialised, for V = `stacked` and N = `sides`."""
-        return cls(
-            places,
-            frame,
-            np.empty((stacked, int(places.starts[-1]), sides)),
-            np.empty((stacked, int(places.block_starts[-1]))),
-        )
+        mean = np.empty((stacked, int(places.blocks.starts[-1]) + 1, sides))
+        cov = np.empty((stacked, int(places.block_starts[-1]) + 1))
+        mean[:, -1] = cov[:, -1] = 0.0
+        return cls(places, frame, mean, cov)
 
     def put(self, stack: Stack, mean: Array, cov: Array) -> None:
-        """Store means (V, B, n, N) and covariances (V, B, n, n) of the B clusters of a stack.
+        """Store means (V, B, n, N) and covariances (V, B, n, n) of the B blocks of a stack.
 
-        Entry b is of the cluster ``stack.clusters[b]``, whose n components are in the order of the
+        Entry b is of the block ``stack.clusters[b]``, whose n components are in the order of the
         columns ``stack.columns[b]``.
         """
         means, covs = self.places.of_stack(stack)
         self.mean[:, means], self.cov[:, covs] = mean, cov
+        self.mean[:, -1] = self.cov[:, -1] = 0.0  # where columns that stand for nothing were put
 
     def moments(self, where: Integers, entries: Integers, places: Integers) -> tuple[Array, Array]:
         """Means (runs, ..., n) and covariances (V, ..., n, n) of components, in the user's units.
@@ -171,8 +159,8 @@ class Beliefs:
         """The moments of the hidden parents of group g's CPDs, in the user's units.
 
         Means are (CPDs, runs, n) and covariances (CPDs, V, n, n), for n components of the parents,
-        in the clusters that the CPDs are assigned to. If `mean` (runs, size) is given, the means of
-        all hidden components, they are these.
+        in the blocks of the clusters that the CPDs are assigned to. If `mean` (runs, size) is
+        given, the means of all hidden components, they are these.
         """
         places = self.places.layout.groups[g].parents
         own, cov = self.moments(*self.places.families[g], places)
@@ -180,10 +168,10 @@ class Beliefs:
         return known.swapaxes(0, 1), cov.swapaxes(0, 1)
 
     def with_means(self, mean: Array) -> Beliefs:
-        """The beliefs with other means of all hidden components, (runs, size), in all clusters."""
-        layout, frame = self.places.layout, self.frame
-        every = np.concatenate([np.zeros(0, dtype=np.intp), *map(list, layout.columns)])
-        moved = ((mean - frame.mean) / frame.scale)[:, every]
+        """The beliefs with other means of all hidden components, (runs, size), in all blocks."""
+        frame, blocks = self.frame, self.places.blocks
+        moved = ((mean - frame.mean) / frame.scale)[:, blocks.components]
+        moved = np.pad(moved, [(0, 0), (0, 1)])
         return replace(self, mean=by_run(moved, shared=self.mean.shape[0] == 1))
 
     def components(self) -> tuple[Array, Array]:
@@ -191,14 +179,41 @@ class Beliefs:
 
         They are in the user's units.
         """
-        cluster, column = self.places.homes
-        where = self.places.starts[cluster] + column
-        size = np.array(self.places.sizes, dtype=np.intp)[cluster]
-        entries = self.places.block_starts[cluster] + column * (size + 1)
-        everything = np.arange(cluster.size)
+        mean, variance = self.in_frame()
         scale = self.frame.scale
-        mean = self.frame.mean[:, everything] + scale * runs_first(self.mean[:, where])
-        return mean, scale * np.sqrt(np.maximum(self.cov[:, entries], 0.0))
+        mean = self.frame.mean + scale * runs_first(mean)
+        return mean, scale * np.sqrt(variance)
+
+    def in_frame(self) -> tuple[Array, Array]:
+        """Means (V, size, N) and variances (V, size) of all hidden components, in the frame."""
+        blocks = self.places.blocks
+        home, column = blocks.homes
+        where = blocks.starts[home] + column
+        entries = self.places.block_starts[home] + column * (blocks.sizes[home] + 1)
+        return self.mean[:, where], np.maximum(self.cov[:, entries], 0.0)
+
+
+class Sizes(NamedTuple):
+    """The sizes of numbers that cost digits, the largest of all runs; see `certificate`.
+
+    Attributes
+    ----------
+    largest : float
+        The largest entry of all rows.
+    coarse : float
+        A tenth of the largest summand of a residual, in deviations of its noise; infinite where
+        rounding may decide which rows are exact.
+    information : ndarray or None
+        The square of each component's column in all rows, (V, size); None if rows are exact, or
+        messages go round loops.
+    magnified : float
+        How much larger summands of a variance are than itself, on the way down a tree.
+    """
+
+    largest: float
+    coarse: float
+    information: Array | None = None
+    magnified: float = 1.0
 
 
 class TreePoint(NamedTuple):
@@ -239,16 +254,19 @@ class TreePoint(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Calibrated:
-    """The result of sending all messages: the clusters' beliefs and ln p(evidence), (V, N).
+    """The result of sending all messages: beliefs, and ln p(evidence), (V, N).
 
-    `digits` (runs,) are the correct decimal digits of each run: k if rounding moves no mean by more
-    than about 10⁻ᵏ of its standard deviation, and ln p(evidence) by no more than about 10⁻ᵏ. It is
-    None for a solution in float64, whose digits are counted elsewhere. Where the control of steps
-    has other means than the beliefs', `moved` (runs, size) are these.
+    `sizes` are those of numbers that decide how many digits float64 has kept; None where all digits
+    are known to be there. `digits` (runs,) are the correct decimal digits of each run: k if
+    rounding moves no mean by more than about 10⁻ᵏ of its standard deviation, and ln p(evidence) by
+    no more than about 10⁻ᵏ. It is None for a solution in float64, whose digits are counted
+    elsewhere. Where the control of steps has other means than the beliefs', `moved` (runs, size)
+    are these.
     """
 
     beliefs: Beliefs
     log_evidence: Array
+    sizes: Sizes | None = None
     digits: Array | None = None
     moved: Array | None = None
 

@@ -11,32 +11,50 @@ and a column for each hidden component x of child and parents.
 from __future__ import annotations
 
 from collections.abc import Collection, Hashable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import groupby
 from typing import ClassVar
 
 import numpy as np
 
+from pgm.beliefs.gaussian.blocks import Blocks
 from pgm.clustergraph import ClusterGraph
 from pgm.cpds import CPD, ConditionalGaussian
 from pgm.cpds.plates import plate
 from pgm.factors.scope import Scope, dimension
-from pgm.kernels.arrays import Integers
-from pgm.networks import BayesianNetwork
+from pgm.kernels.arrays import Integers, Mask
+from pgm.linearisation.family import Family
 from pgm.schedules.rounds import Directed
 from pgm.variables import Variable
 
 
-def known_parents(cpd: CPD, inputs: Collection[Variable]) -> list[Variable]:
-    """The parents of a CPD that must have evidence: inputs, and those that its noise depends on.
+def knowing(graph: ClusterGraph) -> list[tuple[CPD, list[Variable]]]:
+    """The CPDs some of whose parents must have evidence, with these parents, parents first.
 
-    `inputs` are the inputs of the network.
+    They are inputs of the network, and the parents that a noise depends on.
     """
-    return [v for v in cpd.parents if v in inputs or v in cpd.noise_given]
+    return graph.derived(_knowing)
 
 
-def barren(network: BayesianNetwork, evidence: Collection[Variable]) -> frozenset[Variable]:
+def _knowing(graph: ClusterGraph) -> list[tuple[CPD, list[Variable]]]:
+    inputs = set(graph.network.inputs)
+    every = ((cpd, cpd.noise_given) for cpd in graph.network.cpds)
+    found = ((cpd, [v for v in cpd.parents if v in inputs or v in noisy]) for cpd, noisy in every)
+    return [(cpd, known) for cpd, known in found if known]
+
+
+def robust(graph: ClusterGraph) -> list[ConditionalGaussian]:
+    """The CPDs of robust noise."""
+    return graph.derived(_robust)
+
+
+def _robust(graph: ClusterGraph) -> list[ConditionalGaussian]:
+    cpds = (cpd for cpd in graph.network.cpds if isinstance(cpd, ConditionalGaussian))
+    return [cpd for cpd in cpds if cpd.noise is not None]
+
+
+def barren(graph: ClusterGraph, evidence: Collection[Variable]) -> frozenset[Variable]:
     """The variables to leave out of inference, because a CPD lacks evidence that it needs.
 
     A CPD needs evidence of those parents that are inputs, or that its noise depends on; one of
@@ -45,19 +63,43 @@ def barren(network: BayesianNetwork, evidence: Collection[Variable]) -> frozense
     that is not left out, observed or not, depends on it. `evidence` are the variables with
     evidence.
     """
+    lacking = {
+        cpd.child: missing
+        for cpd, known in knowing(graph)
+        if (missing := [v for v in known if v not in evidence])
+    }
+    for weighed in robust(graph):
+        if weighed.child not in evidence:
+            lacking.setdefault(weighed.child, [])
+    if not lacking:
+        return frozenset()
+    network = graph.network
     inputs = set(network.inputs)
     used = {v for cpd in network.cpds if cpd.child in evidence for v in cpd.parents}
     absent: set[Variable] = set()
     for cpd in reversed(network.cpds):
-        missing = [v for v in known_parents(cpd, inputs) if v not in evidence]
-        weighed = isinstance(cpd, ConditionalGaussian) and cpd.noise is not None
-        lacking = missing or weighed
-        if lacking and cpd.child not in evidence and cpd.child not in used:
+        if cpd.child in lacking and cpd.child not in evidence and cpd.child not in used:
             absent.add(cpd.child)
-            absent.update(v for v in missing if v in inputs)
+            absent.update(v for v in lacking[cpd.child] if v in inputs)
         else:
             used.update(cpd.parents)
     return frozenset(absent - used)
+
+
+def _plates(graph: ClusterGraph) -> list[tuple[Integers, Integers]]:
+    """The plates of a graph's CPDs: their numbers (rows,), and the places of their families.
+
+    A family is the child, then the parents, (rows, 1 + parents), by their places in the network.
+    """
+    alike: dict[Hashable, list[int]] = {}
+    network = graph.network
+    for number, cpd in enumerate(network.cpds):
+        assert isinstance(cpd, ConditionalGaussian)
+        alike.setdefault(plate(cpd), []).append(number)
+    return [
+        (np.array(numbers), np.array([network._families[number] for number in numbers]))
+        for numbers in alike.values()
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +110,8 @@ class Group:
     `observed` says whether the children have evidence. `child` (rows, d) has the places of the d
     components of each child, and is (rows, 0) if the children are observed. `parents` (rows, n) has
     the places of the n components of each CPD's hidden parents, `clusters` (rows,) the number of
-    the cluster that each CPD is assigned to.
+    the cluster that each CPD is assigned to. `families` is a cache, by axes of runs, of what does
+    not depend on evidence.
     """
 
     cpds: tuple[ConditionalGaussian, ...]
@@ -77,6 +120,7 @@ class Group:
     child: Integers
     parents: Integers
     clusters: Integers
+    families: dict[tuple[int, ...], Family] = field(default_factory=dict, repr=False)
 
     @property
     def height(self) -> int:
@@ -167,18 +211,20 @@ class Layout:
         return [self.without_evidence(cluster.scope) for cluster in self.graph.clusters]
 
     @cached_property
+    def blocks(self) -> Blocks:
+        """The hidden components of each cluster, in the order of its scope."""
+        sizes = np.array([dimension(scope) for scope in self.scopes], dtype=np.intp)
+        places = [self.places[v] for scope in self.scopes for v in scope]
+        none = np.zeros(0, dtype=np.intp)
+        return Blocks(self.size, sizes, np.concatenate([none, *places]))
+
+    @cached_property
     def columns(self) -> list[dict[int, int]]:
         """For each cluster a map from the place of each component that it holds to its column."""
         return [
             {int(place): k for k, place in enumerate(self.components(scope))}
             for scope in self.scopes
         ]
-
-    def columns_of(self, clusters: Integers, places: Integers) -> Integers:
-        """Columns (B, n) of components in the scopes of clusters (B,), by their `places` (B, n)."""
-        pairs = zip(clusters.tolist(), places.tolist(), strict=True)
-        found = [[self.columns[cluster][place] for place in row] for cluster, row in pairs]
-        return np.array(found, dtype=np.intp).reshape(places.shape)
 
     @cached_property
     def directed(self) -> Directed:
@@ -201,25 +247,57 @@ class Layout:
     @cached_property
     def groups(self) -> list[Group]:
         """The groups of CPDs, sorted by the shape of their factors."""
-        home = {cpd.child: cluster.index for cluster in self.graph.clusters for cpd in cluster.cpds}
-        alike: dict[tuple[Hashable, tuple[bool, ...], bool], list[ConditionalGaussian]] = {}
-        for cpd in self._cpds:
-            mask = tuple(v in self.observed for v in cpd.given)
-            alike.setdefault((plate(cpd), mask, cpd.child in self.observed), []).append(cpd)
-        groups = []
-        for (_, _, observed), cpds in alike.items():
-            hidden = [self.without_evidence(cpd.given) for cpd in cpds]
-            none = np.zeros((len(cpds), 0), dtype=np.intp)
-            group = Group(
-                tuple(cpds),
-                hidden[0],
-                observed,
-                none if observed else np.array([self.places[cpd.child] for cpd in cpds]),
-                np.array([self.components(scope) for scope in hidden]),
-                np.array([home[cpd.child] for cpd in cpds], dtype=np.intp),
-            )
-            groups.append(group)
-        return sorted(groups, key=Group.shape)
+        place = self.graph.network._places
+        first, observed, absent = (
+            np.zeros(len(place), dtype=np.intp),
+            *np.zeros((2, len(place)), bool),
+        )
+        observed[[place[v] for v in self.observed if v in place]] = True
+        absent[[place[v] for v in self.absent]] = True
+        first[[place[v] for v in self.hidden]] = [places[0] for places in self.places.values()]
+        home = np.zeros(len(self.graph.network.cpds), dtype=np.intp)
+        for cluster, own in enumerate(self.graph._assigned):
+            home[list(own)] = cluster
+        found = []
+        for numbers, families in self.graph.derived(_plates):
+            numbers, families = (part[~absent[families[:, 0]]] for part in (numbers, families))
+            # Rows in which the same variables are observed are one group.
+            known = observed[families]
+            for row in np.unique(known, axis=0):
+                alike = (known == row).all(axis=1)
+                found.append(
+                    (numbers[alike], self._group(numbers[alike], families[alike], row, first, home))
+                )
+        found.sort(key=lambda each: (each[1].shape(), each[0][0]))
+        return [group for _, group in found]
+
+    def _group(
+        self, numbers: Integers, families: Integers, known: Mask, first: Integers, home: Integers
+    ) -> Group:
+        """The group of some CPDs of a plate, by their numbers in the network.
+
+        `families` are the places, in the network, of each child and its parents, of which those
+        that are `known` are observed; `first` has where each hidden variable's components begin,
+        and `home` the cluster of each CPD.
+        """
+        every = self.graph.network.cpds
+        cpds = tuple([every[number] for number in numbers.tolist()])
+        sizes = [v.dimension for v in (cpds[0].child, *cpds[0].given)]
+        columns = [
+            first[families[:, k], None] + np.arange(size)
+            for k, (size, seen) in enumerate(zip(sizes, known, strict=False))
+            if not seen
+        ]
+        none = np.zeros((len(cpds), 0), dtype=np.intp)
+        child, parents = (none, columns) if known[0] else (columns[0], columns[1:])
+        return Group(
+            cpds,
+            self.without_evidence(cpds[0].given),
+            bool(known[0]),
+            child,
+            np.concatenate([none, *parents], axis=1),
+            home[numbers],
+        )
 
     @cached_property
     def factors(self) -> list[Factors]:
@@ -229,11 +307,21 @@ class Layout:
     @cached_property
     def anchors(self) -> Unary:
         """The factors of an anchor, in the order of places."""
-        home, sizes = np.empty(self.size, dtype=np.intp), [len(held) for held in self.columns]
-        # Of clusters of one size the first is written last, and stays.
-        for k in reversed(np.argsort(sizes, kind="stable").tolist()):
-            home[list(self.columns[k])] = k
-        return Unary(np.arange(self.size)[:, None], home)
+        return Unary(np.arange(self.size)[:, None], self.blocks.homes[0])
+
+    @cached_property
+    def entry_starts(self) -> Integers:
+        """Where the entries of each group's rows begin, one group's after another's, then the end.
+
+        (factors + 1,): all rows of a CPD stand together, those of one CPD after another's, and
+        those of an anchor after the groups'.
+        """
+        return np.cumsum([0, *(len(g.clusters) * g.height * g.width for g in self.factors)])
+
+    @cached_property
+    def row_starts(self) -> Integers:
+        """Where each group's rows begin, as `entry_starts`, then where all end, (factors + 1,)."""
+        return np.cumsum([0, *(len(g.clusters) * g.height for g in self.factors)])
 
     @cached_property
     def shapes(self) -> list[list[int]]:

@@ -21,8 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.beliefs.gaussian.beliefs import Beliefs, Calibrated, Places, relinearise
-from pgm.beliefs.gaussian.rounds import Stack
+from pgm.beliefs.gaussian.beliefs import Beliefs, Calibrated, Places, Sizes, relinearise
+from pgm.beliefs.gaussian.rounds import Rounds, Stack
 from pgm.beliefs.gaussian.row_buffer import Buffer
 from pgm.kernels import moments, row_messages
 from pgm.kernels.arrays import Array, Mask
@@ -49,14 +49,14 @@ class RowMessages:
     last.
     """
 
-    buffer: Buffer
+    buffer: Buffer[Rounds]
     places: Places
     damping: float
     _point: Array
     _proposed: list[tuple[Stack, Rows]] = field(default_factory=list)
 
     @classmethod
-    def make(cls, buffer: Buffer, places: Places, damping: float) -> RowMessages:
+    def make(cls, buffer: Buffer[Rounds], places: Places, damping: float) -> RowMessages:
         """The messages at their start, written into a buffer that still holds only zeros.
 
         The factors of the CPDs are written into it, too. Without damping `damping` is 0.
@@ -156,7 +156,7 @@ class RowMessages:
         """The stored message of a number: its rows A (V, s, s) and r (V, s, N); its log-scale g."""
         size = int(self.buffer.rounds.sizes[message])
         one = self.buffer.messages(np.array([message]), size)
-        log_scale = self.buffer.log_scale[:, len(self.places.sizes) + message]
+        log_scale = self.buffer.log_scale[:, len(self.places.blocks) + message]
         return row_messages.first(one), log_scale
 
     def belief(self, cluster: int) -> tuple[Rows, Array]:
@@ -194,7 +194,7 @@ class RowMessages:
         buffer = self.buffer
         stacked, _, sides = buffer.proper.right.shape
         found = Beliefs.empty(self.places, buffer.model.frame, stacked, sides)
-        logs = np.empty((stacked, len(self.places.sizes), sides))
+        logs = np.empty((stacked, len(self.places.blocks), sides))
         for stack in buffer.rounds.all_beliefs:
             done, logs[:, stack.clusters] = buffer.eliminate(stack)
             found.put(stack, done.offset, done.noise)
@@ -218,4 +218,5 @@ class RowMessages:
             places = np.array([layout.components(layout.sepsets[edge]) for edge in edges])
             unit = np.log(self.buffer.model.frame.scale[places]).sum(axis=1)
             total = total - (done.log_scale + unit[:, None]).sum(axis=1)
-        return Calibrated(found, total)
+        sizes = Sizes(self.buffer.largest, self.buffer.coarse)
+        return Calibrated(found, total, sizes)

@@ -12,14 +12,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple, TypeVar
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from pgm.beliefs.gaussian.layout import Group, Layout
 from pgm.beliefs.gaussian.prior import Frame, Predictive, prior_predictive
+from pgm.cpds import AffineCPD
+from pgm.errors import LinearisationError
 from pgm.evidence.static import BoundValues
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, Mask, components_first, components_last, deviation
@@ -73,12 +75,13 @@ class Model:
     `families` the linearised CPDs; `readings` the measured values of the children, (CPDs, runs or
     1, d), None if the children are hidden; `moved` the same values, (CPDs, runs, d), with angles
     moved by whole turns to within π of the CPD's value where it was linearised, None as `readings`;
-    `taken` a mask of the measured components, (CPDs, runs or 1, d), None if all were measured or
-    the children are hidden; `points` the moments of hidden parents where CPDs were linearised last.
-    `shared` says whether all runs have the same matrices, covariances and components measured.
-    `frame` are the coordinates in which factors are kept. `weights` are those of a group's
-    readings, None where its noise is Gaussian. `first` is True until `relinearise` is called: until
-    then `points` are the prior's moments or the user's start, maybe far from the posterior.
+    `taken` a mask of the components that enter, (CPDs, runs or 1, d), None if all do: of an
+    observed child those measured, of a prior those of finite variance; `points` the moments of
+    hidden parents where CPDs were linearised last. `shared` says whether all runs have the same
+    matrices, covariances and components measured. `frame` are the coordinates in which factors are
+    kept. `weights` are those of a group's readings, None where its noise is Gaussian. `first` is
+    True until `relinearise` is called: until then `points` are the prior's moments or the user's
+    start, maybe far from the posterior. `noises` is a cache of roots of the CPDs' own noise.
     """
 
     layout: Layout
@@ -92,6 +95,7 @@ class Model:
     points: list[LinearisedAt]
     weights: list[Weights | None]
     first: bool = True
+    noises: dict[Any, Any] = field(default_factory=dict, repr=False)
 
     @classmethod
     def make(
@@ -110,17 +114,18 @@ class Model:
         `predictive` finds the prior's moments, and linearises the CPDs on the way. A nonlinear
         function may be traced, that is, recorded as operations, to find its slopes. What a trace
         gives is compared with the function itself: by the `judge`, when the user's whole call is
-        done; if it is None, at once. A flat prior, of infinite variance, is a ModelError.
+        done; if it is None, at once. Without a start, sigma points below a flat
+        prior, of infinite variance, are a LinearisationError.
         """
-        for group in layout.groups:
-            for cpd in group.cpds:
-                cpd.require_proper("only chains, of pgm.DynamicBayesianNetwork, take flat priors")
         families = [_family(group, bound, lineariser) for group in layout.groups]
         readings = [
             _stacked([cpd.child for cpd in group.cpds], bound.values) if group.observed else None
             for group in layout.groups
         ]
-        taken = [_taken(group, bound) for group in layout.groups]
+        taken = [
+            _taken(group, bound, family)
+            for group, family in zip(layout.groups, families, strict=True)
+        ]
         for family in families:
             family.probe({})
             family.trace({}, judge)
@@ -129,6 +134,9 @@ class Model:
         shared = alike and all(
             family.settled and family.own_noise.shape[1] == 1 for family in families
         )
+        if start is None and any(not np.isfinite(family.own_noise).all() for family in families):
+            for family in families:
+                _require_points(family)
         if start is not None:
             for group, family in zip(layout.groups, families, strict=True):
                 at = start[:, group.parents].swapaxes(0, 1)
@@ -149,6 +157,11 @@ class Model:
     def runs(self) -> int:
         """How many runs the evidence is of: 1 if the user gave no axes of runs."""
         return math.prod(self.lead)
+
+    @property
+    def flat(self) -> bool:
+        """Whether a prior has an infinite variance."""
+        return any(not np.isfinite(family.own_noise).all() for family in self.families)
 
     @property
     def exact(self) -> bool:
@@ -213,9 +226,14 @@ class Model:
 def _family(group: Group, bound: BoundValues, lineariser: Lineariser) -> Family:
     """The CPDs of a group as one family, a row each, with the observed parents' values in `bound`.
 
-    Nonlinear CPDs are not linearised yet.
+    Nonlinear CPDs are not linearised yet. Affine ones of hidden parents alone are the same in all
+    calls, and kept with the group.
     """
     first = group.cpds[0]
+    plain = isinstance(first, AffineCPD) and first.noise is None
+    constant = plain and len(group.hidden) == len(first.parents)
+    if constant and bound.lead in group.families:
+        return group.families[bound.lead]
     inputs = {
         first.parents[k]: _stacked([cpd.parents[k] for cpd in group.cpds], bound.values)
         for k, parent in enumerate(first.parents)
@@ -224,19 +242,37 @@ def _family(group: Group, bound: BoundValues, lineariser: Lineariser) -> Family:
     step = np.array([cpd.child.step or 0 for cpd in group.cpds], dtype=np.intp)
     timed = first.child.step is not None
     parts = first, group.hidden, step, inputs, lineariser, bound.lead
-    return Family.make(*parts, timed=timed, plate=group.cpds)
+    made = Family.make(*parts, timed=timed, plate=group.cpds)
+    if constant and not bound.lead:
+        group.families[bound.lead] = made
+    return made
 
 
-def _taken(group: Group, bound: BoundValues) -> Mask | None:
-    """The mask of the measured components of a group's children, (CPDs, runs or 1, d).
+def _taken(group: Group, bound: BoundValues, family: Family) -> Mask | None:
+    """The mask of the components of a group's children that enter, (CPDs, runs or 1, d).
 
-    The result is None if all components of all children were measured.
+    They are those that were measured, or all of hidden children, but those of infinite variance.
+    The result is None if all components of all children enter.
     """
     children = [cpd.child for cpd in group.cpds]
+    proper = np.isfinite(np.diagonal(family.own_noise, axis1=-2, axis2=-1))
     if bound.taken.keys().isdisjoint(children):
-        return None
+        return None if proper.all() else np.broadcast_to(proper, (len(children), *proper.shape[1:]))
     every = np.ones((1, group.height), dtype=bool)
-    return _stacked(children, {v: bound.taken.get(v, every) for v in children})
+    return _stacked(children, {v: bound.taken.get(v, every) for v in children}) & proper
+
+
+def _require_points(family: Family) -> None:
+    """Refuse a rule that spreads points over what a flat prior leaves open."""
+    if family.taylor or not family.hidden:
+        return
+    raise LinearisationError(
+        f"{family.cpd!r} would be linearised by {family.lineariser!r} over a prior of infinite "
+        "variance, which has no spread; give start= (means to begin at), lineariser=pgm.Taylor(), "
+        "or the priors finite variances",
+        variable=family.cpd.child,
+        cpd=family.cpd,
+    )
 
 
 def weights_of(
@@ -264,4 +300,6 @@ def _stacked(
     """
     values = [rows[v] for v in variables]
     runs = max(value.shape[0] for value in values)
+    if all(value.shape[0] == runs for value in values):
+        return np.array(values)
     return np.stack([np.broadcast_to(value, (runs, value.shape[1])) for value in values])

@@ -80,15 +80,15 @@ class GaussianOutcome(Outcome[Gaussian]):
     def __getitem__(self, variable: Variable) -> Gaussian:
         """The marginal of a variable without evidence, (*runs, d)."""
         places = self._require_hidden(variable)
-        cluster, _ = self._done.beliefs.places.homes
-        return self._read((variable,), int(cluster[places[0]]))
+        home, _ = self._done.beliefs.places.blocks.homes
+        return self._read((variable,), int(home[places[0]]))
 
     @quiet()
     def _stacked(self, variables: Sequence[Variable]) -> tuple[Array, Array]:
         places = np.array([self._require_hidden(variable) for variable in variables])
         beliefs, lead = self._done.beliefs, self._model.lead
-        clusters, columns = (part[places] for part in beliefs.places.homes)
-        at = clusters[:, 0], columns  # all components of a variable are in the same clusters
+        homes, columns = (part[places] for part in beliefs.places.blocks.homes)
+        at = homes[:, 0], columns  # all components of a variable are in the same blocks
         means, covs = beliefs.moments(beliefs.places.means(*at), beliefs.places.covs(*at), places)
         if not (np.isfinite(means).all() and np.isfinite(covs).all()):
             return super()._stacked(variables)  # which refuses the first that is not
@@ -122,10 +122,10 @@ class GaussianOutcome(Outcome[Gaussian]):
             variable=variable,
         )
 
-    def _read(self, scope: Scope, cluster: int) -> Gaussian:
-        """The joint of the variables in `scope`, (*runs, n), from a cluster that holds them all."""
+    def _read(self, scope: Scope, block: int) -> Gaussian:
+        """The joint of the variables in `scope`, (*runs, n), from a block that holds them all."""
         components = self._plan.layout.components(scope)
-        where, entries = self._plan.places.of(np.array([cluster]), components[None])
+        where, entries = self._done.beliefs.places.of(np.array([block]), components[None])
         mean, cov = self._done.beliefs.moments(where[0], entries[0], components)
         return self._gaussian(scope, mean, cov)
 
@@ -158,13 +158,11 @@ class GaussianOutcome(Outcome[Gaussian]):
             raise EvidenceError("joint takes one or more variables")
         for variable in scope:
             self._require_hidden(variable)
-        layout = self._plan.layout
-        wanted = layout.components(scope)
-        holders = [
-            k for k, columns in enumerate(layout.columns) if all(p in columns for p in wanted)
-        ]
-        if holders:
-            return self._read(scope, min(holders, key=self._plan.places.sizes.__getitem__))
+        wanted = self._plan.layout.components(scope)
+        blocks = self._done.beliefs.places.blocks
+        holders = blocks.hold(wanted)
+        if holders.size:
+            return self._read(scope, int(holders[blocks.sizes[holders].argmin()]))
         if not self.graph.is_tree:
             raise GraphError(
                 f"no cluster holds all of {names(scope)}, and on a graph with loops only "
@@ -180,7 +178,7 @@ class GaussianOutcome(Outcome[Gaussian]):
         if self._sent is not None:
             return self._sent
         buffer = Buffer.make(self._plan.rounds, self._model)
-        messages = RowMessages.make(buffer, self._plan.places, 0.0)
+        messages = RowMessages.make(buffer, self._plan.cluster_places, 0.0)
         messages.send_once(self._plan.both_ways)
         return messages
 

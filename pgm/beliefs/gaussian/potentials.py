@@ -31,6 +31,7 @@ import numpy as np
 
 from pgm.beliefs.gaussian.anchors import anchor_rows
 from pgm.beliefs.gaussian.beliefs import Flat, by_run
+from pgm.beliefs.gaussian.layout import Layout
 from pgm.beliefs.gaussian.model import Model
 from pgm.beliefs.gaussian.refusals import indefinite_noise
 from pgm.kernels import roots, solving
@@ -57,6 +58,22 @@ class Potentials:
     exact: Flat | None
     log_scale: Array
     coarse: float
+
+
+def column_squares(layout: Layout, matrix: Array) -> Array:
+    """The squares of the columns of all rows, (V, size), by components' places.
+
+    `matrix` (V, entries) are the rows as `Potentials.proper` has them.
+    """
+    found = np.zeros((matrix.shape[0], layout.size))
+    for k, group in enumerate(layout.groups):
+        rows = matrix[:, layout.entry_starts[k] : layout.entry_starts[k + 1]]
+        rows = rows.reshape(len(found), len(group.cpds), group.height, group.width)
+        squares = np.einsum("vchw,vchw->vcw", rows, rows)
+        places = np.concatenate([group.child, group.parents], axis=1).ravel()
+        for one, own in zip(found, squares, strict=True):
+            one += np.bincount(places, own.ravel(), layout.size)
+    return found
 
 
 def make_potentials(model: Model, anchor: Anchor | None = None) -> Potentials:
@@ -162,6 +179,51 @@ class _Factor:
     coarse: float
 
 
+class _Noise(NamedTuple):
+    """The noise of CPDs of one shape: correlations with a root L, and deviations.
+
+    `deviation` (V, CPDs, d, 1) and `order` (V, CPDs, d, 1) are those of the components, each of
+    which has the largest variance given those before it; `lower` is L (V, CPDs, d, d) in this
+    order, `fixed` (V, CPDs, d) marks its zero pivots. `open` says that a pivot lies between what
+    may be rounding and what may not.
+    """
+
+    deviation: Array
+    order: Integers
+    lower: Array
+    fixed: Mask
+    open: bool
+
+    @classmethod
+    def of(cls, model: Model, groups: list[int], noise: Array) -> _Noise:
+        """The noise (CPDs, V, d, d) of the CPDs in some groups; if it is their own, it is kept."""
+        # Of a linearisation's error the noise is made anew, in memory that may be written.
+        kept = not any(model.families[g].noise.flags.writeable for g in groups)
+        key = tuple(groups)
+        if not kept or key not in model.noises:
+            model.noises[key] = cls._of(model, groups, noise.swapaxes(0, 1))
+        found: _Noise = model.noises[key]
+        return found
+
+    @classmethod
+    def _of(cls, model: Model, groups: list[int], noise: Array) -> _Noise:
+        # As correlations, those first that vary most: then no row takes up the rounding of another.
+        variance = np.diagonal(noise, axis1=-2, axis2=-1)
+        deviation = np.sqrt(np.where(variance > 0.0, variance, 1.0))[..., None]
+        correlation = noise / (deviation * transpose(deviation))
+        order = largest_first(correlation)[..., None]
+        correlation = np.take_along_axis(correlation, order, axis=-2)
+        correlation = np.take_along_axis(correlation, order.swapaxes(-1, -2), axis=-1)
+        lower = roots.root(correlation, negligible=NEGLIGIBLE)
+        if not roots.is_proper(lower):
+            bad = np.isnan(lower).any(axis=(0, 2, 3))
+            cpds = [cpd for g in groups for cpd in model.layout.groups[g].cpds]
+            raise indefinite_noise(cpds[int(np.flatnonzero(bad)[0])])
+        fixed = roots.determined(lower)
+        doubt = fixed.any() and (roots.determined(roots.root(correlation)) != fixed).any()
+        return cls(deviation, order, lower, fixed, bool(doubt))
+
+
 def _factor(model: Model, groups: list[int]) -> _Factor:
     """The rows of the CPDs in some groups, given by number, whose CPDs all have one shape.
 
@@ -173,26 +235,16 @@ def _factor(model: Model, groups: list[int]) -> _Factor:
     """
     each = zip(*(_Linearised.of(model, g) for g in groups), strict=True)
     given = _Linearised(*map(np.concatenate, each))
-    matrix, noise = given.matrix.swapaxes(0, 1), given.noise.swapaxes(0, 1)
+    matrix = given.matrix.swapaxes(0, 1)
     residual, size = (by_run(part, shared=model.shared) for part in (given.residual, given.size))
-    # As correlations, those first that vary most: then no row takes up the rounding of another.
-    variance = np.diagonal(noise, axis1=-2, axis2=-1)
-    deviation = np.sqrt(np.where(variance > 0.0, variance, 1.0))[..., None]
-    correlation = noise / (deviation * transpose(deviation))
-    order = largest_first(correlation)[..., None]
-    correlation = np.take_along_axis(correlation, order, axis=-2)
-    correlation = np.take_along_axis(correlation, order.swapaxes(-1, -2), axis=-1)
-    lower = roots.root(correlation, negligible=NEGLIGIBLE)
-    if not roots.is_proper(lower):
-        bad = np.isnan(lower).any(axis=(0, 2, 3))
-        cpds = [cpd for g in groups for cpd in model.layout.groups[g].cpds]
-        raise indefinite_noise(cpds[int(np.flatnonzero(bad)[0])])
+    noise = _Noise.of(model, groups, given.noise)
+    deviation, order, lower = noise.deviation, noise.order, noise.lower
     own, residual, size = (
         np.take_along_axis(part / deviation, order, axis=-2) for part in (matrix, residual, size)
     )
     matrix = solving.solve_lower(lower, own)
     right = -solving.solve_lower(lower, residual)
-    fixed = roots.determined(lower)
+    fixed = noise.fixed
     height = lower.shape[-1]
     dimension = height - fixed.sum(axis=-1) - given.missing.T
     log_scale = -0.5 * (dimension * LOG_2PI + solving.log_determinant(lower))
@@ -214,7 +266,7 @@ def _factor(model: Model, groups: list[int]) -> _Factor:
     share = (fixed & ~nothing)[..., None] / length[..., None]
     coarse = COARSE * float((numbers / length[..., None]).max(initial=0.0))
     # A pivot of a noise between what may be rounding and what may not leaves it open.
-    if given.doubtful.any() or (roots.determined(roots.root(correlation)) != fixed).any():
+    if given.doubtful.any() or noise.open:
         coarse = np.inf
     return _Factor(
         np.where(fixed[..., None], 0.0, matrix),

@@ -28,8 +28,9 @@ class Frame:
 
     x is the vector of all hidden components. `mean` (runs, size) are the prior's predictive means,
     or the means of a start. `scale` (size,) are the prior's predictive standard deviations, the
-    largest of all runs, with a floor where they are tiny. So neither the user's units nor large
-    coordinates cost digits. The mask `certain` (size,) marks components without variance in the
+    largest of all runs, with a floor where they are tiny; a flat prior counts as one of variance 1.
+    So neither the user's units nor large coordinates cost digits. The mask `certain` (size,) marks
+    components without variance in the
     prior, in all runs: their ξ is zero. With a start none is marked.
     """
 
@@ -69,8 +70,22 @@ def prior_predictive(
         for place in group.parents.ravel().tolist()
     )
     last = 1 if shared else runs
-    for g, row in layout.order:
-        if not asking[g]:
+    # Priors need no moments of others; those that nobody asks for are told all at once.
+    alone = [
+        group.parents.shape[1] == 0 and not group.observed and family.exact
+        for group, family in zip(layout.groups, families, strict=True)
+    ]
+    for group, family, free in zip(layout.groups, families, alone, strict=True):
+        if free:
+            noise = np.diagonal(family.noise[:, :last], axis1=-2, axis2=-1).swapaxes(0, 1)
+            variance[:, group.child] = np.where(np.isinf(noise), 1.0, noise)
+            offset, given = family.offset.swapaxes(0, 1), mean[:, group.child]
+            own = offset if start is None else np.where(np.isnan(given), offset, given)
+            mean[:, group.child] = own
+            size[group.child] = np.abs(own).max(axis=0, initial=0.0)
+    rest = any(asks and not free for asks, free in zip(asking, alone, strict=True))
+    for g, row in layout.order if rest else ():
+        if not asking[g] or (alone[g] and not left[int(layout.groups[g].child[row, 0])]):
             continue
         group, family = layout.groups[g], families[g]
         parents = group.parents[row]
@@ -81,7 +96,8 @@ def prior_predictive(
         if not group.observed:
             child = group.child[row]
             matrix = family.matrix[row, :last]
-            own = moments.predict(inside, matrix, family.noise[row, :last])
+            noise = family.noise[row, :last]
+            own = moments.predict(inside, matrix, np.where(np.isinf(noise), 1.0, noise))
             if start is None or np.isnan(mean[0, child[0]]):
                 at = mean[:, parents]
                 mean[:, child] = apply(family.matrix[row], at) + family.offset[row]

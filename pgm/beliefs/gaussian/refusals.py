@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from pgm.beliefs.gaussian.model import Model
 from pgm.cpds import CPD
 from pgm.errors import NumericalError
-from pgm.factors.scope import names
+from pgm.factors.scope import components, names
+from pgm.kernels.arrays import Array
+from pgm.kernels.rows import NEGLIGIBLE
+
+# Components up to which an open direction is looked for, and the most that are shown of one.
+MOST, SHOWN = 1500, 6
 
 
 def contradiction(model: Model, cluster: int, run: int) -> NumericalError:
@@ -21,6 +28,69 @@ def contradiction(model: Model, cluster: int, run: int) -> NumericalError:
         "the prior, some noise",
         cluster=cluster,
     )
+
+
+def improper(model: Model, cluster: int, rows: Array) -> NumericalError:
+    """The error that a cluster, by its number, has no proper belief, or the evidence no density.
+
+    `rows` (V, entries) are those of all CPDs, group by group, as linearised now.
+    """
+    scope = model.layout.scopes[cluster]
+    if not scope:
+        return NumericalError(
+            f"the density of the evidence in cluster {cluster} is beyond the range of float64: "
+            "a measurement is more than 1e150 deviations from what the model expects",
+            cluster=cluster,
+        )
+    what = f"cluster {cluster} has no proper belief over {names(scope)}"
+    if model.flat and (told := _open(model, rows)):
+        return NumericalError(
+            f"{what}: priors are flat, and measurements leave the direction {told} open; give one "
+            "of its variables a prior of finite variance, a measurement or evidence",
+            cluster=cluster,
+        )
+    return NumericalError(
+        f"{what}: its information is "
+        "singular in these numbers. Some noise is more than 1e11 times sharper than what else "
+        "is known of its variables, or, on a graph with loops, messages diverged or CPDs "
+        "without noise form a loop; scale the noise, or compile a junction tree",
+        cluster=cluster,
+    )
+
+
+def _open(model: Model, rows: Array) -> str:
+    """A direction that no row has a share in, in words; empty if none is found.
+
+    It is looked for in the first run where there is one, and not in networks of very many
+    components.
+    """
+    layout = model.layout
+    if layout.size > MOST:
+        return ""
+    for own in rows:
+        matrix = np.zeros((int(layout.row_starts[-1]), layout.size))
+        for k, group in enumerate(layout.groups):
+            first = np.arange(len(group.cpds))[:, None] * group.height + np.arange(group.height)
+            places = np.concatenate([group.child, group.parents], axis=1)
+            block = own[layout.entry_starts[k] : layout.entry_starts[k + 1]]
+            at = (layout.row_starts[k] + first)[..., None], places[:, None]
+            matrix[at] = block.reshape(*first.shape, group.width)
+        length = np.sqrt((matrix**2).sum(axis=0))
+        unit = np.where(length > 0.0, length, 1.0)
+        if not np.isfinite(matrix).all():
+            continue
+        _, values, vt = np.linalg.svd(matrix / unit, full_matrices=True)
+        least = values[-1] if len(values) == layout.size else 0.0
+        if least > NEGLIGIBLE * values.max(initial=1.0):
+            continue
+        direction = vt[-1] / unit * model.frame.scale
+        direction = direction / np.sqrt((direction**2).sum())
+        direction = direction * np.sign(direction[np.abs(direction).argmax()])
+        largest = np.argsort(-np.abs(direction), kind="stable")[:SHOWN]
+        named = components(layout.hidden)
+        parts = [f"{direction[k]:.3g} {named[k]}" for k in largest if abs(direction[k]) > 1e-6]
+        return " + ".join(parts).replace("+ -", "- ") + (", ..." if layout.size > SHOWN else "")
+    return ""
 
 
 def indefinite_noise(cpd: CPD) -> NumericalError:

@@ -118,9 +118,11 @@ def settled(model: Model) -> Mask | bool:
 def weights_shown(model: Model) -> Weights:
     """The weight of each reading, (*runs): 1 of Gaussian noise, NaN where nothing was measured."""
     found: dict[Variable, Array] = {}
-    every = zip(model.layout.groups, model.weights, model.taken, strict=True)
-    for group, weights, taken in every:
+    every = zip(model.layout.groups, model.families, model.weights, model.taken, strict=True)
+    for group, family, weights, taken in every:
         if group.observed:
+            if not np.isfinite(family.own_noise).all():
+                taken = None  # of a flat prior, which says nothing of what was measured
             shape = len(group.cpds), model.runs
             weight = np.ones(shape) if weights is None else weights.weight
             rows = np.broadcast_to(shown(weight, taken), shape)

@@ -39,6 +39,10 @@ class Stack:
     scope. The matrices of the k gathered rows stand in the buffer at `entries` (B, k, n), the right
     sides at `rows` (B, k), and the log-scales at `logs` (B, 1 + inputs): first that of the
     cluster's CPDs, then those of the messages that are gathered.
+
+    Stacks of fronts have `padded` (B,) columns more that are integrated out, which stand for no
+    component: their unit rows make them independent of all others. Their place is the number of
+    components, their column −1.
     """
 
     members: Integers
@@ -49,6 +53,7 @@ class Stack:
     entries: Integers
     rows: Integers
     logs: Integers
+    padded: Integers | int = 0
 
     @property
     def kept(self) -> int:
@@ -74,25 +79,24 @@ class Rounds:
         return np.repeat(np.array(sizes, dtype=np.intp), 2)
 
     @cached_property
-    def own_entries(self) -> Integers:
-        """The index of each group's first entry, and of the first message's, (groups + 1,)."""
-        factors = self.layout.factors
-        return np.cumsum([0, *(len(g.clusters) * g.height * g.width for g in factors)])
-
-    @cached_property
-    def own_rows(self) -> Integers:
-        """The index of each group's first row, and of the first message's, (groups + 1,)."""
-        return np.cumsum([0, *(len(g.clusters) * g.height for g in self.layout.factors)])
-
-    @cached_property
     def entry_starts(self) -> Integers:
         """The index of each message's first entry, and of the zero, (messages + 1,)."""
-        return int(self.own_entries[-1]) + np.cumsum([0, *(self.sizes**2)])
+        return int(self.layout.entry_starts[-1]) + np.cumsum([0, *(self.sizes**2)])
 
     @cached_property
     def row_starts(self) -> Integers:
         """The index of each message's first row, and of the zero, (messages + 1,)."""
-        return int(self.own_rows[-1]) + np.cumsum([0, *self.sizes])
+        return int(self.layout.row_starts[-1]) + np.cumsum([0, *self.sizes])
+
+    @property
+    def logs(self) -> int:
+        """How many log-scales the buffer has: of the clusters' CPDs, of messages, and a zero."""
+        return len(self.layout.scopes) + len(self.layout.directed) + 1
+
+    @cached_property
+    def of_cluster(self) -> Integers:
+        """The number of the log-scale of each cluster's CPDs, (clusters,)."""
+        return np.arange(len(self.layout.scopes))
 
     @cached_property
     def by_size(self) -> list[tuple[int, Integers]]:
@@ -109,7 +113,7 @@ class Rounds:
         The second, (k,), are those of the right sides.
         """
         found: list[list[tuple[Integers, Integers]]] = [[] for _ in self.layout.scopes]
-        starts = self.own_entries.tolist(), self.own_rows.tolist()
+        starts = self.layout.entry_starts.tolist(), self.layout.row_starts.tolist()
         for group, entry, first in zip(self.layout.factors, *starts, strict=False):
             height = group.height
             scope = np.concatenate([group.child, group.parents], axis=1)

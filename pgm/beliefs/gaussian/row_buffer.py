@@ -13,23 +13,52 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
 from pgm.beliefs.gaussian.beliefs import Flat
+from pgm.beliefs.gaussian.layout import Layout
 from pgm.beliefs.gaussian.model import Model
-from pgm.beliefs.gaussian.potentials import make_potentials
-from pgm.beliefs.gaussian.refusals import contradiction
-from pgm.beliefs.gaussian.rounds import Rounds, Stack
-from pgm.errors import NumericalError
-from pgm.factors.scope import names
-from pgm.kernels.arrays import Array, Integers
+from pgm.beliefs.gaussian.potentials import Potentials, make_potentials
+from pgm.beliefs.gaussian.refusals import contradiction, improper
+from pgm.beliefs.gaussian.rounds import Stack
+from pgm.kernels.arrays import LOG_2PI, Array, Integers
 from pgm.kernels.rows import Eliminated, Rows, eliminate
-from pgm.schedules.iteration import Anchor
+
+
+class Places(Protocol):
+    """Where the rows of factors and messages stand in a buffer.
+
+    A zero follows the last message, and the entry of unit rows follows it.
+    """
+
+    @property
+    def layout(self) -> Layout:
+        """The layout of the components."""
+
+    @property
+    def entry_starts(self) -> Integers:
+        """The index of each message's first entry, and of the zero, (messages + 1,)."""
+
+    @property
+    def row_starts(self) -> Integers:
+        """The index of each message's first row, and of the zero, (messages + 1,)."""
+
+    @property
+    def logs(self) -> int:
+        """How many log-scales there are."""
+
+    @property
+    def of_cluster(self) -> Integers:
+        """The number of the log-scale of each cluster's CPDs, (clusters,)."""
+
+
+Standing = TypeVar("Standing", bound=Places)
 
 
 @dataclass(eq=False)
-class Buffer:
+class Buffer(Generic[Standing]):
     """Factors and messages as rows; `rounds` tells where each of them stands.
 
     `proper` are the rows with noise. `exact` are the rows of relations without noise, None if there
@@ -40,7 +69,7 @@ class Buffer:
     factors and eliminations.
     """
 
-    rounds: Rounds
+    rounds: Standing
     model: Model
     proper: Flat
     exact: Flat | None
@@ -49,17 +78,20 @@ class Buffer:
     largest: float = 0.0
 
     @classmethod
-    def make(cls, rounds: Rounds, model: Model) -> Buffer:
+    def make(cls, rounds: Standing, model: Model) -> Buffer[Standing]:
         """A buffer of zeros, for a model whose factors `refresh` puts in."""
         stacked, sides = (1, model.runs) if model.shared else (model.runs, 1)
-        entries, rows = int(rounds.entry_starts[-1]) + 1, int(rounds.row_starts[-1]) + 1
-        logs = len(rounds.layout.scopes) + len(rounds.layout.directed) + 1
+        entries, rows = int(rounds.entry_starts[-1]) + 2, int(rounds.row_starts[-1]) + 1
         proper = Flat(np.zeros((stacked, entries)), np.zeros((stacked, rows, sides)))
-        return cls(rounds, model, proper, None, np.zeros((stacked, logs, sides)))
+        proper.matrix[:, -1] = 1.0
+        return cls(rounds, model, proper, None, np.zeros((stacked, rounds.logs, sides)))
 
-    def refresh(self, anchor: Anchor | None = None) -> None:
-        """Put in the CPDs' factors as they are linearised now, and an anchor's; messages stay."""
-        potentials = make_potentials(self.model, anchor)
+    def refresh(self, potentials: Potentials | None = None) -> None:
+        """Put in the CPDs' factors as they are linearised now; the messages stay.
+
+        `potentials` are these factors, if they have been made already.
+        """
+        potentials = potentials or make_potentials(self.model)
         self.coarse = float(np.maximum(self.coarse, potentials.coarse))
         own = potentials.proper
         self.largest = float(np.maximum(self.largest, np.abs(own.matrix).max(initial=0.0)))
@@ -71,10 +103,13 @@ class Buffer:
         if self.exact is not None:
             self.exact.put(*there, *(potentials.exact or ()))
         layout = self.rounds.layout
-        self.log_scale[:, : len(layout.scopes)] = 0.0
         none = np.zeros(0, dtype=np.intp)
         clusters = np.concatenate([none, *(group.clusters for group in layout.groups)])
-        np.add.at(self.log_scale.swapaxes(0, 1), clusters, potentials.log_scale.swapaxes(0, 1))
+        logs = self.rounds.of_cluster
+        self.log_scale[:, logs] = 0.0
+        np.add.at(
+            self.log_scale.swapaxes(0, 1), logs[clusters], potentials.log_scale.swapaxes(0, 1)
+        )
 
     def factor(self, stack: Stack) -> Rows:
         """The rows that a stack's B eliminations gather: A (V, B, k, n) and r (V, B, k, N)."""
@@ -85,13 +120,14 @@ class Buffer:
         exact = () if self.exact is None else self.exact.at(entries, rows)
         return Rows(*self.proper.at(entries, rows), *exact)
 
-    def eliminate(self, stack: Stack) -> tuple[Eliminated, Array]:
+    def eliminate(self, stack: Stack, clusters: Integers | None = None) -> tuple[Eliminated, Array]:
         """Integrate the first `stack.drop` columns out of each of a stack's B factors.
 
         Returns two results. The first, stacked (V, B, ...), has the conditionals of these columns
         given the others, and the rows of the integrals, which are factors over the others. The
         second are the log-scales of the integrals, (V, B, N), taken in the user's units. Exact
-        relations that contradict one another are a NumericalError.
+        relations that contradict one another are a NumericalError. It names the stack's cluster,
+        which is that of a front in `clusters` (fronts,).
         """
         factor = self.factor(stack)
         if factor.exact is None or any(np.any(part) for part in factor[2:]):
@@ -103,8 +139,11 @@ class Buffer:
         self.largest = float(np.maximum(self.largest, done.largest))  # NaN stays
         if done.contradiction is not None and done.contradiction.any():
             v, b, n = (int(axis[0]) for axis in np.nonzero(done.contradiction))
-            raise contradiction(self.model, int(stack.clusters[b]), max(v, n))
-        unit = np.log(self.model.frame.scale[stack.components[:, : stack.drop]]).sum(axis=1)
+            where = stack.clusters[b] if clusters is None else clusters[stack.clusters[b]]
+            raise contradiction(self.model, int(where), max(v, n))
+        scale = np.append(self.model.frame.scale, 1.0)
+        unit = np.log(scale[stack.components[:, : stack.drop]]).sum(axis=1)
+        unit = unit - 0.5 * LOG_2PI * stack.padded
         known = self.log_scale[:, stack.logs].sum(axis=2)
         return done, known + done.log_scale + unit[:, None]
 
@@ -149,17 +188,4 @@ class Buffer:
             return
         bad = ~np.isfinite(done).all(axis=(0, *range(2, done.ndim)))
         cluster = list(clusters)[int(np.flatnonzero(bad)[0])]
-        scope = self.rounds.layout.scopes[cluster]
-        if not scope:
-            raise NumericalError(
-                f"the density of the evidence in cluster {cluster} is beyond the range of float64: "
-                "a measurement is more than 1e150 deviations from what the model expects",
-                cluster=cluster,
-            )
-        raise NumericalError(
-            f"cluster {cluster} has no proper belief over {names(scope)}: its information is "
-            "singular in these numbers. Some noise is more than 1e11 times sharper than what else "
-            "is known of its variables, or, on a graph with loops, messages diverged or CPDs "
-            "without noise form a loop; scale the noise, or compile a junction tree",
-            cluster=cluster,
-        )
+        raise improper(self.model, cluster, self.proper.matrix)

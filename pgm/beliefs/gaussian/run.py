@@ -8,27 +8,29 @@ the axes of runs flattened to one.
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from pgm.beliefs.gaussian import careful
 from pgm.beliefs.gaussian.beliefs import Beliefs, Calibrated
-from pgm.beliefs.gaussian.certificate import SAFE_DIGITS, cause, kept_digits
+from pgm.beliefs.gaussian.certificate import SAFE_DIGITS, are_few, cause, kept_digits
 from pgm.beliefs.gaussian.iterated import is_controlled, iterated
-from pgm.beliefs.gaussian.layout import Layout, barren, known_parents
+from pgm.beliefs.gaussian.layout import Layout, barren, knowing, robust
 from pgm.beliefs.gaussian.messages import RowMessages
 from pgm.beliefs.gaussian.model import Model
 from pgm.beliefs.gaussian.outcome import GaussianOutcome
 from pgm.beliefs.gaussian.reweighting import require_weighable
+from pgm.beliefs.gaussian.rounds import Rounds
 from pgm.beliefs.gaussian.row_buffer import Buffer
-from pgm.beliefs.gaussian.tree import TreePlan, calibrate
+from pgm.beliefs.gaussian.solving import TreeSolver
+from pgm.beliefs.gaussian.tree import TreePlan
 from pgm.clustergraph import ClusterGraph
 from pgm.cpds import AffineCPD
 from pgm.errors import EvidenceError, NumericalError
 from pgm.evidence import Evidence
 from pgm.evidence.rows import as_rows, require_finite
-from pgm.evidence.static import BoundValues, bind_values
+from pgm.evidence.static import BoundValues, Roles, bind_values, complete_rows
 from pgm.kernels import last_place
 from pgm.kernels.arrays import Array, quiet
 from pgm.linearisers import Lineariser
@@ -58,21 +60,24 @@ def run(
     digits give a `PrecisionWarning`.
     """
     network = graph.network
-    require_gaussian(network.cpds, "Gaussian beliefs")
-    absent = barren(network, evidence)
-    cpds = [cpd for cpd in network.cpds if cpd.child not in absent]
-    require_weighable(graph, cpds, evidence, schedule)
-    inputs = set(network.inputs)
-    needed = (v for cpd in cpds for v in known_parents(cpd, inputs))
-    bound = bind_values(network.cpds, evidence, network.lead, needed)
-    linear = all(isinstance(cpd, AffineCPD) and cpd.noise is None for cpd in cpds)
+    linear = graph.derived(_linear)
+    absent = barren(graph, evidence)
+    weighed = [cpd for cpd in robust(graph) if cpd.child not in absent]
+    require_weighable(graph, weighed, evidence, schedule)
+    needed = (v for cpd, known in knowing(graph) if cpd.child not in absent for v in known)
+    roles = graph.derived(_roles)
+    bound = bind_values(network.cpds, evidence, network.lead, needed, roles)
+    if absent and not linear:
+        linear = all(isinstance(c, AffineCPD) for c in network.cpds if c.child not in absent)
+    linear = linear and not weighed
     anchored = not linear and is_controlled(schedule)
     plan = graph.derived(_plan, frozenset(bound.values), absent, anchored)
-    squares = [size * size for size in plan.places.sizes]
+    loopy = isinstance(schedule, Loopy)
+    places = plan.cluster_places if loopy else plan.places
+    squares = (places.blocks.sizes**2).tolist()
     require_size(graph, squares, "covariances")
     require_runs(sum(squares), 1 if linear else bound.runs, "the covariances of all clusters")
     at = None if start is None else _start(plan.layout, bound, start)
-    loopy = isinstance(schedule, Loopy)
     again = not loopy and careful.work(plan.layout, bound.runs, linear) <= careful.MOST_WORK
     with quiet():
         for judge in judged():
@@ -103,16 +108,17 @@ def _solved(
     loopy = isinstance(schedule, Loopy)
     try:
         model = Model.make(plan.layout, bound, lineariser, at, judge=judge)
-        buffer = Buffer.make(plan.rounds, model)
+        again = again and not model.flat  # decimals need a joint of all variables
         if isinstance(schedule, Loopy):
-            found = _sent(plan, buffer, schedule)
+            found = _sent(plan, Buffer.make(plan.rounds, model), schedule)
         else:
-            solver = partial(_in_float64, plan, buffer)
+            solver = TreeSolver(plan, model)
             done, status = iterated(model, solver, schedule, started=at is not None)
+            status = status.with_compilation(solver.compilation)
             found = GaussianOutcome(graph, status, plan, model, done)
-        digits = kept_digits(buffer, found._done.beliefs, found._done.log_evidence)
+        digits = kept_digits(model, found._done)
         enough = digits >= SAFE_DIGITS or (loopy and not found.status.converged.all())
-        if enough or not again:
+        if not (again and are_few(digits, found._done)):
             lost = None if enough else np.full(bound.runs, 10.0**-digits)
             status = _told(found.status, model, found._done.beliefs, lost)
             return replace(found, status=status)
@@ -120,8 +126,8 @@ def _solved(
         if not again:
             raise
     model = Model.make(plan.layout, bound, lineariser, at, careful.predictive, judge=judge)
-    solver = partial(_in_digits, plan, model)
-    done, status = iterated(model, solver, schedule, started=at is not None)
+    solution = _InDigits(plan, model)
+    done, status = iterated(model, solution, schedule, started=at is not None)
     assert done.digits is not None
     status = _told(status, model, done.beliefs, 10.0**-done.digits)
     return GaussianOutcome(graph, status, plan, model, done)
@@ -143,6 +149,17 @@ def _told(status: Status, model: Model, beliefs: Beliefs, lost: Array | None) ->
     return status._losing(np.broadcast_to(place, (model.runs,)), LAST_PLACE)
 
 
+def _linear(graph: ClusterGraph) -> bool:
+    """Whether all CPDs are affine; those that Gaussian beliefs do not take are refused."""
+    cpds = graph.network.cpds
+    require_gaussian(cpds, "Gaussian beliefs")
+    return all(isinstance(cpd, AffineCPD) for cpd in cpds)
+
+
+def _roles(graph: ClusterGraph) -> Roles:
+    return Roles.of(graph.network.cpds)
+
+
 def _plan(
     graph: ClusterGraph,
     observed: frozenset[Variable],
@@ -157,34 +174,28 @@ def _plan(
     return TreePlan(Layout(graph, observed, absent, anchored))
 
 
-def _sent(plan: TreePlan, buffer: Buffer, schedule: Loopy) -> GaussianOutcome:
+def _sent(plan: TreePlan, buffer: Buffer[Rounds], schedule: Loopy) -> GaussianOutcome:
     """The posterior by rounds of messages, on a graph that may have loops.
 
     Rounds are sent until no message changes by more than the schedule's tolerance, or its
     iterations are used up. `buffer` is that of the model, and still holds only zeros.
     """
     graph, model = plan.layout.graph, buffer.model
-    messages = RowMessages.make(buffer, plan.places, schedule.damping)
+    messages = RowMessages.make(buffer, plan.cluster_places, schedule.damping)
     status = run_loopy(messages, schedule, model.lead)
     return GaussianOutcome(graph, status, plan, model, messages.calibrated(), messages)
 
 
-def _in_float64(plan: TreePlan, buffer: Buffer, anchor: Anchor | None) -> Calibrated:
-    """The beliefs of the linearised network in float64, with an anchor's measurement, if any.
+class _InDigits(NamedTuple):
+    """The solver in as many decimals as a network's numbers need."""
 
-    A solution with an anchor is a try, whose digits are not counted.
-    """
-    before = buffer.largest, buffer.coarse
-    done = calibrate(plan, buffer, anchor)
-    if anchor is not None:
-        buffer.largest, buffer.coarse = before
-    return done
+    plan: TreePlan
+    model: Model
 
-
-def _in_digits(plan: TreePlan, model: Model, anchor: Anchor | None) -> Calibrated:
-    """The beliefs of the linearised network, in as many decimals as its numbers need."""
-    found = careful.solve(plan, model, anchor)
-    return Calibrated(found.beliefs, found.log_evidence, found.digits)
+    def solve(self, anchor: Anchor | None = None, *, to_move: bool = False) -> Calibrated:
+        """The beliefs of the linearised network; all decimals are there if it is one to move by."""
+        found = careful.solve(self.plan, self.model, anchor)
+        return Calibrated(found.beliefs, found.log_evidence, digits=found.digits)
 
 
 def _start(layout: Layout, bound: BoundValues, start: Start) -> Array:
@@ -195,15 +206,22 @@ def _start(layout: Layout, bound: BoundValues, start: Start) -> Array:
     """
     require_hidden(start, layout.places)
     mean = np.full((bound.runs, layout.size), np.nan)
-    parents = {v for group in layout.groups for cpd in group.cpds for v in cpd.given}
+    complete = complete_rows(start)
+    missing = [variable for variable in layout.hidden if variable not in start]
+    if missing:
+        parents = {v for group in layout.groups for cpd in group.cpds for v in cpd.given}
+        for variable in missing:
+            if variable in parents:
+                raise EvidenceError(
+                    f"start lacks {variable!r}; it takes means of all hidden parents",
+                    variable=variable,
+                )
     for variable in layout.hidden:
+        if variable in complete:
+            mean[:, layout.places[variable]] = complete[variable]
+            continue
         if variable not in start:
-            if variable not in parents:
-                continue
-            raise EvidenceError(
-                f"start lacks {variable!r}; it takes means of all hidden parents",
-                variable=variable,
-            )
+            continue
         row = as_rows(variable, start[variable], None)
         row = require_finite(variable, row[..., None, :])[..., 0, :]
         mean[:, layout.places[variable]] = over_runs(variable, row, bound.lead, 1)

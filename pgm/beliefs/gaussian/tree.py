@@ -1,33 +1,40 @@
 """Calibrating a tree: rows are eliminated towards the roots, moments pushed back.
 
-Upward, each cluster integrates out its components c that are not in the sepset s with its parent.
-It keeps their conditional, c = G s + offset + noise, with the *gain* G; this is a sparse QR
-factorisation. Downward, the parent's moments of s go through the conditional, which gives those of
-c. Nothing is divided or subtracted, and covariances may be singular.
+The clusters are joined to *fronts*. Upward, each front integrates out its pivots c, the components
+that are not among its separators s, which it shares with its parent. It keeps their conditional,
+c = G s + offset + noise, with the *gain* G; this is a sparse QR factorisation. Downward, the
+parent's moments of s go through the conditional, which gives those of c. Nothing is divided or
+subtracted, and covariances may be singular.
 
 A CPD or message is a factor exp(−½ ‖A ξ − r‖²), and is kept as *rows*: those of A, with right sides
 r. The rows of all CPDs and messages stand in one buffer. A *stack* is a batch of B eliminations of
-equal shape, which compute B messages or beliefs. V is 1 where all runs share their covariances,
+equal shape. V is 1 where all runs share their covariances,
 else the number of runs.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 
-from pgm.beliefs.gaussian.beliefs import Beliefs, Calibrated, Places
+from pgm.beliefs.gaussian.beliefs import Beliefs, Calibrated, Places, Sizes
+from pgm.beliefs.gaussian.front_stacks import FrontStacks
+from pgm.beliefs.gaussian.fronts import Fronts
 from pgm.beliefs.gaussian.layout import Layout
+from pgm.beliefs.gaussian.machine_plan import told
+from pgm.beliefs.gaussian.potentials import Potentials, column_squares
 from pgm.beliefs.gaussian.rounds import Rounds, Stack
 from pgm.beliefs.gaussian.row_buffer import Buffer
 from pgm.clustergraph.structure import Forest
 from pgm.kernels import dense, step
-from pgm.kernels.arrays import Array, Integers, frozen, transpose
+from pgm.kernels.arrays import Array, Integers, apply, deviation, frozen, transpose
+from pgm.kernels.machine.fronts.plan import Plan
 from pgm.kernels.rows import Eliminated
 from pgm.progress import counted
-from pgm.schedules.iteration import Anchor
 
 # Variances below this, in units of the prior's, are rounding of what exact relations determine.
 CERTAIN = 1e-28
@@ -35,19 +42,58 @@ CERTAIN = 1e-28
 
 @dataclass(frozen=True, eq=False)
 class TreePlan:
-    """The plan of both passes over a tree: their rounds, and where rows and moments stand."""
+    """The plan of the passes over a tree, and of its messages: where rows and moments stand."""
 
     layout: Layout
 
     @cached_property
-    def rounds(self) -> Rounds:
-        """Where the rows of factors and messages stand in the buffer."""
-        return Rounds(self.layout)
+    def fronts(self) -> Fronts:
+        """The fronts of the tree."""
+        return Fronts.of(self.layout)
+
+    @cached_property
+    def stacks(self) -> FrontStacks:
+        """The stacks of fronts, and where their rows stand in a buffer."""
+        return FrontStacks(self.layout, self.fronts)
 
     @cached_property
     def places(self) -> Places:
-        """Where the moments of clusters stand in `Beliefs`."""
-        return Places(self.layout)
+        """Where the moments of fronts stand in `Beliefs`."""
+        return Places(self.layout, self.fronts.blocks, self.fronts.of_cluster)
+
+    @cached_property
+    def separators(self) -> list[list[tuple[Integers, Integers]]]:
+        """For each stack of fronts, where `Beliefs` has the moments of their separators.
+
+        They are those of the parents' beliefs. separators[level][stack] is a pair of flat indices,
+        of means (B, s) and covariances (B, s, s), for the B fronts of a stack.
+        """
+        return [[self._above(stack) for stack in level] for level in self.stacks.levels]
+
+    def _above(self, stack: Stack) -> tuple[Integers, Integers]:
+        fronts, places = self.fronts, self.places
+        columns = stack.columns[:, stack.drop :]
+        begin = np.cumsum(fronts.separators) - fronts.separators
+        index = begin[stack.members][:, None] + columns - fronts.pivots[stack.members][:, None]
+        above = np.append(fronts.above, -1)[np.where(columns < 0, -1, index)]
+        at = np.maximum(fronts.parent[stack.members], 0), above
+        return places.means(*at), places.covs(*at)
+
+    @cached_property
+    def machine(self) -> Plan:
+        """The fronts as machine code is told of them."""
+        return told(self.layout, self.fronts)
+
+    @cached_property
+    def rounds(self) -> Rounds:
+        """Where the rows of factors and of messages between clusters stand in a buffer."""
+        return Rounds(self.layout)
+
+    @cached_property
+    def cluster_places(self) -> Places:
+        """Where the moments of clusters stand in `Beliefs` that messages have made."""
+        blocks = self.layout.blocks
+        return Places(self.layout, blocks, np.arange(len(blocks)))
 
     @cached_property
     def forest(self) -> Forest:
@@ -55,104 +101,81 @@ class TreePlan:
         return Forest.of(self.layout.graph)
 
     @cached_property
-    def levels(self) -> list[list[Stack]]:
-        """Stacks of messages to parents, in a list for each depth of the tree, deepest first.
-
-        The last list has the stacks of the roots' beliefs.
-        """
-        *below, roots = reversed(self.forest.levels)
-        found = [self.rounds.messages(self.upward[level].tolist()) for level in below]
-        return [*found, self.rounds.beliefs(roots.tolist())]
-
-    @cached_property
-    def upward(self) -> Integers:
-        """The number of each cluster's message to its parent, (clusters,); −1 of a root."""
-        source, target = self.layout.directed.source, self.layout.directed.target
-        found = np.full(len(self.forest.parent), -1)
-        messages = np.flatnonzero(self.forest.parent[source] == target)
-        found[source[messages]] = messages
-        return found
-
-    @cached_property
-    def senders(self) -> dict[int, tuple[int, int, int]]:
-        """For each cluster with a parent, where `levels` has its message to the parent.
-
-        It is the index of a level, that of a stack in it, and that of the message in the stack.
-        """
-        return {
-            cluster: (level, k, row)
-            for level, stacks in enumerate(self.levels[:-1])
-            for k, stack in enumerate(stacks)
-            for row, cluster in enumerate(stack.clusters.tolist())
-        }
-
-    @cached_property
     def both_ways(self) -> list[list[Stack]]:
         """Rounds of stacks: messages to parents, deepest first, then messages to children."""
-        downward = (self.upward[level] ^ 1 for level in self.forest.levels[1:])
-        down = [self.rounds.messages(messages.tolist()) for messages in downward]
-        return [*self.levels[:-1], *down]
-
-    @cached_property
-    def separators(self) -> list[list[tuple[Integers, Integers]]]:
-        """For each stack of messages to parents, where `Beliefs` has the moments of their sepsets.
-
-        These are moments of the parents' beliefs. separators[level][stack] is a pair of flat
-        indices, of means (B, s) and covariances (B, s, s), for the B messages of
-        ``levels[level][stack]``.
-        """
-        parent = self.forest.parent
-        return [
-            [
-                self.places.of(parent[stack.clusters], stack.components[:, stack.drop :])
-                for stack in level
-            ]
-            for level in self.levels[:-1]
-        ]
+        source, target = self.layout.directed.source, self.layout.directed.target
+        upward = np.full(len(self.forest.parent), -1)
+        messages = np.flatnonzero(self.forest.parent[source] == target)
+        upward[source[messages]] = messages
+        down = [upward[level] for level in self.forest.levels[1:]]
+        both = [*reversed(down), *(messages ^ 1 for messages in down)]
+        return [self.rounds.messages(messages.tolist()) for messages in both]
 
 
 @dataclass(frozen=True, eq=False)
 class TreeBeliefs(Beliefs):
-    """Moments of a tree's clusters, with the gains G of the upward pass.
+    """Moments of a tree's fronts.
 
-    gains[level][stack] (V, B, c, s) are those of the B clusters whose messages to their parents
-    ``TreePlan.levels[level][stack]`` computes. Each is the regression of the c components that the
-    cluster integrates out on the s components of the sepset with its parent.
+    `gain` gives, for the number of a front, the regression of its pivots on its separators, (V,
+    pivots, separators).
     """
 
-    gains: list[list[Array]]
+    gain: Callable[[int], Array]
 
 
-def calibrate(plan: TreePlan, buffer: Buffer, anchor: Anchor | None = None) -> Calibrated:
+@dataclass(frozen=True, eq=False)
+class _Gains:
+    """The regressions that stacks of fronts have kept, (V, B, c, s) each."""
+
+    fronts: Fronts
+    stacks: list[tuple[Stack, Array]]
+
+    def __call__(self, front: int) -> Array:
+        k, row = self._where[front]
+        own, shared = int(self.fronts.pivots[front]), int(self.fronts.separators[front])
+        return self.stacks[k][1][:, row, :own, :shared]
+
+    @cached_property
+    def _where(self) -> dict[int, tuple[int, int]]:
+        return {
+            front: (k, row)
+            for k, (stack, _) in enumerate(self.stacks)
+            for row, front in enumerate(stack.members.tolist())
+        }
+
+
+def calibrate(plan: TreePlan, buffer: Buffer[FrontStacks], potentials: Potentials) -> Calibrated:
     """The beliefs of a tree, and ln p(evidence): both passes, with the CPDs as linearised now.
 
-    An anchor's measurement is added to them, if there is one; the layout has to be anchored then.
     Measurements that contradict CPDs without noise, and a belief that is not proper, are a
-    NumericalError.
+    NumericalError. `buffer` has its rows where `plan.stacks` has them; `potentials` are the CPDs'.
     """
-    buffer.refresh(anchor)
+    buffer.refresh(potentials)
     kept: list[list[Eliminated]] = []
     stacked, _, sides = buffer.proper.right.shape
     total = np.zeros((stacked, sides))
-    for level in counted(plan.levels, "up the tree"):
+    tops = plan.fronts.tops
+    for level in counted(plan.stacks.levels, "up the tree"):
         kept.append([])
         for stack in level:
-            done, log_scale = buffer.eliminate(stack)
-            buffer.require_finite(log_scale, stack.clusters.tolist())
+            done, log_scale = buffer.eliminate(stack, tops)
+            buffer.require_finite(log_scale, tops[stack.clusters].tolist())
             kept[-1].append(done)
-            if level is plan.levels[-1]:
-                total += log_scale.sum(axis=1)
-            else:
-                buffer.store(stack, done.rest, log_scale)
+            total += log_scale.sum(axis=1)
+            if stack.kept:
+                buffer.store(stack, done.rest, None)
     blank = Beliefs.empty(plan.places, buffer.model.frame, stacked, sides)
-    gains = [[done.gain for done in results] for results in kept[:-1]]
+    each = zip(chain.from_iterable(plan.stacks.levels), chain.from_iterable(kept), strict=True)
+    gains = _Gains(plan.fronts, [(stack, done.gain) for stack, done in each])
     beliefs = TreeBeliefs(blank.places, blank.frame, blank.mean, blank.cov, gains)
     exact = buffer.exact is not None
-    for stack, done in zip(plan.levels[-1], kept[-1], strict=True):
-        beliefs.put(stack, done.offset, _certain(done.noise) if exact else done.noise)
-    below = list(zip(plan.levels[:-1], plan.separators, kept[:-1], strict=True))
+    magnified = 1.0
+    below = list(zip(plan.stacks.levels, plan.separators, kept, strict=True))
     for level, separators, results in reversed(below):
         for stack, (where, entries), done in zip(level, separators, results, strict=True):
+            if not stack.kept:
+                beliefs.put(stack, done.offset, _certain(done.noise) if exact else done.noise)
+                continue
             at, spread = beliefs.mean[:, where], beliefs.cov[:, entries]
             parts = dense.Stack(spread, True), dense.Stack(done.gain), dense.Stack(done.noise)
             cross, own = (each.array for each in step.crossed(*parts))
@@ -161,12 +184,17 @@ def calibrate(plan: TreePlan, buffer: Buffer, anchor: Anchor | None = None) -> C
                 cross = np.where(
                     (np.diagonal(own, axis1=-2, axis2=-1) > 0.0)[..., None], cross, 0.0
                 )
+            else:
+                summands = apply(np.abs(done.gain), deviation(spread))
+                magnified = max(magnified, float((summands / deviation(own)).max()) ** 2)
             beliefs.put(
                 stack,
                 np.concatenate([done.gain @ at + done.offset, at], axis=2),
                 np.block([[own, cross], [transpose(cross), spread]]),
             )
-    return Calibrated(beliefs, frozen(total))
+    information = None if exact else column_squares(plan.layout, potentials.proper.matrix)
+    sizes = Sizes(buffer.largest, buffer.coarse, information, magnified)
+    return Calibrated(beliefs, frozen(total), sizes)
 
 
 def _certain(cov: Array) -> Array:

@@ -18,8 +18,8 @@ from pgm.beliefs.gaussian.joints import joint_moments
 from pgm.beliefs.gaussian.model import LinearisedAt, Model, weights_of
 from pgm.beliefs.gaussian.prior import prior_predictive
 from pgm.beliefs.gaussian.reweighting import reweigh
-from pgm.beliefs.gaussian.row_buffer import Buffer
-from pgm.beliefs.gaussian.tree import TreePlan, calibrate
+from pgm.beliefs.gaussian.solving import TreeSolver
+from pgm.beliefs.gaussian.tree import TreePlan
 from pgm.errors import PgmError
 from pgm.factors.scope import angle_mask
 from pgm.inference.audit.modes import MOST, FixedPoints, Modes, choose
@@ -126,7 +126,7 @@ class Search:
         """
         flat = at.swapaxes(0, 1).reshape(-1, at.shape[-1])
         model = self._linearised(flat)
-        return calibrate(self.plan, Buffer.make(self.plan.rounds, model))
+        return TreeSolver(self.plan, model).solve()
 
     def climb(self, at: Array) -> Array:
         """Climb from points (runs, C, n) by steps of Gauss–Newton that raise the log-density.

@@ -6,7 +6,9 @@ import numpy as np
 
 import pgm
 from models import motion
+from models.pose_graphs import pose_graph_network
 from models.sensors import range_bearing
+from pgm.recordings import PoseGraph
 
 MOVED, SEEN, KNOWN = np.array([0.1, 0.1, 0.05]), np.array([0.1, 0.05]), 5.0
 
@@ -121,6 +123,51 @@ class Map:
         poses, marks = posterior.means(self.poses), posterior.means(self.marks)
         lead = poses.shape[:-2]
         return np.concatenate([poses.reshape(*lead, -1), marks.reshape(*lead, -1)], axis=-1)
+
+
+@dataclass
+class Motions:
+    """A pose graph of which a tree's edges are hidden motions, that poses follow without noise."""
+
+    graph: PoseGraph
+    network: pgm.BayesianNetwork
+    evidence: dict
+    poses: list
+    landmarks: list
+    told: dict
+
+    @classmethod
+    def of(cls, graph, noise=None):
+        made = pose_graph_network(graph)
+        measured = {cpd.child: cpd for cpd in made.network.cpds if cpd.given}
+        known = [pgm.GaussianCPD(made.poses[row], graph.poses[row], 0.0) for row in made.held]
+        told, cpds = {}, []
+        for branch in made.branches:
+            z = next(v for v in measured if v.name == f"{'zs'[branch.sees]}{branch.edge}")
+            sensor = measured.pop(z)
+            u = pgm.Variable(f"u_{z.name}", components=z.components, angles=z.angles)
+            told[u] = branch.edges.motions[branch.edge]
+            child = (made.landmarks if branch.sees else made.poses)[branch.child]
+            leads = motion.increment if branch.onward else motion.retreat
+            leads = motion.place if branch.sees else leads
+            parents = made.poses[branch.parent], u
+            cpds.append(pgm.GaussianCPD(u, told[u], sensor.cov))
+            cpds.append(pgm.NonlinearGaussianCPD(child, parents, leads, 0.0))
+        cpds += [
+            pgm.NonlinearGaussianCPD(z, cpd.given, motion.relative, cpd.cov, noise=noise)
+            for z, cpd in measured.items()
+        ]
+        evidence = {z: made.evidence[z] for z in measured}
+        network = pgm.BayesianNetwork([*known, *cpds])
+        return cls(graph, network, evidence, list(made.poses), list(made.landmarks), told)
+
+    def start(self, poses, landmarks):
+        """Means to begin at, of motions as they are told, which need not lead there."""
+        vertices = zip([*self.poses, *self.landmarks], [*poses, *landmarks], strict=True)
+        return {**self.told, **dict(vertices)}
+
+    def means(self, posterior):
+        return posterior.means(self.poses), posterior.means(self.landmarks)
 
 
 def slope(function, x, step=1e-6):

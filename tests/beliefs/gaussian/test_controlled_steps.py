@@ -4,7 +4,7 @@ from io import StringIO
 
 import numpy as np
 import pytest
-from gaussian.maps import Map, controlled
+from gaussian.maps import Map, Motions, controlled
 from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
 
@@ -202,14 +202,11 @@ def test_a_child_without_noise_is_carried_along():
 @pytest.mark.parametrize("begin", ["reckoned", "far", "none"])
 def test_exact_motions_of_a_pose_graph_are_obeyed(begin, runs):
     graph = read_pose_graph(StringIO(written()))
-    made = pose_graph_network(graph)
-    poses, landmarks = made.reckoned()
-    if begin == "far":
+    poses, landmarks = pose_graph_network(graph).reckoned()
+    made = Motions.of(graph)
+    if begin == "far":  # where the motions do not lead
         poses[1:] += np.random.default_rng(0).normal(0.0, 1.5, poses[1:].shape)
     start = None if begin == "none" else made.start(poses, landmarks)
-    if begin == "far":  # motions that do not lead there
-        motions = {branch.variable: branch.edges.motions[branch.edge] for branch in made.branches}
-        start = start | motions
     evidence = {
         v: np.broadcast_to(value, (*runs, len(value))) for v, value in made.evidence.items()
     }

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gaussian.maps import Map
+from gaussian.maps import Map, Motions
 from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
 
@@ -154,7 +154,7 @@ def test_a_map_with_outliers_is_the_optimum_that_scipy_finds(noise, damping):
 
     best = least_squares(whole, found + 1e-3, **TIGHT).x
     assert posterior.status.converged
-    assert_allclose(found, best, atol=1e-5)
+    assert_allclose(found, best, atol=5e-5)
     kind = "linearised bound" if noise.is_proper(2) else "unnormalised"
     assert posterior.log_evidence_kind == kind
     weights = np.array([posterior.weights[v] for v in drawn.readings])
@@ -163,30 +163,33 @@ def test_a_map_with_outliers_is_the_optimum_that_scipy_finds(noise, damping):
 
 @pytest.mark.parametrize("damping", [0.0, LM], ids=["full", "LM"])
 @pytest.mark.parametrize("noise", [HUBER, CAUCHY], ids=repr)
-def test_closures_of_exact_motions_and_turned_headings(noise, damping):
-    """Headings of more than half a turn, and a closure that is wrong."""
+@pytest.mark.parametrize("make", [pose_graph_network, Motions.of])
+def test_closures_by_headings_of_more_than_half_a_turn(make, noise, damping):
+    """One closure is wrong; poses have flat priors, or are followed by motions without noise."""
     graph = read_pose_graph(StringIO(written()))
     edges = graph.edges
     edges.motions[9] += [3.0, -1.0, 1.0]
-    made = pose_graph_network(graph, noise)
+    made = make(graph, noise)
     posterior = settle(made.network, made.evidence, damping)
     assert posterior.status.converged
     found, marks = made.means(posterior)
-    robust_rows = np.array([int(str(v)[1:]) for v in made.evidence if str(v)[0] == "z"])
+    read = [cpd.child.name for cpd in made.network.cpds if getattr(cpd, "noise", None)]
+    weighed = np.array([int(name[1:]) for name in read if name[0] == "z"])
+    assert sorted(weighed.tolist()) == [8, 9, 10, 11]
 
     def whole(v):
         poses = np.concatenate([graph.poses[:1], v[:24].reshape(8, 3)])
         left = residuals(graph, poses, v[24:].reshape(1, 2))
         own, seen = left[: 3 * len(edges)].reshape(-1, 3), left[3 * len(edges) :].reshape(-1, 2)
-        kept = np.setdiff1d(np.arange(len(edges)), robust_rows)
-        parts = own[kept].ravel(), seen[0], robust(noise, own[robust_rows]), robust(noise, seen[1:])
-        return np.concatenate(parts)
+        kept = np.setdiff1d(np.arange(len(edges)), weighed)
+        return np.concatenate(
+            [own[kept].ravel(), seen[0], robust(noise, own[weighed]), robust(noise, seen[1:])]
+        )
 
-    best = least_squares(whole, np.concatenate([found[1:].ravel(), marks.ravel()]), **TIGHT)
-    assert np.sum(whole(np.append(found[1:].ravel(), marks)) ** 2) == pytest.approx(
-        2.0 * best.cost, abs=1e-7
-    )
-    assert posterior.weights[next(v for v in made.evidence if str(v) == "z9")] < 0.2
+    best = least_squares(whole, np.append(found[1:].ravel(), marks), **TIGHT)
+    mine = np.sum(whole(np.append(found[1:].ravel(), marks)) ** 2)
+    assert mine == pytest.approx(2.0 * best.cost, abs=1e-7)
+    assert posterior.weights[next(v for v in made.evidence if v.name == "z9")] < 0.2
 
 
 def with_false(graph, share, rng):
@@ -364,14 +367,13 @@ def test_what_is_refused():
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::pgm.errors.PrecisionWarning")
 def test_a_tenth_of_false_closures_in_a_published_graph():
     """M3500 (Olson, Leonard & Teller, 2006), from the file's poses."""
     path = DATA / "posegraphs" / "m3500.g2o"
     if not path.is_file():
         pytest.skip("the pose graph m3500 is not here; PGM_DATA may name its folder's folder")
     graph = read_pose_graph(path)
-    wrong, _ = with_false(graph, 0.1, np.random.default_rng(1))
+    wrong, count = with_false(graph, 0.1, np.random.default_rng(1))
     found = []
     for each in (graph, wrong):
         made = pose_graph_network(each, pgm.TruncatedLeastSquares(6.0))
@@ -380,4 +382,7 @@ def test_a_tenth_of_false_closures_in_a_published_graph():
         assert found[-1].status.converged
     due, posterior = found
     poses = made.poses[1:]
-    assert (np.abs(posterior.means(poses) - due.means(poses)) < due.stds(poses)).all()
+    assert (np.abs(posterior.means(poses) - due.means(poses)) < 1e-3 * due.stds(poses)).all()
+    weights = np.array([posterior.weights[v] for v in made.evidence])
+    assert (weights[:-count] == 1.0).all()
+    assert (weights[-count:] < 1e-12).all()

@@ -352,9 +352,6 @@ def bent():
     )
 
 
-static = pgm.BayesianNetwork(
-    [pgm.GaussianCPD(y, 0.0, INF), pgm.LinearGaussianCPD(z, {y: 1.0}, cov=1.0)]
-)
 MODEL = constant_velocity(INF)
 smoothed = partial(pgm.smooth, MODEL, {z: record()})
 PROPER = "has an infinite variance", "give it a finite one"
@@ -362,7 +359,6 @@ ERRORS = [
     refusal("sampling", lambda: MODEL.sample({}, steps=3, rng=1), pgm.ModelError, *PROPER),
     refusal("online", lambda: pgm.OnlineFilter(MODEL), pgm.ModelError, *PROPER),
     refusal("audit", lambda: pgm.audit(smoothed(), rng=1), pgm.ModelError, *PROPER),
-    refusal("static", lambda: pgm.infer(pgm.compile(static), {z: 1.0}), pgm.ModelError, *PROPER),
     refusal(
         "sigma points",
         lambda: unscented(3),

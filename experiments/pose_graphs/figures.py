@@ -11,6 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from scipy import stats
 
+from experiments.pose_graphs.given import Given
+from experiments.pose_graphs.solving import Prepared, Solved
 from models.pose_graphs import PoseGraphNetwork
 from pgm.plot.drawing.colours import INK, MUTED, PALETTE
 
@@ -44,12 +46,9 @@ def paths(
             size = _ellipses(ax, at, covs)
         low, high = known.min(axis=0), known.max(axis=0)
         spare = MARGIN * np.maximum(high - low, 0.2 * (high - low).max() + 1e-9)
-        ax.set(
-            xlim=(low[0] - spare[0], high[0] + spare[0]),
-            ylim=(low[1] - spare[1], high[1] + spare[1]),
-            xlabel="east [m]",
-            title=label,
-        )
+        ax.update_datalim([low - spare, high + spare])
+        ax.margins(0.0)
+        ax.set(xlabel="east [m]", title=label)
         ax.set_aspect("equal", adjustable="datalim")
     axes[0].set_ylabel("north [m]")
     handles = [
@@ -65,13 +64,13 @@ def paths(
     return figure
 
 
-def errors(made: PoseGraphNetwork, before: Array, after: Array) -> Figure:
-    """The share of edges whose error is larger, before and after."""
+def errors(made: PoseGraphNetwork, begin: str, before: Array, after: Array) -> Figure:
+    """The share of edges whose error is larger, before (what that is, in words) and after."""
     figure, ax = plt.subplots(figsize=(7.5, 4), layout="constrained")
     share = np.arange(len(before), 0, -1) / len(before)
     floor = 1e-6
     for label, each, colour in (
-        ("the file's poses", before, PALETTE[1]),
+        (begin, before, PALETTE[1]),
         ("optimum", after, PALETTE[0]),
     ):
         ax.step(np.maximum(np.sort(each), floor), share, where="pre", color=colour, label=label)
@@ -87,6 +86,34 @@ def errors(made: PoseGraphNetwork, before: Array, after: Array) -> Figure:
         ylabel="share of edges above it",
     )
     figure.legend(loc="outside upper center", ncols=3)
+    return figure
+
+
+def misled(
+    given: Given, right: Solved, wrong: Solved, false: npt.NDArray[np.intp], ready: Prepared
+) -> Figure:
+    """The optimum of the graph's own edges and that with false closures, beside the truth."""
+    assert given.truth is not None
+    figure, axes = plt.subplots(1, 2, figsize=(10.5, 5.4), layout="constrained")
+    edges = ready.made.graph.edges
+    closing = np.stack([edges.first[false], edges.second[false]], axis=1)
+    for ax, title, solved in zip(
+        axes, ("its own closures", "with false closures"), (right, wrong), strict=True
+    ):
+        ax.plot(*given.truth[:, :2].T, color=MUTED, lw=2.5, alpha=0.6)
+        ax.plot(*solved.poses[:, :2].T, color=PALETTE[0], lw=0.8)
+        if solved is wrong:
+            lines = list(solved.poses[closing, :2])
+            ax.add_collection(LineCollection(lines, colors=PALETTE[1], lw=0.8, alpha=0.8))
+        ax.set(title=title, xlabel="east [m]", ylabel="north [m]" if ax is axes[0] else "")
+        ax.set_aspect("equal", adjustable="datalim")
+    handles = [
+        Line2D([0, 1], [0, 1], color=MUTED, lw=2.5, alpha=0.6, label="truth"),
+        Line2D([0, 1], [0, 1], color=PALETTE[0], lw=0.8, label="poses"),
+        Line2D([0, 1], [0, 1], color=PALETTE[1], lw=0.8, label="false closures"),
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=3)
+    plt.close(figure)
     return figure
 
 

@@ -1,0 +1,218 @@
+"""Stacks of fronts that are eliminated together, and where their rows stand in the buffer.
+
+The *rows* of a front are those of its clusters' CPDs and those that its children leave: of a factor
+exp(−½ ‖A ξ − r‖²) over its components ξ, the rows of A, with r. Fronts of one level of the tree and
+one shape make a stack. In large trees shapes are rounded up, so that there are few: a front then
+has columns that stand for no component, with a unit row each where they are pivots.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pgm.beliefs.gaussian.fronts import Fronts, ranges
+from pgm.beliefs.gaussian.layout import Layout
+from pgm.beliefs.gaussian.rounds import Stack
+from pgm.kernels.arrays import Integers
+
+# Trees of so many fronts have their shapes rounded up, each size by a sixth in the mean.
+MANY = 100
+
+
+@dataclass(frozen=True, eq=False)
+class FrontStacks:
+    """The rows of a tree's fronts in one buffer: the `Places` of a `Buffer`.
+
+    The rows of CPDs come first, group by group, then those that each front leaves to its parent,
+    then a zero, and the entry of unit rows.
+    """
+
+    layout: Layout
+    fronts: Fronts
+
+    @cached_property
+    def pivots(self) -> Integers:
+        """The number of pivots of each front, rounded up, (fronts,)."""
+        return self._rounded(self.fronts.pivots)
+
+    @cached_property
+    def separators(self) -> Integers:
+        """The number of separators of each front, rounded up, (fronts,)."""
+        return self._rounded(self.fronts.separators)
+
+    @cached_property
+    def entry_starts(self) -> Integers:
+        """The index of the first entry that each front leaves, and of the zero, (fronts + 1,)."""
+        sizes = self.separators**2
+        return int(self.layout.entry_starts[-1]) + np.concatenate([[0], np.cumsum(sizes)])
+
+    @cached_property
+    def row_starts(self) -> Integers:
+        """The index of the first row that each front leaves, and of the zero, (fronts + 1,)."""
+        return int(self.layout.row_starts[-1]) + np.concatenate([[0], np.cumsum(self.separators)])
+
+    @property
+    def logs(self) -> int:
+        """How many log-scales the buffer has: those of the fronts' CPDs."""
+        return len(self.fronts)
+
+    @property
+    def of_cluster(self) -> Integers:
+        """The front of each cluster, (clusters,), which has the log-scale of its CPDs."""
+        return self.fronts.of_cluster
+
+    def _rounded(self, sizes: Integers) -> Integers:
+        if len(self.fronts) < MANY:
+            return sizes
+        known = np.unique(np.round(1.3 ** np.arange(60)).astype(np.intp))
+        known = np.concatenate([[0], known, 3 * known])
+        known.sort()
+        return np.asarray(known[np.searchsorted(known, sizes)])
+
+    @cached_property
+    def levels(self) -> list[list[Stack]]:
+        """The stacks of each level of the tree, from the fronts without children on."""
+        fronts, widths = self.fronts, self.pivots + self.separators
+        spare = self.pivots - fronts.pivots
+        children = np.maximum(fronts.parent, 0)
+        left = np.where(fronts.parent >= 0, fronts.separators, 0)
+        rows = np.bincount(children, left, len(fronts)).astype(np.intp) + spare
+        heights = [
+            np.bincount(self.of_cluster[g.clusters], minlength=len(fronts)) * g.height
+            for g in self.layout.factors
+        ]
+        for height in heights:
+            rows += height
+        # Stacks are padded with zero rows: few shapes, at most twice the rows.
+        rooms = np.maximum(np.maximum(widths, self._powers(rows)), 1)
+        stacks: list[list[Integers]] = []
+        for level in fronts.levels:
+            shapes = np.stack([self.pivots, self.separators, rooms])[:, level]
+            _, alike = np.unique(shapes, axis=1, return_inverse=True)
+            order = np.argsort(alike.ravel(), kind="stable")
+            bounds = np.cumsum(np.bincount(alike.ravel()))[:-1]
+            stacks.append(np.split(level[order], bounds))
+        for members in (members for level in stacks for members in level):
+            most = np.maximum(rows[members].max(initial=0), widths[members].max(initial=0))
+            rooms[members] = max(int(most), 1)
+        entries, right = self._filled(rooms, widths, spare)
+        return [
+            [self._stack(members, rooms, entries, right) for members in level] for level in stacks
+        ]
+
+    @staticmethod
+    def _powers(rows: Integers) -> Integers:
+        """Powers of two, of which each is the least that so many rows do not exceed."""
+        return np.asarray(1 << np.ceil(np.log2(np.maximum(rows, 1))).astype(np.intp))
+
+    def _filled(
+        self, rooms: Integers, widths: Integers, spare: Integers
+    ) -> tuple[_Ragged, _Ragged]:
+        """The indices of all fronts' entries (rooms, widths) and right sides (rooms,)."""
+        fronts, blocks = self.fronts, self.fronts.blocks
+        zero, zero_row = int(self.entry_starts[-1]), int(self.row_starts[-1])
+        entries = _Ragged.of(rooms * widths, zero)
+        right = _Ragged.of(rooms, zero_row)
+        used = np.zeros(len(fronts), dtype=np.intp)
+
+        for k, group in enumerate(self.layout.factors):
+            front = self.of_cluster[group.clusters]
+            places = np.concatenate([group.child, group.parents], axis=1)
+            columns = self._padded(front, blocks.columns(front, places))
+            slots = _slots(front, np.full(front.size, group.height), used)
+            at, inside = slots[:, None] + np.arange(group.height), np.arange(group.width)
+            count = np.arange(front.size)[:, None]
+            row = count * group.height + np.arange(group.height)
+            where = (at * widths[front][:, None])[..., None] + columns[:, None, :]
+            entries.put(
+                front, where, self.layout.entry_starts[k] + (row * group.width)[..., None] + inside
+            )
+            right.put(front, at, self.layout.row_starts[k] + row)
+        begin = np.cumsum(fronts.separators) - fronts.separators
+        sent = np.flatnonzero((fronts.parent >= 0) & (fronts.separators > 0))
+        slots = np.zeros(len(fronts), dtype=np.intp)
+        slots[sent] = _slots(fronts.parent[sent], fronts.separators[sent], used)
+        for size in np.unique(fronts.separators[sent]).tolist():
+            some = sent[fronts.separators[sent] == size]
+            parent, inside = fronts.parent[some], np.arange(size)
+            columns = self._padded(parent, fronts.above[begin[some][:, None] + inside])
+            at = slots[some][:, None] + inside
+            where = (at * widths[parent][:, None])[..., None] + columns[:, None, :]
+            row = (inside * self.separators[some][:, None])[..., None] + inside
+            entries.put(parent, where, self.entry_starts[some][:, None, None] + row)
+            right.put(parent, at, self.row_starts[some][:, None] + inside)
+        padded = np.repeat(np.arange(len(fronts)), spare)
+        extra = ranges(np.zeros_like(spare), spare)
+        at = (used[padded] + extra) * widths[padded] + fronts.pivots[padded] + extra
+        entries.put(padded, at, np.full(at.shape, zero + 1))
+        return entries, right
+
+    def _padded(self, fronts: Integers, columns: Integers) -> Integers:
+        """The columns (B, n) in matrices of fronts (B,) whose pivots are rounded up."""
+        own = self.fronts.pivots[fronts][:, None]
+        return np.where(columns >= own, columns + self.pivots[fronts][:, None] - own, columns)
+
+    def _stack(self, members: Integers, rooms: Integers, entries: _Ragged, right: _Ragged) -> Stack:
+        """The stack of some fronts of one shape."""
+        first = members[0]
+        room, drop = int(rooms[first]), int(self.pivots[first])
+        width = drop + int(self.separators[first])
+        inside, blocks = np.arange(width), self.fronts.blocks
+        own, sizes = (each[members][:, None] for each in (self.fronts.pivots, blocks.sizes))
+        column = np.where(inside < drop, inside, inside - drop + own)
+        there = np.where(inside < drop, inside < own, column < sizes)
+        place = np.append(blocks.components, 0)[
+            np.where(there, blocks.starts[members][:, None] + column, -1)
+        ]
+        return Stack(
+            members,
+            members,
+            drop,
+            np.where(there, place, self.layout.size),
+            np.where(there, column, -1),
+            entries.part(members, room * width).reshape(len(members), room, width),
+            right.part(members, room),
+            members[:, None],
+            drop - own[:, 0],
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Ragged:
+    """Whole numbers of all fronts, one front's after another's, in `values`."""
+
+    starts: Integers
+    values: Integers
+
+    @classmethod
+    def of(cls, sizes: Integers, value: int) -> _Ragged:
+        """So many numbers of each front, all equal."""
+        starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.intp)
+        return cls(starts, np.full(int(starts[-1]), value))
+
+    def put(self, fronts: Integers, where: Integers, values: Integers) -> None:
+        """Put numbers (B, ...) where they belong among those of fronts (B,)."""
+        starts = self.starts[fronts]
+        self.values[starts.reshape(-1, *[1] * (where.ndim - 1)) + where] = values
+
+    def part(self, fronts: Integers, size: int) -> Integers:
+        """The numbers of some fronts that have so many of them, (B, size)."""
+        found: Integers = self.values[self.starts[fronts][:, None] + np.arange(size)]
+        return found
+
+
+def _slots(owners: Integers, heights: Integers, used: Integers) -> Integers:
+    """The first row of each of some factors (B,) among those of its front, whose `used` rows grow.
+
+    `owners` are the fronts, and `heights` how many rows each factor has.
+    """
+    order = np.argsort(owners, kind="stable")
+    before = np.cumsum(heights[order]) - heights[order]
+    begin = np.searchsorted(owners[order], owners[order])
+    found = np.empty_like(owners)
+    found[order] = used[owners[order]] + before - before[begin]
+    np.add.at(used, owners, heights)
+    return found

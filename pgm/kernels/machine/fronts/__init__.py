@@ -1,0 +1,1 @@
+"""Fronts of sparse least-squares problems in machine code; see `plan`."""

@@ -1,0 +1,233 @@
+"""Fronts: the joined clusters of a tree, by stacks and in machine code; flat priors."""
+
+import numpy as np
+import pytest
+from gaussian.draws import Conditioned, assert_dense, assert_moments, conditional, regular
+from numpy.testing import assert_allclose
+from textbooks import assert_log
+
+import pgm
+from pgm.beliefs.gaussian import front_stacks, solving
+from pgm.beliefs.gaussian.fronts import Fronts
+from pgm.beliefs.gaussian.layout import Layout
+
+
+@pytest.fixture(params=["stacks", "rounded", "machine"])
+def way(request, monkeypatch):
+    """Each way in which fronts are solved, of networks of any size."""
+    if request.param == "machine":
+        pytest.importorskip("llvmlite")
+    monkeypatch.setattr(solving, "MANY", 1 if request.param == "machine" else 10**9)
+    monkeypatch.setattr(front_stacks, "MANY", 1 if request.param == "rounded" else 10**9)
+    return request.param
+
+
+def structured(graph, evidence):
+    """The layout and fronts of a graph, and the components of each front."""
+    layout = Layout(graph, frozenset(evidence), frozenset())
+    fronts = Fronts.of(layout)
+    blocks = fronts.blocks
+    ends = zip(blocks.starts[:-1], blocks.starts[1:], strict=True)
+    return layout, fronts, [blocks.components[a:b].tolist() for a, b in ends]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_fronts_hold_what_clusters_hold(seed):
+    drawn = regular(seed, 25, 3, reach=6)
+    graph = pgm.compile(drawn.network())
+    evidence, _ = drawn.observe(np.random.default_rng(seed), 0.2 * (seed % 3))
+    layout, fronts, held = structured(graph, evidence)
+    for cluster, scope in enumerate(layout.scopes):
+        assert set(layout.components(scope)) <= set(held[fronts.of_cluster[cluster]])
+    position = {place: k for k, place in enumerate(fronts.order.tolist())}
+    pivots = []
+    for front, parent in enumerate(fronts.parent.tolist()):
+        own = fronts.pivots[front]
+        pivots += held[front][:own]
+        assert (np.diff([position[place] for place in held[front]]) > 0).all()
+        if parent < 0:
+            assert own == len(held[front])
+            continue
+        assert parent > front  # children come first
+        begin = fronts.separators[:front].sum()
+        above = fronts.above[begin : begin + len(held[front]) - own]
+        assert [held[parent][column] for column in above] == held[front][own:]
+    assert pivots == fronts.order.tolist()  # each leaves once, in this order
+    assert len(fronts) < len(graph)
+    assert fronts.of_cluster[fronts.tops].tolist() == list(range(len(fronts)))
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("reach", [1, 5, None])  # of a chain, a band, and of any shape
+def test_moments_of_a_network(way, seed, reach):
+    drawn = regular(seed, 20, 3, parents=1 if reach is None else 3, reach=reach)
+    graph, dense, rng = pgm.compile(drawn.network()), drawn.dense(), np.random.default_rng(seed)
+    evidence, hidden = drawn.observe(rng, 0.3)
+    assert_dense(pgm.infer(graph, evidence), dense, evidence, hidden, rng)
+
+
+def test_runs_that_share_matrices_and_runs_that_do_not(way):
+    drawn = regular(3, 20, 2, reach=5)
+    graph, rng = pgm.compile(drawn.network()), np.random.default_rng(3)
+    evidence, hidden = drawn.observe(rng, 0.4)
+    many = {v: x + rng.normal(size=(5, x.size)) for v, x in evidence.items()}
+    childless = next(v for v in many if not any(v in cpd.given for cpd in graph.network.cpds))
+    gaps = many | {childless: np.where(np.arange(5)[:, None] == 2, np.nan, many[childless])}
+    posterior, with_gaps = pgm.infer(graph, many), pgm.infer(graph, gaps)
+    for run in range(5):
+        own = {v: x[run] for v, x in many.items()}
+        if run == 2:
+            one = pgm.infer(graph, {v: x for v, x in own.items() if v != childless})
+        else:
+            one = pgm.infer(graph, own)
+            for v in hidden:
+                assert_allclose(posterior[v].mean[run], one[v].mean, rtol=0, atol=1e-12)
+                assert_allclose(posterior[v].cov[run], one[v].cov, rtol=0, atol=1e-12)
+            assert_allclose(posterior.log_evidence[run], one.log_evidence, atol=1e-10)
+        for v in hidden:
+            assert_allclose(with_gaps[v].mean[run], one[v].mean, rtol=0, atol=1e-12)
+            assert_allclose(with_gaps[v].cov[run], one[v].cov, rtol=0, atol=1e-12)
+        assert_allclose(with_gaps.log_evidence[run], one.log_evidence, atol=1e-10)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_sharp_and_wide_deviations_keep_their_digits(way, seed):
+    """From 10⁻⁸ to 10⁸, held to fractions; or told."""
+    rng = np.random.default_rng(seed)
+    drawn = regular(seed, 8, 2, std=(1e-8, 1e-8) if seed % 2 else (0.1, 0.1))
+    wider = [10.0 ** rng.choice([0, 0, 8]) for _ in drawn.cpds]
+    scaled = tuple(
+        conditional(cpd.child, dict(cpd.matrices), cpd.offset, cpd.cov * factor)
+        for cpd, factor in zip(drawn.cpds, wider, strict=True)
+    )
+    drawn = type(drawn)(scaled, drawn.values)
+    evidence, hidden = drawn.observe(rng, 0.4)
+    posterior = pgm.infer(pgm.compile(drawn.network()), evidence)
+    due = Conditioned(drawn, evidence)
+    digits = posterior.status.digits
+    tolerance = 1e-9 if digits is None else 10.0 ** -float(np.min(digits))
+    joint = posterior.joint(*hidden)
+    assert_moments(joint.mean, joint.cov, *due[hidden], tolerance, digits=1e-14)
+    assert_log(posterior.log_evidence, due.log_evidence, max(tolerance, 1e-9))
+
+
+def test_disconnected_parts_and_one_variable(way):
+    a, b, c, z = pgm.variables("a b c z")
+    parts = [pgm.GaussianCPD(v, k, k + 1.0) for k, v in enumerate((a, b, c))]
+    net = pgm.BayesianNetwork([*parts, pgm.LinearGaussianCPD(z, {c: 1.0}, cov=3.0)])
+    posterior = pgm.infer(pgm.compile(net), {z: 5.0})
+    assert_allclose([posterior[v].mean[0] for v in (a, b, c)], [0.0, 1.0, 3.5], atol=1e-14)
+    assert_allclose([posterior[v].cov[0, 0] for v in (a, b, c)], [1.0, 2.0, 1.5], atol=1e-14)
+    assert posterior.log_evidence == pytest.approx(-0.5 * (np.log(12.0 * np.pi) + 9.0 / 6.0))
+    one = pgm.infer(pgm.compile(pgm.BayesianNetwork([parts[0]])), {})
+    assert_allclose([one[a].mean[0], one[a].cov[0, 0]], [0.0, 1.0], atol=0)
+
+
+def flat_field(rng, n, prior=np.inf):
+    """Unknowns with flat priors, of which sums are read; the rows, and what was read."""
+    x = [pgm.Variable(f"x{k}", ("a", "b")) for k in range(n)]
+    cpds, evidence, rows, right = [pgm.GaussianCPD(v, np.ones(2), prior) for v in x], {}, [], []
+    for k in range(3 * n):
+        i, j = rng.choice(n, 2, replace=False) if k >= n else (k, (k + 1) % n)
+        one, other = rng.normal(size=(2, 2, 2))
+        z, std = pgm.Variable(f"z{k}", ("c", "d")), rng.uniform(0.1, 2.0)
+        value = rng.normal(size=2)
+        cpds.append(pgm.LinearGaussianCPD(z, {x[i]: one, x[j]: other}, cov=std**2))
+        evidence[z] = value
+        row = np.zeros((2, 2 * n))
+        row[:, 2 * i : 2 * i + 2], row[:, 2 * j : 2 * j + 2] = one / std, other / std
+        rows.append(row)
+        right.append(value / std)
+    return x, pgm.BayesianNetwork(cpds), evidence, np.concatenate(rows), np.concatenate(right)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_flat_priors_leave_least_squares(way, seed):
+    x, network, evidence, rows, right = flat_field(np.random.default_rng(seed), 9)
+    posterior = pgm.infer(pgm.compile(network), evidence)
+    mean = np.linalg.lstsq(rows, right, rcond=None)[0]
+    cov = np.linalg.inv(rows.T @ rows)
+    assert_allclose(posterior.means(x).ravel(), mean, atol=1e-10)
+    for k, v in enumerate(x):
+        own = slice(2 * k, 2 * k + 2)
+        assert_allclose(posterior[v].cov, cov[own, own], rtol=1e-9, atol=1e-12)
+    # The integral over all unknowns of the readings' density, a flat prior being one.
+    stds = np.concatenate([np.sqrt(np.diagonal(c.cov)) for c in network.cpds if c.given])
+    due = -0.5 * ((rows @ mean - right) ** 2).sum() + 0.5 * np.linalg.slogdet(cov)[1]
+    due += 0.5 * (mean.size - right.size) * np.log(2 * np.pi) - np.log(stds).sum()
+    assert posterior.log_evidence == pytest.approx(due, rel=1e-11)
+
+
+def test_a_prior_flat_in_one_component(way):
+    x, z = pgm.Variable("x", ("a", "b")), pgm.Variable("z")
+    prior = pgm.GaussianCPD(x, [1.0, 2.0], np.diag([np.inf, 4.0]))
+    net = pgm.BayesianNetwork([prior, pgm.LinearGaussianCPD(z, {x: [[1.0, 1.0]]}, cov=1.0)])
+    posterior = pgm.infer(pgm.compile(net), {z: 7.0})
+    assert_allclose(posterior[x].mean, [5.0, 2.0], atol=1e-13)
+    assert_allclose(posterior[x].cov, [[5.0, -4.0], [-4.0, 4.0]], atol=1e-13)
+    assert posterior.log_evidence == pytest.approx(0.0)
+
+
+def test_what_flat_priors_leave_open_is_told(way):
+    a, b, c, z = pgm.variables("a b c z")
+    priors = [pgm.GaussianCPD(v, 0.0, np.inf) for v in (a, b, c)]
+    net = pgm.BayesianNetwork(
+        [
+            *priors,
+            pgm.LinearGaussianCPD(z, {a: 1.0, b: -2.0}, cov=1.0),
+            pgm.LinearGaussianCPD(pgm.Variable("y"), {c: 1.0}, cov=1.0),
+        ]
+    )
+    graph = pgm.compile(net)
+    with pytest.raises(pgm.NumericalError, match=r"no proper belief.*0\.894 a \+ 0\.447 b open"):
+        pgm.infer(graph, {z: 1.0, pgm.Variable("y"): 0.0})
+    with pytest.raises(pgm.NumericalError, match=r"direction 0\.707 (c|y) \+ 0\.707 (c|y) open"):
+        pgm.infer(graph, {z: 1.0, a: 0.5})
+
+
+def test_sigma_points_need_a_spread():
+    x, z = pgm.Variable("x"), pgm.Variable("z")
+    net = pgm.BayesianNetwork(
+        [
+            pgm.GaussianCPD(x, 1.0, np.inf),
+            pgm.NonlinearGaussianCPD(z, given=x, function=lambda v: v**3, cov=0.1),
+        ]
+    )
+    graph = pgm.compile(net)
+    with pytest.raises(pgm.LinearisationError, match="no spread; give start="):
+        pgm.infer(graph, {z: 8.0}, lineariser=pgm.Unscented())
+    settled = pgm.Calibration(iterations=30)
+    for options in ({}, {"lineariser": pgm.Unscented(), "start": {x: [2.0]}}):
+        found = pgm.infer(graph, {z: 8.0}, schedule=settled, **options)
+        assert found.status.converged.all()
+        assert found[x].mean[0] == pytest.approx(2.0, abs=1e-2)
+
+
+def test_steps_by_squares_end_in_rows(monkeypatch):
+    """A solution is by rows, and equal to one of which all steps are."""
+    pytest.importorskip("llvmlite")
+    monkeypatch.setattr(solving, "MANY", 1)
+    rng = np.random.default_rng(0)
+    x = [pgm.Variable(f"x{k}", ("a", "b")) for k in range(12)]
+    truth = rng.normal(size=(12, 2)) * 3.0
+    cpds = [pgm.GaussianCPD(v, at, 0.04) for v, at in zip(x, truth, strict=True)]
+    evidence = {}
+    for k in range(30):
+        i, j = rng.choice(12, 2, replace=False)
+        z = pgm.Variable(f"z{k}")
+        cpds.append(pgm.NonlinearGaussianCPD(z, given=(x[i], x[j]), function=apart, cov=0.1**2))
+        evidence[z] = apart(truth[i], truth[j]) + 0.3 * rng.normal(size=1)
+    graph = pgm.compile(pgm.BayesianNetwork(cpds))
+    settled = pgm.Calibration(iterations=50)
+    fast = pgm.infer(graph, evidence, schedule=settled)
+    monkeypatch.setattr(solving.TreeSolver, "squares", False)
+    slow = pgm.infer(graph, evidence, schedule=settled)
+    assert fast.status.iterations > 2
+    assert fast.status.iterations == slow.status.iterations
+    assert_allclose(fast.means(x), slow.means(x), atol=1e-9)
+    assert_allclose(fast.covs(x), slow.covs(x), atol=1e-9)
+    assert_allclose(fast.log_evidence, slow.log_evidence, atol=1e-8)
+
+
+def apart(one, other):
+    return np.sqrt(((one - other) ** 2).sum(axis=-1, keepdims=True) + 0.1)
