@@ -17,21 +17,20 @@ class Choice:
     """Rows, networks whose memory is measured, and curves."""
 
     rows: Sequence[Row] = tuple(ROWS)
-    networks: Sequence[str] = memory.NAMES
+    networks: Sequence[memory.Large] = memory.LARGE
     curves: Sequence[Curve] = tuple(CURVES)
 
     @property
     def names(self) -> list[str]:
         """All their names."""
-        rows, curves = ([each.name for each in part] for part in (self.rows, self.curves))
-        return [*rows, *self.networks, *curves]
+        return [each.name for part in (self.rows, self.networks, self.curves) for each in part]
 
     @property
     def others(self) -> list[str]:
         """All contenders but pgm."""
-        rows, curves = ([each.contenders for each in part] for part in (self.rows, self.curves))
-        found = {other for contenders in (*rows, *curves) for other in _others(contenders)}
-        return sorted(found | (set(memory.LIBRARIES) - {"pgm"} if self.networks else set()))
+        every = [each.contenders for part in (self.rows, self.curves) for each in part]
+        every += [each.libraries for each in self.networks]
+        return sorted({other for contenders in every for other in _others(contenders)})
 
     def only(self, asked: str) -> Choice:
         """Those of some names, with commas between them, or whose names begin with these words.
@@ -45,7 +44,7 @@ class Choice:
         chosen = {name for name in self.names if any(_begins(name, each) for each in wanted)}
         return Choice(
             [row for row in self.rows if row.name in chosen],
-            [name for name in self.networks if name in chosen],
+            [large for large in self.networks if large.name in chosen],
             [curve for curve in self.curves if curve.name in chosen],
         )
 
@@ -59,10 +58,11 @@ class Choice:
         """
         wanted = _listed(asked, self.others)
         rows = [replace(row, contenders=_kept(row.contenders, wanted)) for row in self.rows]
+        networks = [replace(n, libraries=_kept(n.libraries, wanted)) for n in self.networks]
         curves = [replace(each, contenders=_kept(each.contenders, wanted)) for each in self.curves]
         return Choice(
             [row for row in rows if _others(row.contenders)],
-            self.networks if set(memory.LIBRARIES) & set(wanted) else (),
+            [large for large in networks if _others(large.libraries)],
             [curve for curve in curves if _others(curve.contenders)],
         )
 

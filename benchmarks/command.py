@@ -67,10 +67,10 @@ def main(arguments: list[str] | None = None) -> None:
         times, compiling = run(row, quick, repeats)
         if times:
             summary[row.name], summary["compile"][row.name] = times, compiling
-    for name in chosen.networks:
-        times, summary["memory"][name] = memory.measure(name)
+    for large in chosen.networks:
+        times, summary["memory"][large.name] = memory.measure(large)
         if times:
-            summary[name] = times
+            summary[large.name] = times
     for curve in chosen.curves:
         summary["curves"][curve.name] = curve.measure(quick, min(repeats, 2 if quick else 5))
     if summary["curves"]:

@@ -2,7 +2,8 @@
 
 Each library has a process of its own. Loading llvmlite and compiling the graph are in the time of
 pgm; loading JAX is not in dynamax's. Then smoothers of several lengths are called in processes of
-their own, with machine code and without; and each neighbour of the plain compiled step.
+their own, with machine code and without; a pose graph; and each neighbour of the plain compiled
+step.
 """
 
 from __future__ import annotations
@@ -36,8 +37,11 @@ def main() -> None:
         ("row", *WAYS),
         [(name, *(each.get(way, "") for way in WAYS)) for name, each in found.items()],
     )
-    for name, each in found.items():
-        one = Verdict(f"{name}: seconds", each["pgm"], MOST, False)
+    graph = _answer("graph")
+    over = {name: each["pgm"] for name, each in found.items()}
+    over["a pose graph"] = graph["first"] - graph["second"]
+    for name, seconds in over.items():
+        one = Verdict(f"{name}: seconds", seconds, MOST, False)
         note(f"{one.what}: {one.measured:.2f}, at most {one.asked:g}: {_holds(one)}")
     times = [[_answer("smooth", choice, str(steps)) for choice in CHOICES] for steps in LENGTHS]
     table(
@@ -112,6 +116,16 @@ def smooth(choice: str, steps: str) -> None:
     print(json.dumps({"first": first, "second": second}))
 
 
+def graph() -> None:
+    """Print likewise those of a pose graph: declared, compiled and solved, with all marginals."""
+    from benchmarks.libraries import pgm_maps
+    from benchmarks.timing import seconds
+    from benchmarks.work import pose_graphs
+
+    call = pgm_maps.whole(pose_graphs.city(STEPS)).call
+    print(json.dumps({"first": seconds(call), "second": seconds(call)}))
+
+
 def alone(name: str, library: str) -> None:
     """Print as JSON what a library needs in this process."""
     (row,) = (each for each in ROWS if each.name == name)
@@ -138,6 +152,8 @@ if __name__ == "__main__":
     match sys.argv[1:]:
         case ["smooth", choice, steps]:
             smooth(choice, steps)
+        case ["graph"]:
+            graph()
         case [name, library]:
             alone(name, library)
         case _:

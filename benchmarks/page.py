@@ -20,7 +20,7 @@ FULL = "speed_full.md"
 FIRST, LAST = "<!-- measured -->", "<!-- end of what was measured -->"
 COLUMNS = (
     *("pgm", "pgm_compiled", "filterpy", "stonesoup", "dynamax", "hmmlearn", "cuthbert"),
-    *("gtsam", "pyagrum", "pgmpy", "particles", "amcl"),
+    *("gtsam", "scipy", "pyagrum", "pgmpy", "particles", "amcl"),
 )
 FAMILIES = ("repository", "cold", "sets", "reading")  # rows of many networks
 HEAD = ("row", "unit", *COLUMNS)

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from benchmarks import agreement, cliffs, neighbours
 from benchmarks.row import Prepare, Row, part
 from benchmarks.timing import least
 from benchmarks.work import (
     chains,
     clouds,
+    fields,
+    landmarks,
+    pose_graphs,
     repository,
     robots,
     rooms,
@@ -412,6 +417,105 @@ def reading(name: str) -> Row:
     )
 
 
+def pose_graph(name: str) -> Row:
+    """A published pose graph, from poses near the optimum to it and to the marginals of all."""
+    return Row(
+        name=pose_graphs.title(name),
+        unit="pose",
+        work=lambda size: pose_graphs.published(name, size),
+        contenders={
+            "pgm": part("pgm_maps", "marginals"),
+            "gtsam": part("gtsam_maps", "marginals", "surveyed"),
+        },
+        check=agreement.maps,
+        size=pose_graphs.PUBLISHED[name][0],
+        quick=300,
+        repeats=5,
+        timed=least,
+    )
+
+
+def whole_program(name: str) -> Row:
+    """A published pose graph from its numbers on: declared, compiled, solved."""
+    return replace(
+        pose_graph(name),
+        name=f"{pose_graphs.title(name)}_whole",
+        contenders={
+            "pgm": part("pgm_maps", "whole"),
+            "gtsam": part("gtsam_maps", "whole", "surveyed"),
+        },
+    )
+
+
+def city() -> Row:
+    """A drawn world of as many poses and edges as the pose graph city10000."""
+    return replace(
+        pose_graph("m3500"),
+        name="graph_city",
+        work=pose_graphs.city,
+        size=pose_graphs.CITY[0],
+        repeats=3,
+    )
+
+
+def landmark_map(count: int, *, reckoned: bool) -> Row:
+    """Landmarks and poses that a robot finds out at once, from dead reckoning or near the truth."""
+    poses = round(count * landmarks.A_LANDMARK)
+    return Row(
+        name=f"landmarks_{count}",
+        unit="pose",
+        work=lambda size: landmarks.draw(size, reckoned=reckoned),
+        contenders={
+            "pgm": part("pgm_maps", "marginals"),
+            "gtsam": part("gtsam_maps", "marginals", "mapped"),
+        },
+        check=agreement.maps,
+        size=poses,
+        quick=min(poses, 400),
+        repeats=5,
+        timed=least,
+    )
+
+
+def field(side: int, quick: int) -> Row:
+    """A square of scalars: all means and variances, where SciPy finds means alone."""
+    return Row(
+        name=f"field_{side}",
+        unit="variable",
+        work=fields.grid,
+        contenders={
+            "pgm": part("pgm_maps", "marginals"),
+            "scipy": part("scipy_fields", "means"),
+        },
+        check=agreement.maps,
+        size=side,
+        quick=quick,
+        repeats=3,
+        timed=least,
+    )
+
+
+def long_chain() -> Row:
+    """A chain that is declared without time, likewise."""
+    return replace(field(1, 2_000), name="field_chain", work=fields.chain, size=100_000)
+
+
+def declaration() -> Row:
+    """A field declared and compiled, and nothing asked of it."""
+    return Row(
+        name="field_declared",
+        unit="network",
+        work=fields.grid,
+        contenders={"pgm": part("pgm_maps", "declared")},
+        check=agreement.maps,
+        size=100,
+        quick=100,  # what is asked are seconds
+        unchecked=frozenset({"pgm"}),
+        repeats=3,
+        timed=least,
+    )
+
+
 def _taylor_only(rule: str, **contenders: Prepare) -> dict[str, Prepare]:
     return contenders if rule == "taylor" else {}
 
@@ -434,6 +538,14 @@ ROWS = [
     likelihood_field(),
     *cliffs.ROWS,
     *neighbours.ROWS,
+    *map(pose_graph, pose_graphs.PUBLISHED),
+    *map(whole_program, ("m3500", "intel")),
+    city(),
+    landmark_map(30, reckoned=True),
+    landmark_map(300, reckoned=False),
+    *(field(side, quick) for side, quick in ((60, 30), (100, 0), (300, 0))),
+    long_chain(),
+    declaration(),
     discrete("asia", tables.medical()),
     discrete("random_200", tables.random()),
     *(make(name) for make in (new_evidence, cold_start, many_sets) for name in repository.NAMES),

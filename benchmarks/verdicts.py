@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from benchmarks import cliffs, neighbours
-from benchmarks.work import repository, rooms
+from benchmarks import cliffs, memory, neighbours
+from benchmarks.work import pose_graphs, repository, rooms
 
 FASTER = (  # row, peer, how many times the peer's cost must be ours
     ("ekf_one_step", "dynamax", 1.3),
@@ -60,12 +60,24 @@ COMPILED = (  # row, peer, how many times the cost of its fastest way ours in ma
     *((f"components_{n}", "dynamax", most) for n, most in ((12, 0.8), (24, 1.1), (50, 1.35))),
     ("map", "gtsam", 1 / 30),
 )
+MAPS = (  # row, peer, how many times its cost ours may be, by NumPy alone and in machine code
+    *(
+        (pose_graphs.title(name), "gtsam", *most)
+        for name, most in (("m3500", (0.8, 0.5)), ("intel", (1.0, 0.6)), ("CSAIL", (1.0, 0.6)))
+    ),
+    *((f"{pose_graphs.title(name)}_whole", "gtsam", 1.5, 1.5) for name in ("m3500", "intel")),
+    ("graph_city", "gtsam", 0.2, 0.2),
+    ("landmarks_30", "gtsam", 1.5, 1.5),
+    ("landmarks_300", "gtsam", 0.5, 0.5),
+    *((f"field_{name}", "scipy", 25.0, 10.0) for name in ("60", "100", "300", "chain")),
+)
 COLD = [
     f"cold_{name}" for name in repository.NAMES
 ]  # rows in which no engine of pyAgrum may be faster
 WITHIN = (  # row, how many milliseconds it may take
     ("reading_alarm", 20.0),
     ("reading_andes", 150.0),
+    ("field_declared", 1_500.0),
 )
 RATES = (  # row whose unit is a cell and step, how many steps a second it must make
     *((name, 25.0) for name in ("grid_filter", "grid_wide_filter")),
@@ -127,6 +139,12 @@ def verdicts(summary: Mapping[str, Any]) -> Iterator[Verdict]:
     for row, peer, asked in COMPILED:
         for ratio in _to_fastest(summary, row, peer, "pgm_compiled"):
             yield Verdict(f"{row}: pgm_compiled / fastest of {peer}", ratio, asked, False)
+    for row, peer, *limits in MAPS:
+        times = summary.get(row, {})
+        for ours, asked in zip(("pgm", "pgm_compiled"), limits, strict=True):
+            if {ours, peer} <= times.keys():
+                ratio = times[ours] / times[peer]
+                yield Verdict(f"{row}: {ours} / {peer}", ratio, asked, False)
     for row, asked in FLOAT32:
         times = summary.get(row, {})
         if "pgm_float32" in times:
@@ -145,10 +163,12 @@ def verdicts(summary: Mapping[str, Any]) -> Iterator[Verdict]:
         if "pgm" in summary.get(row, {}):
             rate = 1.0 / (summary[row]["pgm"] * math.prod(rooms.CELLS))
             yield Verdict(f"{row}: steps a second", rate, asked, True)
-    for name, peaks in summary.get("memory", {}).items():
-        if "pyagrum" in peaks:
-            ratio = peaks["pyagrum"] / peaks["pgm"]
-            yield Verdict(f"{name}, peak of memory: pyagrum / pgm", ratio, 1.0, True)
+    for each in memory.LARGE:
+        peaks = summary.get("memory", {}).get(each.name, {})
+        for peer in peaks.keys() - {"pgm"}:
+            ratio = peaks[peer] / peaks["pgm"]
+            what = f"{each.name}, peak of memory: {peer} / pgm"
+            yield Verdict(what, ratio, each.least, True)
     for change, found in cliffs.ratios(summary):
         for kind, ratio in found.items():
             if change.most is not None:

@@ -31,8 +31,8 @@ def smoothing(method: str, work: Robots) -> Contender:
         found = optimise(graph, values).optimize()
         marginals = gtsam.Marginals(graph, found)
         keys = range(1, work.steps + 1)
-        means = np.array([_pose(found.atPose2(key)) for key in keys])
-        return means, _turned(means, np.stack([marginals.marginalCovariance(k) for k in keys]))
+        means = np.array([coordinates(found.atPose2(key)) for key in keys])
+        return means, turned(means, np.stack([marginals.marginalCovariance(k) for k in keys]))
 
     return Contender(call, work.steps)
 
@@ -43,7 +43,7 @@ def optimising(method: str, work: Robots) -> Contender:
 
     def call() -> Array:
         found = OPTIMISERS[method](graph, values).optimize()
-        return np.array([_pose(found.atPose2(key)) for key in range(1, work.steps + 1)])
+        return np.array([coordinates(found.atPose2(key)) for key in range(1, work.steps + 1)])
 
     return Contender(call, work.steps)
 
@@ -75,11 +75,11 @@ def _build(work: Robots) -> Built:
     return graph, values
 
 
-def _pose(pose: gtsam.Pose2) -> tuple[float, float, float]:
+def coordinates(pose: gtsam.Pose2) -> tuple[float, float, float]:
     return pose.x(), pose.y(), pose.theta()
 
 
-def _turned(means: Array, covs: Array) -> Array:
+def turned(means: Array, covs: Array) -> Array:
     """Covariances from the robot's frame to that of the map."""
     cos, sin = np.cos(means[:, 2]), np.sin(means[:, 2])
     turn = np.zeros((len(means), 3, 3))

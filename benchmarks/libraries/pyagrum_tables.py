@@ -46,3 +46,8 @@ def marginals(tasks: Sequence[Task]) -> Contender:
         return found
 
     return Contender(call, len(tasks))
+
+
+def whole(task: Task) -> Contender:
+    """One set of evidence of a network of which it has nothing yet."""
+    return Contender(lambda: marginals([task]).call(), 1)

@@ -128,9 +128,9 @@ def _eliminate_proper(matrix: Array, right: Array, count: int) -> Eliminated:
     pivots = np.abs(np.diagonal(inside, axis1=-2, axis2=-1))
     width = np.sqrt(np.einsum("...ij,...ij->...j", inside, inside))
     proper = pivots > NEGLIGIBLE * width
-    if not proper.all():
-        # NaN marks what does not exist, without stopping the others of the stack.
-        inside = np.where(proper[..., None], inside, np.nan)
+    lost = ~proper.all(axis=-1)
+    if lost.any():  # which must not stop the others of the stack
+        inside = np.where(lost[..., None, None], np.eye(count), inside)
         pivots = np.where(proper, pivots, np.nan)
     wanted = np.concatenate(
         [
@@ -141,6 +141,8 @@ def _eliminate_proper(matrix: Array, right: Array, count: int) -> Eliminated:
         axis=-1,
     )
     solved = np.linalg.solve(inside, wanted)
+    if lost.any():
+        solved = np.where(lost[..., None, None], np.nan, solved)  # does not exist
     sepset = size - count
     inverse = solved[..., -count:] if count else solved[..., :0]
     left = factor[..., size:, size:]

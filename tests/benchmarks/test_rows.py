@@ -19,7 +19,12 @@ TINY = {
     "particles_plain": 100_000,
     "particles_backwards": 1_000,
     "likelihood_field": 2_000,
+    "landmarks_30": 20,
+    "landmarks_300": 40,
+    "field_60": 6,
+    "field_chain": 30,
 }
+A_FEW_POSES = 40
 COMPILED = (
     "dynamax",
     "dynamax_sequential",
@@ -62,7 +67,8 @@ def test_libraries_agree(row, library):
     elif not library.startswith("pgm_"):
         package = library.split("_")[0]
         pytest.importorskip(package, reason=f"{package} comes with the extra bench")
-    size = row.size_for(library, min(TINY.get(row.name, 4), row.quick or row.size))
+    tiny = TINY.get(row.name, A_FEW_POSES if row.name.startswith("graph_") else 4)
+    size = row.size_for(library, min(tiny, row.quick or row.size))
     try:
         contender = row.contenders[library](row.work(size))
     except ImportError as error:

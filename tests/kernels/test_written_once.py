@@ -341,6 +341,8 @@ GAPS = listed(
     {"kernels/arrays.py": "independent", "kernels/dense.py": "independent"},
     # Of infinite variances, which do not count.
     {"linearisation/costs.py": "squares"},
+    # Of a stack in which some have no elimination.
+    {"kernels/rows.py": "_eliminate_proper"},
 )
 WEIGHED = listed(
     # Of points without values, and of eigenvalues.
@@ -375,7 +377,8 @@ SOLUTIONS = listed(
     {"kernels/rows.py": "_eliminate_proper _svd triangular"},
     {"kernels/elements.py": "_meet compose moved"},
     {"beliefs/gaussian/potentials.py": "_factor", "beliefs/gaussian/joints.py": "_gain"},
-    {"beliefs/gaussian/relations.py": "_solved_for"},
+    {"beliefs/gaussian/relations.py": "_solved_for", "beliefs/gaussian/solving.py": "__call__"},
+    {"beliefs/gaussian/refusals.py": "_open"},
     {"beliefs/moments/passes/likelihoods.py": "of"},
     {"beliefs/moments/passes/messages.py": "likelihoods"},
     # Unknown directions, exact relations, bounds of rounding, and whether messages settle.

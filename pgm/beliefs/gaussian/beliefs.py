@@ -208,12 +208,15 @@ class Sizes(NamedTuple):
         messages go round loops.
     magnified : float
         How much larger summands of a variance are than itself, on the way down a tree.
+    residual : float
+        The largest residual of a row at the solution, in deviations of its noise.
     """
 
     largest: float
     coarse: float
     information: Array | None = None
     magnified: float = 1.0
+    residual: float = 0.0
 
 
 class TreePoint(NamedTuple):

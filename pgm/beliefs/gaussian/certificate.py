@@ -10,7 +10,7 @@ were known: one over the norm of its column in A. These errors are estimated:
 - Means: a factorisation is wrong by about ε in units of each column's norm (Higham, Accuracy and
   Stability of Numerical Algorithms, 2002, Theorem 19.4). This error shifts a mean by about ε c of
   its own deviations, if c is the largest distance of a mean from the frame's, in units of one over
-  the norm of its column.
+  the norm of its column; and by about ε κ times the largest residual of a row.
 - Covariances: the same error changes them by about ε κ of themselves. On the way down the tree a
   variance is a sum that may be smaller than its summands, which magnifies their errors by as much.
 - On graphs with loops, and where relations hold without noise, cruder bounds are taken: ε a c for
@@ -34,9 +34,9 @@ from pgm.posteriors.status import CLOSE_POINTS, FAR_APART
 
 # Decimal digits that float64 holds; a sum of many roundings takes one of them.
 _DIGITS, _OF_SUMS = 15.6, 14.6
-# Digits, counted from standard deviations, from which on an answer needs no warning, and those from
-# which on a small network is not solved again in decimals, where their number is no mere bound.
-SAFE_DIGITS, _MOST_DIGITS = 6.6, 9.0
+# Digits, counted from deviations, from which on they need not be told: by the crude bounds,
+# and by the finer ones.
+_SAFE_DIGITS, _MOST_DIGITS = 6.6, 9.0
 # Units whose squares are in range.
 _RANGE = 1e-140, 1e140
 
@@ -62,16 +62,17 @@ def kept_digits(model: Model, done: Calibrated) -> float:
     else:
         mean, variance = beliefs.in_frame()
         alone = np.sqrt(sizes.information)
-        spread = float((alone * np.sqrt(variance)).max(initial=sizes.magnified))
-        moved = float((alone[..., None] * np.abs(mean)).max(initial=1.0))
+        sharp = float((alone * np.sqrt(variance)).max(initial=1.0))
+        spread = max(sharp, sizes.magnified)
+        moved = float((alone[..., None] * np.abs(mean)).max(initial=sharp * sizes.residual))
     moved = max(moved, sizes.coarse, shift(model), 1.0)
     return float(min(_OF_SUMS - np.log10(moved), _DIGITS - np.log10(max(spread, 1.0))))
 
 
 def are_few(digits: float, done: Calibrated) -> bool:
-    """Whether a solution has so few digits that one in decimals is worth its time."""
+    """Whether a solution has so few digits that they are told, or decimals worth their time."""
     assert done.sizes is not None
-    return digits < (SAFE_DIGITS if done.sizes.information is None else _MOST_DIGITS)
+    return digits < (_SAFE_DIGITS if done.sizes.information is None else _MOST_DIGITS)
 
 
 def cause(model: Model) -> str:
@@ -80,5 +81,5 @@ def cause(model: Model) -> str:
     The cause is that sigma points lie too close together, if their rounding alone takes too many
     digits; else it is that standard deviations of the model are too far apart.
     """
-    few = _OF_SUMS - np.log10(max(shift(model), 1.0)) < SAFE_DIGITS
+    few = _OF_SUMS - np.log10(max(shift(model), 1.0)) < _SAFE_DIGITS
     return CLOSE_POINTS if few else FAR_APART

@@ -139,7 +139,7 @@ class _Controlled(_Tree):
     def solve(self, anchor: Anchor | None = None) -> Calibrated:
         """The solution, with means that obey nonlinear relations themselves, not their lines."""
         relations = self.relations  # which are refused before the work
-        done = super().solve(anchor)
+        done = _Tree.solve(self, anchor)
         if not relations.nonlinear:
             return done
         return replace(done, moved=relations.retracted(done.means[0]))

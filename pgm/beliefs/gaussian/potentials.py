@@ -76,6 +76,20 @@ def column_squares(layout: Layout, matrix: Array) -> Array:
     return found
 
 
+def largest_residual(layout: Layout, proper: Flat, mean: Array) -> float:
+    """The largest |A ξ − r| of a row, in deviations of its noise, at means ξ (V, size, N)."""
+    worst = 0.0
+    for k, group in enumerate(layout.groups):
+        rows = proper.matrix[:, layout.entry_starts[k] : layout.entry_starts[k + 1]]
+        rows = rows.reshape(len(rows), len(group.cpds), group.height, group.width)
+        right = proper.right[:, layout.row_starts[k] : layout.row_starts[k + 1]]
+        right = right.reshape(*rows.shape[:3], right.shape[-1])
+        places = np.concatenate([group.child, group.parents], axis=1)
+        away = np.abs(rows @ mean[:, places] - right)
+        worst = float(np.maximum(worst, away.max(initial=0.0)))  # NaN stays
+    return worst
+
+
 def make_potentials(model: Model, anchor: Anchor | None = None) -> Potentials:
     """Turn the linearised CPDs of a model into rows, and those of an anchored layout's anchor.
 

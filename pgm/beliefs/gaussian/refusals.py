@@ -45,8 +45,9 @@ def improper(model: Model, cluster: int, rows: Array) -> NumericalError:
     what = f"cluster {cluster} has no proper belief over {names(scope)}"
     if model.flat and (told := _open(model, rows)):
         return NumericalError(
-            f"{what}: priors are flat, and measurements leave the direction {told} open; give one "
-            "of its variables a prior of finite variance, a measurement or evidence",
+            f"{what}: priors are flat, and measurements leave the direction {told} open, but for "
+            "rounding; give one of its variables a prior of finite variance, a measurement or "
+            "evidence",
             cluster=cluster,
         )
     return NumericalError(

@@ -14,7 +14,7 @@ import numpy as np
 
 from pgm.beliefs.gaussian import careful
 from pgm.beliefs.gaussian.beliefs import Beliefs, Calibrated
-from pgm.beliefs.gaussian.certificate import SAFE_DIGITS, are_few, cause, kept_digits
+from pgm.beliefs.gaussian.certificate import are_few, cause, kept_digits
 from pgm.beliefs.gaussian.iterated import is_controlled, iterated
 from pgm.beliefs.gaussian.layout import Layout, barren, knowing, robust
 from pgm.beliefs.gaussian.messages import RowMessages
@@ -117,8 +117,9 @@ def _solved(
             status = status.with_compilation(solver.compilation)
             found = GaussianOutcome(graph, status, plan, model, done)
         digits = kept_digits(model, found._done)
-        enough = digits >= SAFE_DIGITS or (loopy and not found.status.converged.all())
-        if not (again and are_few(digits, found._done)):
+        few = are_few(digits, found._done)
+        enough = not few or (loopy and not found.status.converged.all())
+        if not (few and again):
             lost = None if enough else np.full(bound.runs, 10.0**-digits)
             status = _told(found.status, model, found._done.beliefs, lost)
             return replace(found, status=status)

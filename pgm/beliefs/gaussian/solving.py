@@ -17,7 +17,12 @@ import numpy as np
 from pgm.beliefs.gaussian.beliefs import Beliefs, Calibrated, Sizes
 from pgm.beliefs.gaussian.front_stacks import FrontStacks
 from pgm.beliefs.gaussian.model import Model
-from pgm.beliefs.gaussian.potentials import Potentials, column_squares, make_potentials
+from pgm.beliefs.gaussian.potentials import (
+    Potentials,
+    column_squares,
+    largest_residual,
+    make_potentials,
+)
 from pgm.beliefs.gaussian.refusals import improper
 from pgm.beliefs.gaussian.row_buffer import Buffer
 from pgm.beliefs.gaussian.tree import TreeBeliefs, TreePlan, calibrate
@@ -125,7 +130,8 @@ class TreeSolver:
         gains = _Gains(plan, sides, kept)
         beliefs = TreeBeliefs(found.places, found.frame, found.mean, found.cov, gains)
         information = column_squares(plan.layout, matrix)
-        sizes = Sizes(self._largest, self._coarse, information, magnified)
+        largest = largest_residual(plan.layout, potentials.proper, beliefs.in_frame()[0])
+        sizes = Sizes(self._largest, self._coarse, information, magnified, largest)
         return Calibrated(beliefs, frozen(total), sizes)
 
 

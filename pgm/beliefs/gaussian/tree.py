@@ -26,7 +26,7 @@ from pgm.beliefs.gaussian.front_stacks import FrontStacks
 from pgm.beliefs.gaussian.fronts import Fronts
 from pgm.beliefs.gaussian.layout import Layout
 from pgm.beliefs.gaussian.machine_plan import told
-from pgm.beliefs.gaussian.potentials import Potentials, column_squares
+from pgm.beliefs.gaussian.potentials import Potentials, column_squares, largest_residual
 from pgm.beliefs.gaussian.rounds import Rounds, Stack
 from pgm.beliefs.gaussian.row_buffer import Buffer
 from pgm.clustergraph.structure import Forest
@@ -192,8 +192,11 @@ def calibrate(plan: TreePlan, buffer: Buffer[FrontStacks], potentials: Potential
                 np.concatenate([done.gain @ at + done.offset, at], axis=2),
                 np.block([[own, cross], [transpose(cross), spread]]),
             )
-    information = None if exact else column_squares(plan.layout, potentials.proper.matrix)
-    sizes = Sizes(buffer.largest, buffer.coarse, information, magnified)
+    sizes = Sizes(buffer.largest, buffer.coarse)
+    if not exact:
+        information = column_squares(plan.layout, potentials.proper.matrix)
+        residual = largest_residual(plan.layout, potentials.proper, beliefs.in_frame()[0])
+        sizes = Sizes(buffer.largest, buffer.coarse, information, magnified, residual)
     return Calibrated(beliefs, frozen(total), sizes)
 
 

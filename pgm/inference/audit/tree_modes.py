@@ -126,7 +126,8 @@ class Search:
         """
         flat = at.swapaxes(0, 1).reshape(-1, at.shape[-1])
         model = self._linearised(flat)
-        return TreeSolver(self.plan, model).solve()
+        solver = TreeSolver(self.plan, model)
+        return solver.solve()
 
     def climb(self, at: Array) -> Array:
         """Climb from points (runs, C, n) by steps of Gauss–Newton that raise the log-density.
