@@ -15,6 +15,7 @@ from typing import Any
 
 from pgm.cpds.conditional import ConditionalGaussian, Noise
 from pgm.cpds.gaussian import AffineCPD, NonlinearGaussianCPD
+from pgm.cpds.robust import LOSSES, RobustNoise
 from pgm.linearisers.lineariser import by_values
 from pgm.variables import Variable
 
@@ -36,7 +37,7 @@ def plate(cpd: ConditionalGaussian) -> Hashable:
         _form(cpd.child),
         tuple(map(_form, cpd.given)),
         cpd.cov.shape,
-        _identity(cpd.noise),
+        _loss(cpd.noise),
     )
     if isinstance(cpd, NonlinearGaussianCPD):
         jacobians = tuple(_identity(cpd.jacobian.get(parent)) for parent in cpd.given)
@@ -55,6 +56,11 @@ def _form(variable: Variable) -> Hashable:
 @lru_cache(maxsize=1024)
 def _angles(components: tuple[str, ...], angles: tuple[str, ...]) -> tuple[bool, ...]:
     return tuple(name in angles for name in components)
+
+
+def _loss(noise: RobustNoise | None) -> Hashable:
+    """A key of robust noise: its numbers, or of a user's own class its identity."""
+    return noise if type(noise) in LOSSES else _identity(noise)
 
 
 def _identity(part: Any) -> Hashable:

@@ -625,6 +625,9 @@ class TruncatedLeastSquares(_Positive):
         return _some(np.where(hard, self.slope(square, 1), soft), square)
 
 
+# The losses that are given, whose equals are the same.
+LOSSES = frozenset({StudentT, Cauchy, Huber, TruncatedLeastSquares})
+
 # What a graduated noise has to say for itself, as a noise that says nothing has it.
 _STAGES = {
     name: getattr(RobustNoise, name)

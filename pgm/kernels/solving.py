@@ -13,10 +13,11 @@ import numpy as np
 from pgm.kernels.arrays import (
     Array,
     Mask,
+    multiply,
     transpose,
     variances,
 )
-from pgm.kernels.roots import NEGLIGIBLE, determined
+from pgm.kernels.roots import NEGLIGIBLE, determined, root
 
 # From this many matrices on, one vectorised operation a column beats one LAPACK call a matrix.
 _MANY = 16
@@ -106,3 +107,18 @@ def log_determinant(lower: Array) -> Array:
         pivots = np.where(fixed, 1.0, pivots)
     total: Array = np.log(pivots).sum(axis=-1)
     return 2.0 * total
+
+
+def left_open(cov: Array) -> Array | None:
+    """The matrix I − L L⁺ of a covariance L Lᵀ, (..., n, n), with zero rows where L has a pivot.
+
+    Noise e of this covariance obeys (I − L L⁺) e = 0: a row for each determined component. None if
+    no covariance has any.
+    """
+    lower = root(cov)
+    fixed = determined(lower)
+    if not fixed.any():
+        return None
+    eye = np.eye(lower.shape[-1])
+    explained = np.where(fixed[..., None], 0.0, solve_lower(lower, eye + 0.0 * lower))
+    return np.where(fixed[..., None], eye - multiply(lower, explained), 0.0)

@@ -318,7 +318,8 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
     def weights(self) -> Mapping[Variable, Array]:
         """By sensor, (*runs, M): the weight w of each of its M measurements.
 
-        A measurement counts as a Gaussian of covariance `cov` / w: 1 of Gaussian noise, less of
+        Of a network without time it is (*runs), by observed variable, which is one measurement. A
+        measurement counts as a Gaussian of covariance `cov` / w: 1 of Gaussian noise, less of
         robust noise. NaN where nothing was measured.
         """
         return self._ask("weights")  # type: ignore[no-any-return]

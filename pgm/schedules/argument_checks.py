@@ -51,10 +51,10 @@ def require_gaussian(cpds: Iterable[CPD], beliefs: str) -> None:
 
 
 def require_plain(cpds: Iterable[CPD]) -> None:
-    """Refuse CPDs with robust noise; `cpds` are those that are no sensors of a dynamic network.
+    """Refuse CPDs with robust noise; `cpds` are those of a dynamic network that are no sensors.
 
-    Gaussian beliefs handle robust noise by weighting the residuals of measurements. Only the
-    sensors of a dynamic network may therefore have it, and the caller leaves them out of `cpds`.
+    Gaussian beliefs handle robust noise by weighting the residuals of measurements. Only sensors
+    may therefore have it, and the caller leaves them out of `cpds`.
     """
     for cpd in cpds:
         if isinstance(cpd, ConditionalGaussian) and cpd.noise is not None:

@@ -49,6 +49,12 @@ class LevenbergMarquardt(InCode):
     predicted mean has no finite cost if it contradicts an exact measurement: the mean of the
     predicted belief given the exact measurements alone takes its place.
 
+    On a tree without time the first step is controlled from a user's start, and, by `Taylor`, from
+    the prior's means. There nonlinear CPDs of singular noise are taken, too, of variables without
+    evidence and by `Taylor`: each solution is moved to obey them. Where y is without noise a
+    function of a parent u that can be solved for u, as of a motion x ⊕ u, and u has noise and no
+    other child, u is; else y is set to the function's value.
+
     Parameters
     ----------
     start : float

@@ -23,7 +23,7 @@ from pgm.kernels import moments
 from pgm.kernels.arrays import Array, Index, Mask, block
 from pgm.progress import counted
 from pgm.schedules.damping import LevenbergMarquardt
-from pgm.schedules.schedule import Filtering, Smoothing
+from pgm.schedules.schedule import Calibration, Filtering
 
 # A relative rise of the cost that is rounding, and counts as none.
 _NO_WORSE = 1e-13
@@ -198,9 +198,9 @@ class Iterated(Generic[S]):
 def iterate(
     problem: Problem[S],
     solution: S,
-    schedule: Filtering | Smoothing,
+    schedule: Filtering | Calibration,
     converged: Mask,
-    first: Point | None = None,
+    first: Any = None,
 ) -> Iterated[S]:
     """Linearise and solve again until each run converges, or the schedule's iterations are used up.
 

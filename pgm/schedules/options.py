@@ -165,7 +165,7 @@ class Static(NamedTuple):
     """Graphs of networks without time."""
 
     takes: frozenset[str] = frozenset(
-        {"lineariser", "start", "memory", "impossible", "compiled", "iterations"}
+        {"lineariser", "start", "memory", "impossible", "compiled", "iterations", "damping"}
     )
 
     def refusal(self, option: str, of: object) -> PgmError:
@@ -178,11 +178,6 @@ class Static(NamedTuple):
             return GraphError(
                 "gate= is for dynamic networks, at whose predicted beliefs it decides, not for "
                 f"{titled(of)}"
-            )
-        if option == "damping":
-            return GraphError(
-                "the damping of linearisation points is for dynamic networks; on other graphs "
-                "pgm.Flooding(damping=...) damps messages"
             )
         return GraphError(
             f"keep= and executor= are for the runs of dynamic networks, not for {titled(of)}; to "

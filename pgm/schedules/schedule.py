@@ -111,7 +111,8 @@ class Calibration(OnChains):
     Without nonlinear CPDs one iteration is exact. The first linearisation of nonlinear ones is at
     their parents' prior predictive moments, or at a given start; each further one is of every CPD
     at the belief of its cluster, after which all messages are sent again: no evidence is counted
-    twice. With `Taylor` that is Gauss–Newton.
+    twice. With `Taylor` that is Gauss–Newton. Measurements of robust noise are weighed anew at each
+    solution, for which it takes dozens of iterations.
 
     Parameters
     ----------
@@ -120,6 +121,9 @@ class Calibration(OnChains):
     tolerance : float
         A run stops when no mean moves by more than this many standard deviations. With 0 all
         iterations are made, and there is no `ConvergenceWarning`.
+    damping : float or LevenbergMarquardt
+        The share of the old point of linearisation that is kept, in [0, 1), or a control of each
+        step by its cost, which `LevenbergMarquardt` defines.
 
     Examples
     --------
@@ -136,11 +140,13 @@ class Calibration(OnChains):
 
     iterations: int = 1
     tolerance: float = TOLERANCE
+    damping: Damping = 0.0
     takes: ClassVar[frozenset[str]] = _EVERY | {"method", "start", "memory", "impossible"}
 
     def __post_init__(self) -> None:
         require_count(self, _LINEARISATIONS, self.iterations)
         require_tolerance(self, self.tolerance)
+        require_damping(self, self.damping)
 
 
 @public
@@ -181,13 +187,11 @@ class Smoothing(Calibration):
     (array([1., 2.]), array([0.75, 1.  ]))
     """
 
-    damping: Damping = 0.0
     gate: Gate = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "gate", as_gate(type(self).__name__, self.gate))
         super().__post_init__()
-        require_damping(self, self.damping)
 
     @property
     def kind(self) -> Kind:

@@ -340,7 +340,9 @@ TURNS = listed({STEP: "turns"}, {"kernels/angles.py": "wrap", "kernels/bins.py":
 GAPS = listed(
     {"kernels/arrays.py": "independent", "kernels/dense.py": "independent"},
     # Of infinite variances, which do not count.
-    {"beliefs/moments/steps/cost.py": "squares"},
+    {"linearisation/costs.py": "squares"},
+    # Of a stack in which some have no elimination.
+    {"kernels/rows.py": "_eliminate_proper"},
 )
 WEIGHED = listed(
     # Of points without values, and of eigenvalues.
@@ -358,13 +360,13 @@ KINDS = listed(
 SOLUTIONS = listed(
     # The roots of the kinds themselves, and equations of arrays by them.
     {"kernels/dense.py": "__init__ left solve solve_transposed"},
-    {"kernels/solving.py": "_solve regression solve whiten", "kernels/roots.py": "root"},
+    {"kernels/solving.py": "_solve left_open regression solve whiten", "kernels/roots.py": "root"},
     {"kernels/semidefinite.py": "semidefinite"},
     # Densities, divergences and draws.
     {"kernels/moments.py": "kl principal_axes"},
     {"kernels/normal_density.py": "off whitened whitener", "factors/arrays.py": "covariance_fault"},
     {"cpds/conditional.py": "_robust", "beliefs/points/laws.py": "log_density"},
-    {"beliefs/moments/steps/weights.py": "of", "posteriors/innovations.py": "whitened"},
+    {"linearisation/weights.py": "of", "posteriors/innovations.py": "whitened"},
     {"consistency/errors.py": "nees_and_dof", "consistency/ranking.py": "_by_sighting"},
     {"beliefs/particles/guided_proposal.py": "_whitened steered"},
     {"inference/audit/corrected.py": "_from_gaussian"},
@@ -375,11 +377,12 @@ SOLUTIONS = listed(
     {"kernels/rows.py": "_eliminate_proper _svd triangular"},
     {"kernels/elements.py": "_meet compose moved"},
     {"beliefs/gaussian/potentials.py": "_factor", "beliefs/gaussian/joints.py": "_gain"},
+    {"beliefs/gaussian/relations.py": "_solved_for", "beliefs/gaussian/solving.py": "__call__"},
+    {"beliefs/gaussian/refusals.py": "_open"},
     {"beliefs/moments/passes/likelihoods.py": "of"},
     {"beliefs/moments/passes/messages.py": "likelihoods"},
     # Unknown directions, exact relations, bounds of rounding, and whether messages settle.
     {f"{DIGITS}careful_belief.py": "solved", f"{DIGITS}reversal_rounding.py": "injected"},
-    {"beliefs/moments/smoothers/exact_relations.py": "_left_open"},
     {"beliefs/gaussian/walks.py": "spectral_radius"},
     # The points of a rule, and the cells of a grid.
     {"kernels/regression.py": "_line fit range_inverse"},

@@ -163,7 +163,7 @@ def test_all_schedules_take_the_same_numbers_in_the_same_order():
     for kind in (*LOOPY, *TREES):
         made = kind(3, 1e-5)
         assert (made.iterations, made.tolerance) == (3, 1e-5)
-    for kind in (*LOOPY, pgm.Filtering, pgm.Smoothing):
+    for kind in (*LOOPY, *TREES):
         assert kind(3, 1e-5, 0.5).damping == 0.5
 
 

@@ -16,7 +16,7 @@ is kept as k *rows*: its matrix A (k, n) and its right sides r (k, N).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -155,6 +155,25 @@ class Beliefs:
         mean = self.frame.mean[:, places] + scale * runs_first(self.mean[:, where])
         return mean, self.cov[:, entries] * (scale[..., :, None] * scale[..., None, :])
 
+    def of_parents(self, g: int, mean: Array | None = None) -> tuple[Array, Array]:
+        """The moments of the hidden parents of group g's CPDs, in the user's units.
+
+        Means are (CPDs, runs, n) and covariances (CPDs, V, n, n), for n components of the parents,
+        in the blocks of the clusters that the CPDs are assigned to. If `mean` (runs, size) is
+        given, the means of all hidden components, they are these.
+        """
+        places = self.places.layout.groups[g].parents
+        own, cov = self.moments(*self.places.families[g], places)
+        known = own if mean is None else mean[:, places]
+        return known.swapaxes(0, 1), cov.swapaxes(0, 1)
+
+    def with_means(self, mean: Array) -> Beliefs:
+        """The beliefs with other means of all hidden components, (runs, size), in all blocks."""
+        frame, blocks = self.frame, self.places.blocks
+        moved = ((mean - frame.mean) / frame.scale)[:, blocks.components]
+        moved = np.pad(moved, [(0, 0), (0, 1)])
+        return replace(self, mean=by_run(moved, shared=self.mean.shape[0] == 1))
+
     def components(self) -> tuple[Array, Array]:
         """Means (runs, size) and standard deviations (V, size) of all hidden components.
 
@@ -201,16 +220,39 @@ class Sizes(NamedTuple):
 
 
 class TreePoint(NamedTuple):
-    """Beliefs as a point of linearisation, in the user's units.
+    """A point of linearisation: means of all hidden components, and beliefs for covariances.
 
-    `mean` (1, runs, size) and `std` (1, V, size) are the means and standard deviations of all
-    hidden components in `beliefs`. Their first axis is that of time steps, of which a network
-    without time has one.
+    `mean` (1, runs, size) are in the user's units, and so are the standard deviations `std` (1, V,
+    size). Their first axis is that of time steps, of which a network without time has one. The
+    covariances of `beliefs` go with the means, whatever means the beliefs have themselves; None is
+    for covariances of zero.
     """
 
     mean: Array
     std: Array
-    beliefs: Beliefs
+    beliefs: Beliefs | None
+
+    def of_parents(self, layout: Layout, g: int) -> tuple[Array, Array]:
+        """The moments of the hidden parents of group g's CPDs, as of `Beliefs.of_parents`."""
+        if self.beliefs is not None:
+            return self.beliefs.of_parents(g, self.mean[0])
+        mean = self.mean[0][:, layout.groups[g].parents].swapaxes(0, 1)
+        return mean, np.zeros((*mean.shape, mean.shape[-1]))
+
+    def mixed(self, other: TreePoint, share: float) -> TreePoint:
+        """The point with `share` times this point's moments plus 1 − `share` times another's."""
+
+        def mix(mine: Array, its: Array) -> Array:
+            return share * mine + (1.0 - share) * its
+
+        after = other.beliefs
+        assert after is not None
+        known = np.zeros(()) if self.beliefs is None else self.beliefs.cov
+        return TreePoint(
+            mix(self.mean, other.mean),
+            mix(self.std, other.std),
+            replace(after, cov=mix(known, after.cov)),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,13 +263,15 @@ class Calibrated:
     are known to be there. `digits` (runs,) are the correct decimal digits of each run: k if
     rounding moves no mean by more than about 10⁻ᵏ of its standard deviation, and ln p(evidence) by
     no more than about 10⁻ᵏ. It is None for a solution in float64, whose digits are counted
-    elsewhere.
+    elsewhere. Where the control of steps has other means than the beliefs', `moved` (runs, size)
+    are these.
     """
 
     beliefs: Beliefs
     log_evidence: Array
     sizes: Sizes | None = None
     digits: Array | None = None
+    moved: Array | None = None
 
     @property
     def means(self) -> Array:
@@ -241,27 +285,23 @@ class Calibrated:
     def point(self) -> TreePoint:
         """The beliefs with their means and standard deviations, to linearise nonlinear CPDs at."""
         mean, std = self.beliefs.components()
-        return TreePoint(mean[None], std[None], self.beliefs)
+        return TreePoint(
+            (mean if self.moved is None else self.moved)[None], std[None], self.beliefs
+        )
 
 
-def relinearise(beliefs: Beliefs, model: Model, active: Mask) -> None:
+def relinearise(beliefs: Beliefs, model: Model, active: Mask, mean: Array | None = None) -> None:
     """Linearise every nonlinear CPD of a model anew, in place, at the belief of its hidden parents.
 
-    This is the belief of the cluster that the CPD is assigned to. The mask `active` (runs,) marks
-    the runs in which the CPDs are linearised; in the others they stay as they are.
+    This is the belief of the cluster that the CPD is assigned to, with other means if `mean` (runs,
+    size) is given, those of all hidden components. The mask `active` (runs,) marks the runs in
+    which the CPDs are linearised; in the others they stay as they are.
     """
-
-    def moments(g: int) -> tuple[Array, Array]:
-        """The moments in `beliefs` of the hidden parents of group g's CPDs, in the user's units.
-
-        Means are (CPDs, runs, n) and covariances (CPDs, V, n, n), for n components of the parents.
-        """
-        where, entries = beliefs.places.families[g]
-        mean, cov = beliefs.moments(where, entries, model.layout.groups[g].parents)
-        return mean.swapaxes(0, 1), cov.swapaxes(0, 1)
-
-    at = [None if family.exact else moments(g) for g, family in enumerate(model.families)]
-    model.relinearise(beliefs.components()[0], at, active)
+    at = [
+        None if family.exact else beliefs.of_parents(g, mean)
+        for g, family in enumerate(model.families)
+    ]
+    model.relinearise(beliefs.components()[0] if mean is None else mean, at, active)
 
 
 class Flat(NamedTuple):
@@ -285,6 +325,10 @@ class Flat(NamedTuple):
                 [part.reshape(part.shape[0], -1, part.shape[-1]) for part in rights], axis=1
             ),
         )
+
+    def before(self, other: Flat) -> Flat:
+        """These rows, then other ones."""
+        return Flat.of(*([mine, its] for mine, its in zip(self, other, strict=True)))
 
     def at(self, entries: Integers, rows: Integers) -> tuple[Array, Array]:
         """Gather the matrices and the right sides of B factors, by their flat indices.

@@ -22,12 +22,13 @@ the end it has the shift of each posterior mean by that error.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 
 import numpy as np
 
-from pgm.beliefs.gaussian.beliefs import Beliefs
+from pgm.beliefs.gaussian.anchors import holds
+from pgm.beliefs.gaussian.beliefs import Beliefs, by_run
 from pgm.beliefs.gaussian.conditionals import Conditional, Conditionals, Root
 from pgm.beliefs.gaussian.dense import Joint
 from pgm.beliefs.gaussian.layout import Layout
@@ -40,6 +41,7 @@ from pgm.kernels import decimals
 from pgm.kernels.arrays import Array, Integers, deviation, variances
 from pgm.kernels.decimals import ONE, ZERO, Decimals
 from pgm.linearisation.family import Family
+from pgm.schedules.iteration import Anchor
 
 # How far a measurement may be from the value that a model without noise determines, as a part of
 # the summands of that value and of the prior's standard deviation: a user calculates in float64.
@@ -79,6 +81,10 @@ class DenseBeliefs(Beliefs):
     def components(self) -> tuple[Array, Array]:
         """Means (runs, size) and standard deviations (V, size) of all hidden components."""
         return self.mean, deviation(self.cov)
+
+    def with_means(self, mean: Array) -> DenseBeliefs:
+        """The beliefs with other means of all hidden components, (runs, size)."""
+        return replace(self, mean=mean)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,8 +139,10 @@ def predictive(
     return Frame(mean, np.where(scale > 0.0, scale, 1.0), (variance == 0.0).all(axis=0))
 
 
-def solve(plan: TreePlan, model: Model) -> Solution:
+def solve(plan: TreePlan, model: Model, anchor: Anchor | None = None) -> Solution:
     """The exact beliefs of the linearised network, in as many decimals as it needs.
+
+    An anchor's measurement of each component is added to the CPDs, if there is one.
 
     If its standard deviations and slopes together span k powers of ten (`Conditionals.span`), it
     takes 4k + 60 decimals, at most 6000. Measurements that contradict CPDs without noise are a
@@ -145,10 +153,16 @@ def solve(plan: TreePlan, model: Model) -> Solution:
     with decimals.precision(FEW):
         count = min(2 * (2 * conditionals.span() + FEW), MOST_DIGITS)
     with decimals.precision(count):
-        return _solve(plan, model, conditionals, Decimal(10) ** -(count // 2))
+        return _solve(plan, model, conditionals, Decimal(10) ** -(count // 2), anchor)
 
 
-def _solve(plan: TreePlan, model: Model, conditionals: Conditionals, nothing: Decimal) -> Solution:
+def _solve(
+    plan: TreePlan,
+    model: Model,
+    conditionals: Conditionals,
+    nothing: Decimal,
+    anchor: Anchor | None,
+) -> Solution:
     """The beliefs and ln p(evidence), in as many decimals as the present context of `decimal` has.
 
     The CPDs of `conditionals` are taken in turn, parents first. Each child joins a dense joint; for
@@ -164,7 +178,7 @@ def _solve(plan: TreePlan, model: Model, conditionals: Conditionals, nothing: De
         for group, lost in zip(layout.groups, roundings, strict=True)
         if lost is not None
     )
-    height = max((group.height for group in layout.groups if group.observed), default=0)
+    height = max((group.height for group in layout.groups if group.observed), default=1)
     joint = Joint.empty(conditionals.stacked, layout.size + height, sides + columns, nothing)
     log_density, moved = np.zeros((conditionals.stacked, sides)), np.zeros(conditionals.stacked)
     done = sides
@@ -185,7 +199,14 @@ def _solve(plan: TreePlan, model: Model, conditionals: Conditionals, nothing: De
             said, lost_of_it = _read(model, conditionals, conditional, joint, offset)
             log_density += said
             moved = np.maximum(moved, lost_of_it)
+            weights = model.weights[conditional.g]
+            if weights is not None:
+                log_density += by_run(
+                    weights.surplus()[conditional.row][:, None], shared=model.shared
+                )[:, 0]
     size = layout.size
+    if anchor is not None:
+        _hold(model, joint, anchor)
     mean, cov = joint.mean[:, :size, :sides], decimals.floats(joint.cov[:, :size, :size])
     found = DenseBeliefs(plan.places, model.frame, conditionals.by_float(mean), cov)
     return Solution(found, log_density, _digits(model, joint, sides, moved))
@@ -250,6 +271,23 @@ def _read(
         moved = np.maximum(moved, read.moved)
     joint.forget(places)
     return total, moved
+
+
+def _hold(model: Model, joint: Joint, anchor: Anchor) -> None:
+    """Condition the joint on an anchor's measurement of each component that it holds."""
+    size = model.layout.size
+    stacked, _, columns = joint.mean.shape
+    held, root = holds(model, anchor)
+    scratch, nothing = np.array([size]), decimals.zeros(stacked, 1, columns)
+    for place in range(size):
+        # In a run that is not held a number of unit variance is read that nothing depends on.
+        open_ = held[:, place, None]
+        slope = decimals.exact(np.where(open_, root[:, place, None], 0.0))
+        value = slope * decimals.exact(anchor.mean[0][:, place, None])
+        unit = decimals.exact(np.ones((stacked, 1, 1)))
+        joint.add(scratch, np.array([place]), slope[..., None], nothing, unit)
+        joint.read(size, value, value)
+        joint.forget(scratch)
 
 
 def _digits(model: Model, joint: Joint, sides: int, moved: Array) -> Array:

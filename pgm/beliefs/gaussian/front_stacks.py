@@ -82,7 +82,7 @@ class FrontStacks:
         rows = np.bincount(children, left, len(fronts)).astype(np.intp) + spare
         heights = [
             np.bincount(self.of_cluster[g.clusters], minlength=len(fronts)) * g.height
-            for g in self.layout.groups
+            for g in self.layout.factors
         ]
         for height in heights:
             rows += height
@@ -118,7 +118,7 @@ class FrontStacks:
         right = _Ragged.of(rooms, zero_row)
         used = np.zeros(len(fronts), dtype=np.intp)
 
-        for k, group in enumerate(self.layout.groups):
+        for k, group in enumerate(self.layout.factors):
             front = self.of_cluster[group.clusters]
             places = np.concatenate([group.child, group.parents], axis=1)
             columns = self._padded(front, blocks.columns(front, places))

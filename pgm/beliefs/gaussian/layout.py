@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection, Hashable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import accumulate, groupby
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -46,19 +46,33 @@ def _knowing(graph: ClusterGraph) -> list[tuple[CPD, list[Variable]]]:
     return [(cpd, known) for cpd, known in found if known]
 
 
+def robust(graph: ClusterGraph) -> list[ConditionalGaussian]:
+    """The CPDs of robust noise."""
+    return graph.derived(_robust)
+
+
+def _robust(graph: ClusterGraph) -> list[ConditionalGaussian]:
+    cpds = (cpd for cpd in graph.network.cpds if isinstance(cpd, ConditionalGaussian))
+    return [cpd for cpd in cpds if cpd.noise is not None]
+
+
 def barren(graph: ClusterGraph, evidence: Collection[Variable]) -> frozenset[Variable]:
     """The variables to leave out of inference, because a CPD lacks evidence that it needs.
 
-    A CPD needs evidence of those parents that are inputs, or that its noise depends on. If such a
-    parent has none, the CPD's child is left out, unless it is observed; the parent is left out too
-    if it is an input. But a variable stays if any variable that is not left out, observed or
-    not, depends on it. `evidence` are the variables with evidence.
+    A CPD needs evidence of those parents that are inputs, or that its noise depends on; one of
+    robust noise, of its child. Without it the CPD's child is left out, unless it is observed; a
+    parent is left out too if it is an input that has none. But a variable stays if any variable
+    that is not left out, observed or not, depends on it. `evidence` are the variables with
+    evidence.
     """
     lacking = {
         cpd.child: missing
         for cpd, known in knowing(graph)
         if (missing := [v for v in known if v not in evidence])
     }
+    for weighed in robust(graph):
+        if weighed.child not in evidence:
+            lacking.setdefault(weighed.child, [])
     if not lacking:
         return frozenset()
     network = graph.network
@@ -66,10 +80,9 @@ def barren(graph: ClusterGraph, evidence: Collection[Variable]) -> frozenset[Var
     used = {v for cpd in network.cpds if cpd.child in evidence for v in cpd.parents}
     absent: set[Variable] = set()
     for cpd in reversed(network.cpds):
-        missing = lacking.get(cpd.child, [])
-        if missing and cpd.child not in evidence and cpd.child not in used:
+        if cpd.child in lacking and cpd.child not in evidence and cpd.child not in used:
             absent.add(cpd.child)
-            absent.update(v for v in missing if v in inputs)
+            absent.update(v for v in lacking[cpd.child] if v in inputs)
         else:
             used.update(cpd.parents)
     return frozenset(absent - used)
@@ -130,17 +143,43 @@ class Group:
 
 
 @dataclass(frozen=True, eq=False)
+class Unary:
+    """Factors of one row each, over one component: a measurement of each hidden component.
+
+    A component's factor belongs to the smallest cluster that holds it. `parents` (size, 1) are the
+    components' places, `child` is (size, 0), `clusters` (size,).
+    """
+
+    parents: Integers
+    clusters: Integers
+
+    @property
+    def child(self) -> Integers:
+        """No places, (size, 0): what is measured has a value."""
+        return self.parents[:, :0]
+
+    height: ClassVar[int] = 1
+    width: ClassVar[int] = 1
+
+
+# Factors of one shape: where their rows, over the components of children and parents, belong.
+Factors = Group | Unary
+
+
+@dataclass(frozen=True, eq=False)
 class Layout:
     """The layout of a cluster graph's hidden components: their places, columns, and CPD groups.
 
     Variables that are `observed`, and those that are `absent` because `barren` leaves them out,
     have no places. A layout is made once for each set of observed variables, and kept with the
-    graph.
+    graph. One that is `anchored` has, beside the CPDs' factors, those of an `Anchor`: a measurement
+    of each hidden component, by which steps are controlled.
     """
 
     graph: ClusterGraph
     observed: frozenset[Variable]
     absent: frozenset[Variable]
+    anchored: bool = False
 
     def derived(self, kind: Hashable, make: Callable[[], T], *key: Hashable) -> T:
         """The result of `make`, which hangs on the layout, kind and key alone; made once."""
@@ -280,17 +319,28 @@ class Layout:
         )
 
     @cached_property
+    def factors(self) -> list[Factors]:
+        """The factors of all groups, and those of an anchor after them, in the order of rows."""
+        return [*self.groups, self.anchors] if self.anchored else list(self.groups)
+
+    @cached_property
+    def anchors(self) -> Unary:
+        """The factors of an anchor, in the order of places."""
+        return Unary(np.arange(self.size)[:, None], self.blocks.homes[0])
+
+    @cached_property
     def entry_starts(self) -> Integers:
         """Where the entries of each group's rows begin, one group's after another's, then the end.
 
-        (groups + 1,): all rows of a CPD stand together, those of one CPD after another's.
+        (factors + 1,): all rows of a CPD stand together, those of one CPD after another's, and
+        those of an anchor after the groups'.
         """
-        return np.cumsum([0, *(len(g.cpds) * g.height * g.width for g in self.groups)])
+        return np.cumsum([0, *(len(g.clusters) * g.height * g.width for g in self.factors)])
 
     @cached_property
     def row_starts(self) -> Integers:
-        """Where each group's rows begin, as `entry_starts`, then where all end, (groups + 1,)."""
-        return np.cumsum([0, *(len(g.cpds) * g.height for g in self.groups)])
+        """Where each group's rows begin, as `entry_starts`, then where all end, (factors + 1,)."""
+        return np.cumsum([0, *(len(g.clusters) * g.height for g in self.factors)])
 
     @cached_property
     def shapes(self) -> list[list[int]]:

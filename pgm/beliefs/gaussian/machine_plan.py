@@ -17,7 +17,7 @@ def told(layout: Layout, fronts: Fronts) -> Plan:
     hanging = hanging[np.argsort(fronts.parent[hanging], kind="stable")]
     owners, factors, columns = [], [], []
     begin = 0
-    for k, group in enumerate(layout.groups):
+    for k, group in enumerate(layout.factors):
         front = fronts.of_cluster[group.clusters]
         found = blocks.columns(front, np.concatenate([group.child, group.parents], axis=1))
         height, width, row = group.height, group.width, np.arange(front.size)

@@ -28,6 +28,7 @@ from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, Mask, components_first, components_last, deviation
 from pgm.kernels.gaussian import lengths
 from pgm.linearisation.family import Family
+from pgm.linearisation.weights import Weights
 from pgm.linearisers import Lineariser
 from pgm.tracing import Judge
 from pgm.variables import Variable
@@ -78,10 +79,10 @@ class Model:
     `taken` a mask of the components that enter, (CPDs, runs or 1, d), None if all do: of an
     observed child those measured, of a prior those of finite variance; `points` the moments of
     hidden parents where CPDs were linearised last. `shared` says whether all runs have the same
-    matrices, covariances and components measured.
-    `frame` are the coordinates in which factors are kept. `first` is True until `relinearise` is
-    called: until then `points` are the prior's moments or the user's start, maybe far from the
-    posterior. `noises` is a cache of roots of the CPDs' own noise.
+    matrices, covariances and components measured. `frame` are the coordinates in which factors are
+    kept. `weights` are those of a group's readings, None where its noise is Gaussian. `first` is
+    True until `relinearise` is called: until then `points` are the prior's moments or the user's
+    start, maybe far from the posterior. `noises` is a cache of roots of the CPDs' own noise.
     """
 
     layout: Layout
@@ -93,6 +94,7 @@ class Model:
     shared: bool
     frame: Frame
     points: list[LinearisedAt]
+    weights: list[Weights | None]
     first: bool = True
     noises: dict[Any, Any] = field(default_factory=dict, repr=False)
 
@@ -128,9 +130,10 @@ class Model:
         for family in families:
             family.probe({})
             family.trace({}, judge)
+        weights = weights_of(families, taken, bound.runs)
         alike = all(mask is None or mask.shape[1] == 1 for mask in taken)
         shared = alike and all(
-            family.exact and family.own_noise.shape[1] == 1 for family in families
+            family.settled and family.own_noise.shape[1] == 1 for family in families
         )
         if start is None and any(not np.isfinite(family.own_noise).all() for family in families):
             for family in families:
@@ -153,7 +156,8 @@ class Model:
             None if rows is None else np.broadcast_to(rows, (len(rows), bound.runs, rows.shape[2]))
             for rows in readings
         ]
-        model = cls(layout, bound.lead, families, readings, moved, taken, shared, frame, points)
+        parts = readings, moved, taken, shared, frame, points, weights
+        model = cls(layout, bound.lead, families, *parts)
         model._follow(frame.mean, np.ones(bound.runs, dtype=bool))
         return model
 
@@ -171,6 +175,11 @@ class Model:
     def exact(self) -> bool:
         """Whether every CPD is affine."""
         return all(family.exact for family in self.families)
+
+    @property
+    def settled(self) -> bool:
+        """Whether every CPD is affine and its noise Gaussian: there is nothing to iterate."""
+        return all(family.settled for family in self.families)
 
     @property
     def taylor(self) -> bool:
@@ -272,6 +281,22 @@ def _require_points(family: Family) -> None:
         variable=family.cpd.child,
         cpd=family.cpd,
     )
+
+
+def weights_of(
+    families: Sequence[Family], taken: Sequence[Mask | None], runs: int
+) -> list[Weights | None]:
+    """The weights of robust readings, one each, by group; None of groups with Gaussian noise.
+
+    `taken` are the masks of measured components, as of `Model`. A ModelError refuses a robust noise
+    of singular covariance.
+    """
+    return [
+        None
+        if family.cpd.noise is None
+        else Weights.of(family.cpd, family.own_noise, mask, (family.step.size, runs))
+        for family, mask in zip(families, taken, strict=True)
+    ]
 
 
 def _stacked(

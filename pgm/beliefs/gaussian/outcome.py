@@ -6,7 +6,7 @@ matrix K, a vector h and a constant g: exp(−½ xᵀK x + hᵀx + g).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
@@ -17,6 +17,7 @@ from pgm.beliefs.gaussian.beliefs import Calibrated, runs_first
 from pgm.beliefs.gaussian.joints import joint_moments
 from pgm.beliefs.gaussian.messages import RowMessages
 from pgm.beliefs.gaussian.model import Model
+from pgm.beliefs.gaussian.reweighting import weights_shown
 from pgm.beliefs.gaussian.row_buffer import Buffer
 from pgm.beliefs.gaussian.tree import TreePlan
 from pgm.beliefs.gaussian.walks import shown, spectral_radius
@@ -27,6 +28,7 @@ from pgm.factors import CanonicalForm, Gaussian
 from pgm.factors.scope import Scope, as_scope, names, namesake
 from pgm.kernels.arrays import Array, Integers, apply, frozen, inner, quiet, transpose
 from pgm.kernels.rows import Rows
+from pgm.linearisation.weights import bound_kind
 from pgm.posteriors.outcome import NETWORK, Outcome
 from pgm.posteriors.posterior import require_variable
 from pgm.posteriors.status import Status
@@ -114,8 +116,9 @@ class GaussianOutcome(Outcome[Gaussian]):
             )
         if variable in layout.absent:
             raise EvidenceError(
-                f"{variable!r} was left out, since inputs of its CPD have no evidence and nothing "
-                "depends on it; give them values",
+                f"{variable!r} was left out, since nothing depends on it, and inputs of its CPD "
+                "have no evidence or its noise is robust, which weighs measurements alone; give "
+                "them values, or leave noise= out",
                 variable=variable,
             )
         raise EvidenceError(
@@ -278,18 +281,30 @@ class GaussianOutcome(Outcome[Gaussian]):
             )
         return frozen(runs_first(value).reshape(self._model.lead))
 
+    @cached_property
+    def weights(self) -> Mapping[Variable, Array]:
+        """By observed variable, (*runs): the weight of its measurement, 1 for Gaussian noise.
+
+        NaN where nothing was measured.
+        """
+        return weights_shown(self._model)
+
     @property
     def log_evidence_kind(self) -> str:
         """The kind of `log_evidence`: exact, linearised, laplace or bethe.
 
-        On a tree it is exact if all CPDs are affine, Laplace's approximation if all are expanded to
-        first order and the means have converged, else that of the linearised network. On a graph
-        with loops, and while a loopy schedule has not converged, it is Bethe's.
+        With robust noise it is a bound, a linearised bound, or unnormalised. Else on a tree it is
+        exact if all CPDs are affine, Laplace's approximation if all are expanded to first order and
+        the means have converged, else that of the linearised network. On a graph with loops, and
+        while a loopy schedule has not converged, it is Bethe's.
         """
         model = self._model
         sent = self._sent is None or bool(self.status.converged.all())
         if not self.graph.is_tree or not sent:
             return "bethe"
+        robust = [family for family in model.families if family.cpd.noise is not None]
+        if robust:
+            return bound_kind(robust, affine=model.exact)
         if model.exact:
             return "exact"
         return "laplace" if model.taylor and bool(self.status.converged.all()) else "linearised"

@@ -29,6 +29,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pgm.beliefs.gaussian.anchors import anchor_rows
 from pgm.beliefs.gaussian.beliefs import Flat, by_run
 from pgm.beliefs.gaussian.layout import Layout
 from pgm.beliefs.gaussian.model import Model
@@ -36,6 +37,7 @@ from pgm.beliefs.gaussian.refusals import indefinite_noise
 from pgm.kernels import roots, solving
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, apply, independent, transpose
 from pgm.kernels.rows import NEGLIGIBLE, largest_first
+from pgm.schedules.iteration import Anchor
 
 # A residual with summands of size s costs as many digits as an entry of this times s.
 COARSE = 1e-1
@@ -43,7 +45,7 @@ COARSE = 1e-1
 
 @dataclass(frozen=True, eq=False)
 class Potentials:
-    """The rows of all CPDs, one after another in the order of the groups.
+    """The rows of all CPDs, one after another in the order of the groups, then those of an anchor.
 
     Rows are kept flat: A (V, entries), with the entries of all matrices, and r (V, rows, N).
     `proper` has the rows with noise, and zeros in place of the exact rows; `exact` has the exact
@@ -88,8 +90,8 @@ def largest_residual(layout: Layout, proper: Flat, mean: Array) -> float:
     return worst
 
 
-def make_potentials(model: Model) -> Potentials:
-    """Turn the linearised CPDs of a model into rows.
+def make_potentials(model: Model, anchor: Anchor | None = None) -> Potentials:
+    """Turn the linearised CPDs of a model into rows, and those of an anchored layout's anchor.
 
     With Σ = L Lᵀ the rows are L⁻¹ [s_y, −F s_p], and the right sides −L⁻¹ e. Where a pivot of L is
     zero, that component of the noise is determined by the components before it, and the row is
@@ -100,11 +102,16 @@ def make_potentials(model: Model) -> Potentials:
         empty = np.zeros((stacked, 0, sides))
         return Potentials(Flat(np.zeros((stacked, 0)), empty), None, empty, 0.0)
     parts = [_factor(model, groups) for groups in model.layout.shapes]
+    proper = Flat.of([part.matrix for part in parts], [part.right for part in parts])
+    exact = None
+    if any(part.fixed for part in parts):
+        exact = Flat.of([part.exact for part in parts], [part.exact_right for part in parts])
+    if model.layout.anchored:
+        proper = proper.before(anchor_rows(model, anchor))
+        exact = None if exact is None else exact.before(anchor_rows(model, None))
     return Potentials(
-        Flat.of([part.matrix for part in parts], [part.right for part in parts]),
-        Flat.of([part.exact for part in parts], [part.exact_right for part in parts])
-        if any(part.fixed for part in parts)
-        else None,
+        proper,
+        exact,
         np.concatenate([part.log_scale for part in parts], axis=1),
         max(part.coarse for part in parts),
     )
@@ -120,7 +127,8 @@ class _Linearised(NamedTuple):
     an observed child that were not measured: their rows are zero, and their noise is independent,
     of variance one. `doubtful` (CPDs,) marks a hidden child with a component that has no variance
     in the prior although it depends on a parent with variance: it is open whether the terms of F p
-    cancel exactly, or by rounding.
+    cancel exactly, or by rounding. `surplus` (CPDs, V) is what the log-density of robust noise has
+    beside that of the noise N(0, Σ) in its place; zero of Gaussian noise.
     """
 
     matrix: Array
@@ -130,6 +138,7 @@ class _Linearised(NamedTuple):
     size: Array
     missing: Integers
     doubtful: Mask
+    surplus: Array
 
     @classmethod
     def of(cls, model: Model, g: int) -> _Linearised:
@@ -160,7 +169,9 @@ class _Linearised(NamedTuple):
             residual, size = np.where(taken, residual, 0.0), np.where(taken, size, 0.0)
             noise, missing = independent(noise, taken), missing + (~taken).sum(axis=-1)
         known = np.pad(certain, [(0, 0), (matrix.shape[-1] - certain.shape[1], 0)])
-        return cls(matrix, residual, noise, known, size, missing, doubtful)
+        weights = model.weights[g]
+        surplus = np.zeros(missing.shape) if weights is None else weights.surplus()
+        return cls(matrix, residual, noise, known, size, missing, doubtful, surplus)
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +262,7 @@ def _factor(model: Model, groups: list[int]) -> _Factor:
     height = lower.shape[-1]
     dimension = height - fixed.sum(axis=-1) - given.missing.T
     log_scale = -0.5 * (dimension * LOG_2PI + solving.log_determinant(lower))
-    log_scale = log_scale - np.log(deviation).sum(axis=(-2, -1))
+    log_scale = log_scale - np.log(deviation).sum(axis=(-2, -1)) + given.surplus.T
     log_scale = np.broadcast_to(log_scale[..., None], (*log_scale.shape, right.shape[-1]))
     if not fixed.any():
         none = np.zeros_like(matrix), np.zeros_like(right)

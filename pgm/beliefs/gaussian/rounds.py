@@ -114,7 +114,7 @@ class Rounds:
         """
         found: list[list[tuple[Integers, Integers]]] = [[] for _ in self.layout.scopes]
         starts = self.layout.entry_starts.tolist(), self.layout.row_starts.tolist()
-        for group, entry, first in zip(self.layout.groups, *starts, strict=False):
+        for group, entry, first in zip(self.layout.factors, *starts, strict=False):
             height = group.height
             scope = np.concatenate([group.child, group.parents], axis=1)
             for row, cluster in enumerate(group.clusters.tolist()):

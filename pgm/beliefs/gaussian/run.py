@@ -7,18 +7,20 @@ the axes of runs flattened to one.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from pgm.beliefs.gaussian import careful
-from pgm.beliefs.gaussian.beliefs import Beliefs, Calibrated, TreePoint, relinearise
+from pgm.beliefs.gaussian.beliefs import Beliefs, Calibrated
 from pgm.beliefs.gaussian.certificate import are_few, cause, kept_digits
-from pgm.beliefs.gaussian.layout import Layout, barren, knowing
+from pgm.beliefs.gaussian.iterated import is_controlled, iterated
+from pgm.beliefs.gaussian.layout import Layout, barren, knowing, robust
 from pgm.beliefs.gaussian.messages import RowMessages
 from pgm.beliefs.gaussian.model import Model
 from pgm.beliefs.gaussian.outcome import GaussianOutcome
+from pgm.beliefs.gaussian.reweighting import require_weighable
 from pgm.beliefs.gaussian.rounds import Rounds
 from pgm.beliefs.gaussian.row_buffer import Buffer
 from pgm.beliefs.gaussian.solving import TreeSolver
@@ -29,16 +31,15 @@ from pgm.errors import EvidenceError, NumericalError
 from pgm.evidence import Evidence
 from pgm.evidence.rows import as_rows, require_finite
 from pgm.evidence.static import BoundValues, Roles, bind_values, complete_rows
-from pgm.kernels import last_place, moments
-from pgm.kernels.arrays import Array, Mask, quiet
-from pgm.kernels.settling import TOLERANCE
+from pgm.kernels import last_place
+from pgm.kernels.arrays import Array, quiet
 from pgm.linearisers import Lineariser
 from pgm.posteriors.status import ENOUGH_DIGITS, LAST_PLACE, Status
-from pgm.schedules.argument_checks import require_gaussian, require_plain
-from pgm.schedules.iteration import Anchor, iterate
+from pgm.schedules.argument_checks import require_gaussian
+from pgm.schedules.iteration import Anchor
 from pgm.schedules.limits import require_runs, require_size
 from pgm.schedules.loopy import run_loopy
-from pgm.schedules.schedule import Calibration, Loopy, Schedule, Smoothing
+from pgm.schedules.schedule import Loopy, Schedule
 from pgm.schedules.starting_points import Start, over_runs, require_hidden
 from pgm.tracing import Judge, judged
 from pgm.variables import Variable
@@ -61,12 +62,16 @@ def run(
     network = graph.network
     linear = graph.derived(_linear)
     absent = barren(graph, evidence)
+    weighed = [cpd for cpd in robust(graph) if cpd.child not in absent]
+    require_weighable(graph, weighed, evidence, schedule)
     needed = (v for cpd, known in knowing(graph) if cpd.child not in absent for v in known)
     roles = graph.derived(_roles)
     bound = bind_values(network.cpds, evidence, network.lead, needed, roles)
-    plan = graph.derived(_plan, frozenset(bound.values), absent)
     if absent and not linear:
         linear = all(isinstance(c, AffineCPD) for c in network.cpds if c.child not in absent)
+    linear = linear and not weighed
+    anchored = not linear and is_controlled(schedule)
+    plan = graph.derived(_plan, frozenset(bound.values), absent, anchored)
     loopy = isinstance(schedule, Loopy)
     places = plan.cluster_places if loopy else plan.places
     squares = (places.blocks.sizes**2).tolist()
@@ -108,7 +113,7 @@ def _solved(
             found = _sent(plan, Buffer.make(plan.rounds, model), schedule)
         else:
             solver = TreeSolver(plan, model)
-            done, status = _iterated(model, solver, schedule)
+            done, status = iterated(model, solver, schedule, started=at is not None)
             status = status.with_compilation(solver.compilation)
             found = GaussianOutcome(graph, status, plan, model, done)
         digits = kept_digits(model, found._done)
@@ -122,7 +127,8 @@ def _solved(
         if not again:
             raise
     model = Model.make(plan.layout, bound, lineariser, at, careful.predictive, judge=judge)
-    done, status = _iterated(model, _InDigits(plan, model), schedule)
+    solution = _InDigits(plan, model)
+    done, status = iterated(model, solution, schedule, started=at is not None)
     assert done.digits is not None
     status = _told(status, model, done.beliefs, 10.0**-done.digits)
     return GaussianOutcome(graph, status, plan, model, done)
@@ -148,7 +154,6 @@ def _linear(graph: ClusterGraph) -> bool:
     """Whether all CPDs are affine; those that Gaussian beliefs do not take are refused."""
     cpds = graph.network.cpds
     require_gaussian(cpds, "Gaussian beliefs")
-    require_plain(cpds)
     return all(isinstance(cpd, AffineCPD) for cpd in cpds)
 
 
@@ -157,14 +162,17 @@ def _roles(graph: ClusterGraph) -> Roles:
 
 
 def _plan(
-    graph: ClusterGraph, observed: frozenset[Variable], absent: frozenset[Variable]
+    graph: ClusterGraph,
+    observed: frozenset[Variable],
+    absent: frozenset[Variable],
+    anchored: bool,
 ) -> TreePlan:
     """The plan of a graph's messages, for evidence of the `observed` variables.
 
-    The `absent` variables, whose CPDs lack evidence that they need, are left out. The plan is kept
-    with the graph.
+    The `absent` variables, whose CPDs lack evidence that they need, are left out. If `anchored`, an
+    anchor's measurements can be added. The plan is kept with the graph.
     """
-    return TreePlan(Layout(graph, observed, absent))
+    return TreePlan(Layout(graph, observed, absent, anchored))
 
 
 def _sent(plan: TreePlan, buffer: Buffer[Rounds], schedule: Loopy) -> GaussianOutcome:
@@ -179,85 +187,16 @@ def _sent(plan: TreePlan, buffer: Buffer[Rounds], schedule: Loopy) -> GaussianOu
     return GaussianOutcome(graph, status, plan, model, messages.calibrated(), messages)
 
 
-@dataclass(frozen=True, eq=False)
-class _Tree:
-    """A tree that is solved and linearised in turns: a `Problem` of `pgm.schedules.iteration`.
-
-    `solver` solves it with the CPDs of `model` as they are linearised now; it may be told that a
-    solution is one `to_move` by, not to be given. Other problems have
-    robust losses too, or anchors, which are measurements of all means added to hold a solution near
-    a point; a tree has neither.
-    """
-
-    model: Model
-    solver: Solver
-    to_move: bool
-
-    def linearise(self, at: TreePoint, active: Mask) -> None:
-        """Linearise each nonlinear CPD anew at its cluster's belief in `at`, for the active runs.
-
-        `active` (runs,) marks these runs.
-        """
-        relinearise(at.beliefs, self.model, active)
-
-    def settled(self) -> bool:
-        """Whether a run may converge: True, since no robust loss has to settle first."""
-        return True
-
-    def solve(self, anchor: Anchor | None = None) -> Calibrated:
-        """Calibrate the tree with the CPDs as they are linearised now; `anchor` is ignored."""
-        return self.solver.solve(to_move=self.to_move)
-
-
-def _iterated(model: Model, solver: Solver, schedule: Schedule | None) -> tuple[Calibrated, Status]:
-    """Solve, linearise at the beliefs, and solve again, until the means stay.
-
-    They stay when no mean moves by more than the schedule's tolerance, in standard deviations. A
-    schedule of k iterations solves at most k times, the first included. Any schedule but a
-    `Calibration`, and None, counts as `Calibration()`. `solver` solves the tree with the CPDs as
-    they are linearised now. Returns the last solution and the status of convergence.
-    """
-    asked = schedule if isinstance(schedule, Calibration) else Calibration()
-    exact = np.full(model.runs, model.exact)
-    if model.exact or asked.iterations == 1:
-        return solver.solve(), Status.of([], exact, model.lead)
-    tree = _Tree(model, solver, True)
-    limits = Smoothing(asked.iterations, asked.tolerance)
-    found = iterate(tree, tree.solve(), limits, exact)
-    done, residuals, converged = solver.solve(), found.residuals, found.converged
-    # The means of a solution that was one to move by may be wrong where it lost digits.
-    off = moments.moved(done.means, found.solution.means, done.point.std)
-    left = asked.iterations - 1 - len(residuals)
-    if (off > max(asked.tolerance, TOLERANCE)).any() and left > 0:
-        limits = Smoothing(left + 1, asked.tolerance)
-        again = iterate(_Tree(model, solver, False), done, limits, exact)
-        done, converged = again.solution, again.converged
-        residuals = [*residuals, *again.residuals]
-    return done, Status.of(residuals, converged, model.lead)
-
-
-class Solver(Protocol):
-    """A way to solve a tree as its CPDs are linearised now."""
-
-    def solve(self, *, to_move: bool = False) -> Calibrated:
-        """The beliefs; if it is one `to_move` by, maybe to fewer digits."""
-
-
 class _InDigits(NamedTuple):
     """The solver in as many decimals as a network's numbers need."""
 
     plan: TreePlan
     model: Model
 
-    def solve(self, *, to_move: bool = False) -> Calibrated:
+    def solve(self, anchor: Anchor | None = None, *, to_move: bool = False) -> Calibrated:
         """The beliefs of the linearised network; all decimals are there if it is one to move by."""
-        return _in_digits(self.plan, self.model)
-
-
-def _in_digits(plan: TreePlan, model: Model) -> Calibrated:
-    """The beliefs of the linearised network, in as many decimals as its numbers need."""
-    found = careful.solve(plan, model)
-    return Calibrated(found.beliefs, found.log_evidence, digits=found.digits)
+        found = careful.solve(self.plan, self.model, anchor)
+        return Calibrated(found.beliefs, found.log_evidence, digits=found.digits)
 
 
 def _start(layout: Layout, bound: BoundValues, start: Start) -> Array:

@@ -29,6 +29,7 @@ from pgm.beliefs.gaussian.tree import TreeBeliefs, TreePlan, calibrate
 from pgm.compile.machine import COMPILED
 from pgm.kernels.arrays import LOG_2PI, Array, frozen
 from pgm.kernels.rows import NEGLIGIBLE
+from pgm.schedules.iteration import Anchor
 
 if TYPE_CHECKING:
     from pgm.kernels.machine.fronts.solving import Solver
@@ -60,9 +61,24 @@ class TreeSolver:
     _largest: float = field(default=0.0, init=False)
     _coarse: float = field(default=0.0, init=False)
 
-    def solve(self, *, to_move: bool = False) -> Calibrated:
-        """The beliefs, and ln p(evidence); of one `to_move` by, ln p is not asked for."""
-        potentials = make_potentials(self.model)
+    def solve(self, anchor: Anchor | None = None, *, to_move: bool = False) -> Calibrated:
+        """The beliefs, and ln p(evidence); of one `to_move` by, ln p is not asked for.
+
+        An anchor's measurement is added, if there is one: the layout has to be anchored then, and
+        the sizes of its numbers are not those of the network.
+        """
+        if anchor is None:
+            return self._solved(make_potentials(self.model), to_move)
+        buffer: Buffer[FrontStacks] | None = self.__dict__.get("_buffer")
+        own = self._largest, self._coarse
+        its = (0.0, 0.0) if buffer is None else (buffer.largest, buffer.coarse)
+        done = self._solved(make_potentials(self.model, anchor), to_move)
+        self._largest, self._coarse = own
+        if buffer is not None:
+            buffer.largest, buffer.coarse = its
+        return done
+
+    def _solved(self, potentials: Potentials, to_move: bool) -> Calibrated:
         if self._pays:
             if potentials.exact is None:
                 self.compilation = COMPILED

@@ -13,10 +13,11 @@ from functools import partial
 
 import numpy as np
 
-from pgm.beliefs.gaussian.beliefs import Calibrated
+from pgm.beliefs.gaussian.beliefs import Calibrated, TreePoint
 from pgm.beliefs.gaussian.joints import joint_moments
-from pgm.beliefs.gaussian.model import LinearisedAt, Model
+from pgm.beliefs.gaussian.model import LinearisedAt, Model, weights_of
 from pgm.beliefs.gaussian.prior import prior_predictive
+from pgm.beliefs.gaussian.reweighting import reweigh
 from pgm.beliefs.gaussian.solving import TreeSolver
 from pgm.beliefs.gaussian.tree import TreePlan
 from pgm.errors import PgmError
@@ -125,7 +126,8 @@ class Search:
         """
         flat = at.swapaxes(0, 1).reshape(-1, at.shape[-1])
         model = self._linearised(flat)
-        return TreeSolver(self.plan, model).solve()
+        solver = TreeSolver(self.plan, model)
+        return solver.solve()
 
     def climb(self, at: Array) -> Array:
         """Climb from points (runs, C, n) by steps of Gauss–Newton that raise the log-density.
@@ -171,16 +173,20 @@ class Search:
             None if r is None else np.broadcast_to(r, (len(r), len(at), r.shape[2]))
             for r in readings
         ]
+        taken = [None if t is None else tiled(t, self.count) for t in model.taken]
         made = Model(
             layout,
             (len(at),),
             families,
             readings,
             moved,
-            [None if t is None else tiled(t, self.count) for t in model.taken],
+            taken,
             False,
             frame,
             [LinearisedAt.prior(frame, group) for group in layout.groups],
+            weights_of(families, taken, len(at)),
         )
-        made._follow(frame.mean, np.ones(len(at), dtype=bool))
+        every = np.ones(len(at), dtype=bool)
+        made._follow(frame.mean, every)
+        reweigh(made, TreePoint(at[None], np.zeros((1, *at.shape)), None), every, sharp=True)
         return made

@@ -273,13 +273,6 @@ def test_odd_step_controls(argument, odd, words):
         pgm.LevenbergMarquardt(**{argument: odd})
 
 
-def test_a_tree_takes_no_damping():
-    a = pgm.Variable("a")
-    graph = pgm.compile(pgm.BayesianNetwork([pgm.GaussianCPD(a, 0.0, 1.0)]))
-    with pytest.raises(pgm.GraphError, match="damping of linearisation points is for dynamic"):
-        pgm.infer(graph, {}, schedule=pgm.Smoothing(iterations=3, damping=0.5))
-
-
 @pytest.mark.parametrize("runs", [(), (3,)])
 def test_steps_are_controlled_under_a_flat_prior(runs):
     """Of which the cost knows nothing; the fixed point is that of plain iterations."""

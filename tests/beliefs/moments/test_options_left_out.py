@@ -69,9 +69,10 @@ def test_without_time_what_linearises_is_idle(schedule, method):
     assert pgm.infer(graph, {SEEN: 0}, lineariser=pgm.Unscented()).log_evidence == due
     graph = pgm.compile(pair, method=method)
     due = pgm.infer(graph, {b: [2.0]})[a].mean
-    assert pgm.infer(graph, {b: [2.0]}, schedule=pgm.Smoothing(damping=0))[a].mean == due
-    with pytest.raises(pgm.GraphError, match="damping of linearisation points"):
-        pgm.infer(graph, {b: [2.0]}, schedule=pgm.Smoothing(damping=0.5))
+    for damping in (0, 0.5, pgm.LevenbergMarquardt()):
+        for kind in (pgm.Calibration, pgm.Smoothing):
+            found = pgm.infer(graph, {b: [2.0]}, schedule=kind(damping=damping))
+            assert found[a].mean == due
 
 
 @pytest.mark.parametrize("name", FAMILIES)

@@ -32,7 +32,7 @@ from pgm.beliefs.moments.passes.backward import Beliefs, Reverse
 from pgm.beliefs.moments.passes.forward import Filtered, Forward
 from pgm.beliefs.moments.passes.joints import joint_moments
 from pgm.beliefs.moments.passes.messages import backward_messages, first_potential, potentials
-from pgm.beliefs.moments.passes.reweighting import Weights, evidence_kind
+from pgm.beliefs.moments.passes.reweighting import evidence_kind, weights
 from pgm.beliefs.moments.smoothers.fixed_lag import Windows
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.clustergraph import Cluster
@@ -186,7 +186,7 @@ class ChainOutcome(Innovated, Outcome[Gaussian]):
 
         NaN where nothing was measured.
         """
-        return Weights.of(self._plan)
+        return weights(self._plan)
 
     @property
     def log_evidence(self) -> Array:

@@ -13,11 +13,10 @@ import numpy as np
 
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.sensor import Sensor
-from pgm.beliefs.moments.steps.weights import shown
-from pgm.display import Summary, number
 from pgm.kernels.arrays import Array, Mask, block
 from pgm.kernels.prefixes import gather
-from pgm.posteriors.by_sensor import EachSensor
+from pgm.linearisation.weights import bound_kind, shown
+from pgm.posteriors.weights import Weights
 from pgm.schedules.iteration import Point
 
 
@@ -85,42 +84,15 @@ def by_step(plan: ChainPlan) -> Array | float:
     return np.array([np.broadcast_to(surplus(plan, k), plan.runs) for k in range(plan.steps + 1)])
 
 
-# Below this share of a Gaussian's information a sighting is counted as one hardly used.
-_HARDLY = 0.1
-
-
-class Weights(EachSensor[Array]):
-    """The weights (*runs, M) of each sensor: 1 for Gaussian noise, NaN where nothing was read."""
-
-    _what = "weights"
-
-    @classmethod
-    def of(cls, plan: ChainPlan) -> Weights:
-        """The weights that a plan holds, sightings in the order of the user's evidence."""
-        found = {}
-        for sensor in plan.sensors:
-            weight = sensor.weights.weight if sensor.robust else np.ones(sensor.family.shape[:2])
-            rows = np.broadcast_to(shown(weight, sensor.taken), weight.shape)
-            back = np.argsort(sensor.order)
-            each = rows[back].swapaxes(0, 1).reshape(*plan.lead, len(back))
-            each.flags.writeable = False
-            found[sensor.variable] = each
-        return cls(found)
-
-    def _summary(self) -> Summary:
-        """By sensor: the range and median of the weights, and how many sightings hardly counted."""
-        lines = []
-        for variable, weight in self.items():
-            seen = weight[~np.isnan(weight)]
-            if not seen.size:
-                lines.append(f"{variable!r}: nothing read")
-                continue
-            few = int((seen < _HARDLY).sum())
-            lines.append(
-                f"{variable!r}: {number(seen.min())} to {number(seen.max())}, median "
-                f"{number(float(np.median(seen)))}; {few} of {seen.size} below {_HARDLY}"
-            )
-        return Summary(self._title, lines)
+def weights(plan: ChainPlan) -> Weights:
+    """The weights (*runs, M) that a plan holds, by sensor, in the order of the user's evidence."""
+    found = {}
+    for sensor in plan.sensors:
+        weight = sensor.weights.weight if sensor.robust else np.ones(sensor.family.shape[:2])
+        rows = np.broadcast_to(shown(weight, sensor.taken), weight.shape)
+        back = np.argsort(sensor.order)
+        found[sensor.variable] = rows[back].swapaxes(0, 1).reshape(*plan.lead, len(back))
+    return Weights(found)
 
 
 def evidence_kind(plan: ChainPlan, *, fixed: bool) -> str:
@@ -135,8 +107,4 @@ def evidence_kind(plan: ChainPlan, *, fixed: bool) -> str:
     if not plan.robust:
         taylor = all(family.taylor for family in plan.families)
         return "exact" if affine else "laplace" if fixed and taylor else "linearised"
-    for sensor in plan.robust:
-        noise = sensor.family.cpd.noise
-        if noise is not None and not noise.is_proper(sensor.height):
-            return "unnormalised"
-    return "bound" if affine else "linearised bound"
+    return bound_kind([sensor.family for sensor in plan.robust], affine=affine)

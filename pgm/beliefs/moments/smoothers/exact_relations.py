@@ -14,15 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.beliefs.moments.steps.plan import ChainPlan, Link
-from pgm.kernels import roots, solving, tridiagonal
-from pgm.kernels.arrays import (
-    Array,
-    Integers,
-    Mask,
-    apply,
-    multiply,
-    transpose,
-)
+from pgm.kernels import tridiagonal
+from pgm.kernels.arrays import Array, Integers, Mask, apply, multiply, transpose
+from pgm.kernels.solving import left_open
 from pgm.kernels.tridiagonal import Tridiagonal
 from pgm.linearisation.family import Family
 
@@ -130,13 +124,13 @@ def _relations(plan: ChainPlan) -> Iterator[Relation]:
     layout = plan.layout
     states, front, size = layout.state_places, layout.state_size, layout.slice_size
     for link in plan.prior:
-        if (free := _left_open(link.family, link.family.own_noise)) is not None:
+        if (free := _of_linear(link.family, link.family.own_noise)) is not None:
             own, value = _row(link, free, front)
             whole = np.zeros((*own.shape[:-1], size))
             whole[..., states] = own
             yield Relation(np.zeros(1, dtype=np.intp), whole, np.zeros_like(whole), value)
     for link in plan.transition:
-        if plan.steps and (free := _left_open(link.family, link.family.own_noise)) is not None:
+        if plan.steps and (free := _of_linear(link.family, link.family.own_noise)) is not None:
             pair, value = _row(link, free, front + size)
             before = np.zeros((*pair.shape[:-1], size))
             before[..., states] = pair[..., :front]
@@ -146,26 +140,16 @@ def _relations(plan: ChainPlan) -> Iterator[Relation]:
         if not (family.exact and family.step.size):
             continue
         seen = sensor.reading(slice(None))  # where a component is missing, its noise is regular
-        if (free := _left_open(family, seen.noise)) is not None:
+        if (free := _of_linear(family, seen.noise)) is not None:
             own = np.zeros((*family.shape[:3], size))
             own[..., sensor.parents] = multiply(free, seen.matrix)
             value = apply(free, seen.value - seen.offset)
             yield Relation(family.step, own, np.zeros_like(own), value)
 
 
-def _left_open(family: Family, noise: Array) -> Array | None:
-    """I − L L⁺ (..., d, d) for a noise covariance L Lᵀ, with zero rows where L has a pivot.
-
-    L is the lower triangle, with zeros on the diagonal in components that those before determine.
-    None if the covariance is regular, or the CPD nonlinear.
-    """
-    lower = roots.root(noise)
-    fixed = roots.determined(lower)
-    if not family.exact or not fixed.any():
-        return None
-    eye = np.eye(lower.shape[-1])
-    explained = np.where(fixed[..., None], 0.0, solving.solve_lower(lower, eye + 0.0 * lower))
-    return np.where(fixed[..., None], eye - multiply(lower, explained), 0.0)
+def _of_linear(family: Family, noise: Array) -> Array | None:
+    """What is `left_open` of a covariance; None of a regular one, and of a nonlinear CPD."""
+    return left_open(noise) if family.exact else None
 
 
 def _row(link: Link, free: Array, width: int) -> tuple[Array, Array]:

@@ -21,16 +21,11 @@ import numpy as np
 from pgm.beliefs.moments.steps.plan import ChainPlan, Link
 from pgm.beliefs.moments.steps.readings import Moments
 from pgm.beliefs.moments.steps.sensor import Sensor
-from pgm.errors import ModelError, NumericalError
+from pgm.errors import ModelError
 from pgm.kernels import roots
 from pgm.kernels.angles import difference
-from pgm.kernels.arrays import (
-    Array,
-    block,
-    components_last,
-)
-from pgm.kernels.dense import Stack
-from pgm.kernels.step import innovation
+from pgm.kernels.arrays import Array, block
+from pgm.linearisation import costs
 from pgm.linearisation.family import Family
 from pgm.schedules.damping import LevenbergMarquardt
 from pgm.schedules.iteration import Point
@@ -46,7 +41,7 @@ def trajectory(plan: ChainPlan, at: Point) -> Array:
     """
     total = prior(plan, at)
     for link, parents, spread, child in transitions(plan, at):
-        expected = _expected(link.family, slice(None), parents, spread)
+        expected = costs.expected(link.family, slice(None), parents, spread)
         total += _square(link.family, child, expected)
     for sensor in plan.sensors:
         steps = sensor.family.step - plan.first
@@ -62,11 +57,11 @@ def prior(plan: ChainPlan, at: Point) -> Array:
     total = np.zeros(plan.runs)
     if plan.begin is not None:
         mean, cov = Moments(*plan.begin).by_run
-        beginning = squares((at.mean[0] - mean)[None], cov[None])
+        beginning = costs.squares((at.mean[0] - mean)[None], cov[None])
         assert beginning is not None
         total += beginning
     for link, parents, spread, child in starting(plan, at):
-        expected = _expected(link.family, slice(None), parents, spread)
+        expected = costs.expected(link.family, slice(None), parents, spread)
         total += _square(link.family, child, expected)
     return total
 
@@ -115,7 +110,7 @@ def _robust(sensor: Sensor, mean: Array, cov: Array) -> Array:
     if not mean.shape[0]:
         return np.zeros(mean.shape[1])
     spread = block(cov, parents, parents)
-    expected = _expected(family, everything, mean[..., parents], spread)
+    expected = costs.expected(family, everything, mean[..., parents], spread)
     left = difference(sensor.values, expected, family.cpd.child.angle_mask)
     weights = sensor.weights
     seen = (family.matrix, spread) if family.expects else ()
@@ -132,13 +127,13 @@ def readings(sensor: Sensor, rows: slice, mean: Array, cov: Array) -> Array:
     family, parents = sensor.family, sensor.parents
     if not mean.shape[0]:
         return np.zeros(mean.shape[1])
-    expected = _expected(family, rows, mean[..., parents], block(cov, parents, parents))
+    expected = costs.expected(family, rows, mean[..., parents], block(cov, parents, parents))
     left = difference(sensor.values[rows], expected, family.cpd.child.angle_mask)
     if sensor.taken is not None:
         left = np.where(sensor.taken[rows], left, 0.0)
     if sensor.cross:
         return _grouped(sensor, rows, left)
-    return weighted(family, left, sensor.noise(rows))
+    return costs.weighted(family, left, sensor.noise(rows))
 
 
 def _grouped(sensor: Sensor, rows: slice, left: Array) -> Array:
@@ -162,44 +157,7 @@ def _grouped(sensor: Sensor, rows: slice, left: Array) -> Array:
         for k, each in enumerate(sensor.noise(own)):
             place = slice(k * height, (k + 1) * height)
             noise[:, place, place] = each
-        total += weighted(sensor.family, stacked[None], noise[None])
-    return total
-
-
-def weighted(family: Family, residual: Array, cov: Array) -> Array:
-    """The sum of rᵀ C⁺ r over k residuals r of a CPD, with their covariances C, (runs,).
-
-    `residual` has the r, (k, runs, d), `cov` the C, (k, runs, d, d). Components of infinite
-    variance do not count, nor do those that the components before them determine, where C is
-    singular. A C that is indefinite or not finite is refused with a NumericalError that names the
-    CPD.
-    """
-    total = squares(residual, cov)
-    if total is None:
-        raise NumericalError(
-            f"{family.cpd!r}: with {family.lineariser!r} its noise is indefinite, so that a step "
-            "has no cost; use a rule with positive weights, or damping=0.5",
-            variable=family.cpd.child,
-            cpd=family.cpd,
-        )
-    return total
-
-
-def squares(residual: Array, cov: Array) -> Array | None:
-    """The sum of rᵀ C⁺ r over k residuals r with their covariances C, (runs,).
-
-    `residual` has the r, (k, runs, d), `cov` the C, (k, runs, d, d). Components of infinite
-    variance do not count, nor do those that the components before them determine. The result is
-    None if any C is indefinite or not finite, apart from its infinite variances.
-    """
-    flat = np.isinf(np.einsum("...ii->...i", cov))
-    if flat.any():
-        residual = np.where(flat, 0.0, residual)
-        cov = np.where(flat[..., None] | flat[..., None, :], np.eye(flat.shape[-1]), cov)
-    found = innovation(Stack.column(residual), Stack(cov, True))
-    if np.isnan(found.share).any():
-        return None
-    total: Array = found.square.sum(axis=0)
+        total += costs.weighted(sensor.family, stacked[None], noise[None])
     return total
 
 
@@ -229,16 +187,4 @@ def require_cost(
 def _square(family: Family, mean: Array, expected: Array) -> Array:
     """The cost of a CPD, (runs,), from means of its child and expected ones, (rows, runs, d)."""
     left = difference(mean, expected, family.cpd.child.angle_mask)
-    return weighted(family, left, family.noise)
-
-
-def _expected(family: Family, rows: slice, mean: Array, cov: Array) -> Array:
-    """E[f(X)] of a CPD at some rows, for its parents X ~ N(mean, cov), by its lineariser.
-
-    `mean` is (rows, runs, n), `cov` (rows, runs, n, n), n being the parents' number of components;
-    the result is (rows, runs, d), NaN where f is not defined.
-    """
-    if family.exact:
-        return family.value(rows, mean)
-    function = family.bound(rows, mean.ndim - 1, mean.shape[:-1])
-    return components_last(family.checked(function, mean, cov, finite=False).value, 1)
+    return costs.weighted(family, left, family.noise)

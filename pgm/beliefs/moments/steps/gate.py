@@ -26,12 +26,12 @@ from pgm.beliefs.moments.steps.diffuse import Diffuse
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.readings import Reading
 from pgm.beliefs.moments.steps.vector import Measured, masked
-from pgm.beliefs.moments.steps.weights import by_sighting, own_blocks
 from pgm.errors import EvidenceError
 from pgm.factors.scope import namesake
 from pgm.kernels import gaussian, mahalanobis, step
 from pgm.kernels.arrays import Array, Integers, Kind, Mask, within
 from pgm.kernels.dense import Stack
+from pgm.linearisation.weights import by_sighting, own_blocks
 from pgm.networks import DynamicBayesianNetwork
 from pgm.posteriors.gate_record import GateRecord
 from pgm.schedules.gates import gate_of

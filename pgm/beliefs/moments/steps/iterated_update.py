@@ -25,13 +25,14 @@ from typing import Generic, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from pgm.beliefs.moments.steps import cost, readings
+from pgm.beliefs.moments.steps import readings
 from pgm.beliefs.moments.steps.readings import Moments, Reading
 from pgm.beliefs.moments.steps.vector import Measured
 from pgm.errors import NumericalError
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Kind, Mask, components_first, components_last, independent
 from pgm.kernels.settling import REWEIGHINGS, SETTLED, TOLERANCE
+from pgm.linearisation import costs
 from pgm.schedules.iteration import Anchor, Point, Solution, iterate
 from pgm.schedules.schedule import Filtering
 
@@ -197,7 +198,7 @@ class UpdateProblem(ABC, Generic[U]):
         indefinite.
         """
         mean, cov = self._moments(at)
-        total = cost.squares(at.mean - _as_point(self.mean, 1), _as_point(self.cov, 2))
+        total = costs.squares(at.mean - _as_point(self.mean, 1), _as_point(self.cov, 2))
         if total is None:
             total = np.full(at.mean.shape[1], np.nan)
         for part in self.parts:
@@ -214,7 +215,7 @@ class UpdateProblem(ABC, Generic[U]):
             if seen.taken is not None:
                 taken = _as_point(seen.taken, 1)
                 left, noise = np.where(taken, left, 0.0), independent(noise, taken)
-            total = total + cost.weighted(family, left, noise)
+            total = total + costs.weighted(family, left, noise)
         return total
 
     def feasible(self, mean: Array, found: Point) -> Array:

@@ -24,7 +24,6 @@ from pgm.beliefs.moments.steps import refusals
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.beliefs.moments.steps.vector import Measured, Vector, vector
-from pgm.beliefs.moments.steps.weights import Weights, by_sighting, own_blocks, scale
 from pgm.kernels import gaussian
 from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import (
@@ -41,6 +40,7 @@ from pgm.kernels.roots import NEGLIGIBLE
 from pgm.kernels.step import nearest
 from pgm.linearisation.failures import require_finite
 from pgm.linearisation.rows import At
+from pgm.linearisation.weights import Weights, by_sighting, own_blocks, scale
 from pgm.linearisers import Line
 from pgm.schedules.iteration import Anchor
 

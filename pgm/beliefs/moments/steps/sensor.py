@@ -17,7 +17,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pgm.beliefs.moments.steps.weights import Weights
 from pgm.kernels import roots, step
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import (
@@ -35,6 +34,7 @@ from pgm.kernels.arrays import (
 from pgm.kernels.dense import Stack
 from pgm.linearisation.family import Family
 from pgm.linearisation.rows import At
+from pgm.linearisation.weights import Weights
 from pgm.linearisers import BoundFunction, Taylor
 from pgm.posteriors.gate_record import GateRecord
 from pgm.variables import Variable

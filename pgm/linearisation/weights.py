@@ -17,6 +17,7 @@ The sightings of a sensor at one step are also stacked to vectors of D = k d com
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -27,6 +28,7 @@ from pgm.cpds import ConditionalGaussian, RobustNoise
 from pgm.kernels import roots, solving, step
 from pgm.kernels.arrays import Array, Integers, Kind, Mask, components_first, independent
 from pgm.kernels.dense import KnownRoot, Runs, Stack
+from pgm.linearisation.family import Family
 
 # Those of a truncated loss are about 0 or 1.
 _HALF = 0.5
@@ -235,3 +237,16 @@ def shown(weight: Array, taken: Mask | None) -> Array:
     if taken is None:
         return weight
     return np.where(taken.any(axis=-1), weight, np.nan)
+
+
+def bound_kind(families: Iterable[Family], *, affine: bool) -> str:
+    """The kind, in words, of a log-evidence that the `families` of robust noise bound.
+
+    It is ``unnormalised`` if a density has no finite integral; else ``bound``, a lower one, if all
+    CPDs of the model are `affine`, and ``linearised bound`` if not.
+    """
+    for family in families:
+        noise = family.cpd.noise
+        if noise is not None and not noise.is_proper(family.shape[2]):
+            return "unnormalised"
+    return "bound" if affine else "linearised bound"
