@@ -121,7 +121,7 @@ class FrontStacks:
         for k, group in enumerate(self.layout.factors):
             front = self.of_cluster[group.clusters]
             places = np.concatenate([group.child, group.parents], axis=1)
-            columns = self._padded(front, blocks.columns(front, places))
+            columns = self.padded(front, blocks.columns(front, places))
             slots = _slots(front, np.full(front.size, group.height), used)
             at, inside = slots[:, None] + np.arange(group.height), np.arange(group.width)
             count = np.arange(front.size)[:, None]
@@ -138,7 +138,7 @@ class FrontStacks:
         for size in np.unique(fronts.separators[sent]).tolist():
             some = sent[fronts.separators[sent] == size]
             parent, inside = fronts.parent[some], np.arange(size)
-            columns = self._padded(parent, fronts.above[begin[some][:, None] + inside])
+            columns = self.padded(parent, fronts.above[begin[some][:, None] + inside])
             at = slots[some][:, None] + inside
             where = (at * widths[parent][:, None])[..., None] + columns[:, None, :]
             row = (inside * self.separators[some][:, None])[..., None] + inside
@@ -150,7 +150,14 @@ class FrontStacks:
         entries.put(padded, at, np.full(at.shape, zero + 1))
         return entries, right
 
-    def _padded(self, fronts: Integers, columns: Integers) -> Integers:
+    def above(self, stack: Stack) -> Integers:
+        """The columns (B, s) of a stack's separators in their parents; −1 of none, or no parent."""
+        fronts, columns = self.fronts, stack.columns[:, stack.drop :]
+        begin = np.cumsum(fronts.separators) - fronts.separators
+        index = begin[stack.members][:, None] + columns - fronts.pivots[stack.members][:, None]
+        return np.append(fronts.above, -1)[np.where(columns < 0, -1, index)]
+
+    def padded(self, fronts: Integers, columns: Integers) -> Integers:
         """The columns (B, n) in matrices of fronts (B,) whose pivots are rounded up."""
         own = self.fronts.pivots[fronts][:, None]
         return np.where(columns >= own, columns + self.pivots[fronts][:, None] - own, columns)

@@ -1,7 +1,7 @@
 """Solving a tree as its CPDs are linearised now, by stacks of fronts or in machine code.
 
 Rows are made triangular by Householder's reflections. Where a solution only leads to the next
-linearisation, machine code factorises normal equations instead, which takes a third of the time;
+linearisation, normal equations are factorised instead, which takes a third of the time or less;
 what squares lose shows when the last solution is made by rows.
 """
 
@@ -25,7 +25,7 @@ from pgm.beliefs.gaussian.potentials import (
 )
 from pgm.beliefs.gaussian.refusals import improper
 from pgm.beliefs.gaussian.row_buffer import Buffer
-from pgm.beliefs.gaussian.tree import TreeBeliefs, TreePlan, calibrate
+from pgm.beliefs.gaussian.tree import TreeBeliefs, TreePlan, calibrate, calibrate_by_squares
 from pgm.compile.machine import COMPILED
 from pgm.kernels.arrays import LOG_2PI, Array, frozen
 from pgm.kernels.rows import NEGLIGIBLE
@@ -84,6 +84,11 @@ class TreeSolver:
                 self.compilation = COMPILED
                 return self._in_machine_code(potentials, to_move)
             self.compilation = "not compiled: CPDs without noise are left to NumPy"
+        if to_move and self.squares and potentials.exact is None:
+            found = calibrate_by_squares(self.plan, self.model.frame, potentials, CANCELLED)
+            if found is not None:
+                return found
+            self.squares = False
         return calibrate(self.plan, self._buffer, potentials)
 
     @property

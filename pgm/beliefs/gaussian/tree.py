@@ -14,7 +14,7 @@ else the number of runs.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
@@ -22,11 +22,13 @@ from itertools import chain
 import numpy as np
 
 from pgm.beliefs.gaussian.beliefs import Beliefs, Calibrated, Places, Sizes
+from pgm.beliefs.gaussian.front_squares import Conditional, FrontSquares
 from pgm.beliefs.gaussian.front_stacks import FrontStacks
 from pgm.beliefs.gaussian.fronts import Fronts
 from pgm.beliefs.gaussian.layout import Layout
 from pgm.beliefs.gaussian.machine_plan import told
 from pgm.beliefs.gaussian.potentials import Potentials, column_squares, largest_residual
+from pgm.beliefs.gaussian.prior import Frame
 from pgm.beliefs.gaussian.rounds import Rounds, Stack
 from pgm.beliefs.gaussian.row_buffer import Buffer
 from pgm.clustergraph.structure import Forest
@@ -71,13 +73,13 @@ class TreePlan:
         return [[self._above(stack) for stack in level] for level in self.stacks.levels]
 
     def _above(self, stack: Stack) -> tuple[Integers, Integers]:
-        fronts, places = self.fronts, self.places
-        columns = stack.columns[:, stack.drop :]
-        begin = np.cumsum(fronts.separators) - fronts.separators
-        index = begin[stack.members][:, None] + columns - fronts.pivots[stack.members][:, None]
-        above = np.append(fronts.above, -1)[np.where(columns < 0, -1, index)]
-        at = np.maximum(fronts.parent[stack.members], 0), above
-        return places.means(*at), places.covs(*at)
+        at = np.maximum(self.fronts.parent[stack.members], 0), self.stacks.above(stack)
+        return self.places.means(*at), self.places.covs(*at)
+
+    @cached_property
+    def squares(self) -> FrontSquares:
+        """Where the normal equations of the stacks stand."""
+        return FrontSquares(self.stacks)
 
     @cached_property
     def machine(self) -> Plan:
@@ -164,11 +166,49 @@ def calibrate(plan: TreePlan, buffer: Buffer[FrontStacks], potentials: Potential
             total += log_scale.sum(axis=1)
             if stack.kept:
                 buffer.store(stack, done.rest, None)
-    blank = Beliefs.empty(plan.places, buffer.model.frame, stacked, sides)
-    each = zip(chain.from_iterable(plan.stacks.levels), chain.from_iterable(kept), strict=True)
-    gains = _Gains(plan.fronts, [(stack, done.gain) for stack, done in each])
-    beliefs = TreeBeliefs(blank.places, blank.frame, blank.mean, blank.cov, gains)
     exact = buffer.exact is not None
+    beliefs, magnified = _back(plan, buffer.model.frame, kept, exact=exact, measured=not exact)
+    sizes = Sizes(buffer.largest, buffer.coarse)
+    if not exact:
+        information = column_squares(plan.layout, potentials.proper.matrix)
+        residual = largest_residual(plan.layout, potentials.proper, beliefs.in_frame()[0])
+        sizes = Sizes(buffer.largest, buffer.coarse, information, magnified, residual)
+    return Calibrated(beliefs, frozen(total), sizes)
+
+
+def calibrate_by_squares(
+    plan: TreePlan, frame: Frame, potentials: Potentials, share: float
+) -> Calibrated | None:
+    """The beliefs of a tree by its normal equations, without ln p; None where these lose digits.
+
+    They are taken to lose them where a pivot is cancelled to this share of what it was.
+    """
+    kept = plan.squares.eliminate(potentials, share)
+    if kept is None:
+        return None
+    stacked, _, sides = potentials.proper.right.shape
+    beliefs, _ = _back(plan, frame, kept, exact=False, measured=False)
+    return Calibrated(beliefs, np.full((stacked, sides), np.nan))
+
+
+def _back(
+    plan: TreePlan,
+    frame: Frame,
+    kept: Sequence[Sequence[Eliminated | Conditional]],
+    *,
+    exact: bool,
+    measured: bool,
+) -> tuple[TreeBeliefs, float]:
+    """The moments of all fronts, from the conditionals that the upward pass has kept.
+
+    If that is `measured`, there comes with them how much larger the summands of a variance are than
+    itself, at the most. `exact` says whether there are relations without noise.
+    """
+    every = list(zip(chain(*plan.stacks.levels), chain(*kept), strict=True))
+    stacked, sides = (1, 1) if not every else (every[0][1].offset.shape[k] for k in (0, -1))
+    blank = Beliefs.empty(plan.places, frame, stacked, sides)
+    gains = _Gains(plan.fronts, [(stack, done.gain) for stack, done in every])
+    beliefs = TreeBeliefs(blank.places, frame, blank.mean, blank.cov, gains)
     magnified = 1.0
     below = list(zip(plan.stacks.levels, plan.separators, kept, strict=True))
     for level, separators, results in reversed(below):
@@ -184,20 +224,16 @@ def calibrate(plan: TreePlan, buffer: Buffer[FrontStacks], potentials: Potential
                 cross = np.where(
                     (np.diagonal(own, axis1=-2, axis2=-1) > 0.0)[..., None], cross, 0.0
                 )
-            else:
+            if measured:
                 summands = apply(np.abs(done.gain), deviation(spread))
                 magnified = max(magnified, float((summands / deviation(own)).max()) ** 2)
-            beliefs.put(
-                stack,
-                np.concatenate([done.gain @ at + done.offset, at], axis=2),
-                np.block([[own, cross], [transpose(cross), spread]]),
-            )
-    sizes = Sizes(buffer.largest, buffer.coarse)
-    if not exact:
-        information = column_squares(plan.layout, potentials.proper.matrix)
-        residual = largest_residual(plan.layout, potentials.proper, beliefs.in_frame()[0])
-        sizes = Sizes(buffer.largest, buffer.coarse, information, magnified, residual)
-    return Calibrated(beliefs, frozen(total), sizes)
+            mean = np.concatenate([done.gain @ at + done.offset, at], axis=2)
+            cov = np.empty((*mean.shape[:3], mean.shape[2]))
+            drop = stack.drop
+            cov[..., :drop, :drop], cov[..., drop:, drop:] = own, spread
+            cov[..., :drop, drop:], cov[..., drop:, :drop] = cross, transpose(cross)
+            beliefs.put(stack, mean, cov)
+    return beliefs, magnified
 
 
 def _certain(cov: Array) -> Array:
