@@ -425,6 +425,7 @@ def pose_graph(name: str) -> Row:
         work=lambda size: pose_graphs.published(name, size),
         contenders={
             "pgm": part("pgm_maps", "marginals"),
+            "pgm_compiled": part("pgm_maps", "marginals", compiled=True),
             "gtsam": part("gtsam_maps", "marginals", "surveyed"),
         },
         check=agreement.maps,
@@ -442,6 +443,7 @@ def whole_program(name: str) -> Row:
         name=f"{pose_graphs.title(name)}_whole",
         contenders={
             "pgm": part("pgm_maps", "whole"),
+            "pgm_compiled": part("pgm_maps", "whole", compiled=True),
             "gtsam": part("gtsam_maps", "whole", "surveyed"),
         },
     )
@@ -467,6 +469,7 @@ def landmark_map(count: int, *, reckoned: bool) -> Row:
         work=lambda size: landmarks.draw(size, reckoned=reckoned),
         contenders={
             "pgm": part("pgm_maps", "marginals"),
+            "pgm_compiled": part("pgm_maps", "marginals", compiled=True),
             "gtsam": part("gtsam_maps", "marginals", "mapped"),
         },
         check=agreement.maps,
@@ -485,6 +488,7 @@ def field(side: int, quick: int) -> Row:
         work=fields.grid,
         contenders={
             "pgm": part("pgm_maps", "marginals"),
+            "pgm_compiled": part("pgm_maps", "marginals", compiled=True),
             "scipy": part("scipy_fields", "means"),
         },
         check=agreement.maps,

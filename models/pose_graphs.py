@@ -13,10 +13,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import networkx as nx
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 import pgm
 from models import motion
@@ -26,6 +29,7 @@ from pgm.recordings import Edges, PoseGraph
 Array = npt.NDArray[np.float64]
 _POSE = {"components": ("east", "north", "heading"), "angles": ("heading",)}
 _MOTION = {"components": ("forward", "left", "turn"), "angles": ("turn",)}
+_PLACE = {"components": ("east", "north")}
 _SIGHT = {"components": ("forward", "left")}
 
 
@@ -43,8 +47,6 @@ class PoseGraphNetwork:
         As in the graph.
     held : tuple of int
         Rows of the poses that are known exactly: those that the file fixes, else the first.
-    branches : tuple of Branch
-        A tree of edges that leads from these to all others, parents first.
     """
 
     graph: PoseGraph
@@ -53,7 +55,11 @@ class PoseGraphNetwork:
     poses: tuple[pgm.Variable, ...]
     landmarks: tuple[pgm.Variable, ...]
     held: tuple[int, ...]
-    branches: tuple[Branch, ...]
+
+    @cached_property
+    def branches(self) -> tuple[Branch, ...]:
+        """A tree of edges that leads from the poses that are held to all others, parents first."""
+        return _branches(self.graph, self.held)
 
     def reckoned(self) -> tuple[Array, Array]:
         """Poses (N, 3) and landmarks (L, 2) by the motions of the tree alone."""
@@ -142,43 +148,46 @@ def pose_graph_network(graph: PoseGraph, noise: pgm.RobustNoise | None = None) -
     >>> made.network.cpds[1:]
     (GaussianCPD(x1), NonlinearGaussianCPD(z0 | x0, x1), NonlinearGaussianCPD(z1 | x0, x1))
     """
-    poses = tuple(pgm.Variable(f"x{name}", **_POSE) for name in graph.names.tolist())
-    landmarks = tuple(
-        pgm.Variable(f"m{name}", components=("east", "north"))
-        for name in graph.landmark_names.tolist()
-    )
+    poses = pgm.variables((f"x{name}" for name in graph.names.tolist()), **_POSE)
+    landmarks = pgm.variables((f"m{name}" for name in graph.landmark_names.tolist()), **_PLACE)
     held = tuple(dict.fromkeys(graph.fixed.tolist())) or (0,)
-    moves, sights = _covariances(graph, graph.edges), _covariances(graph, graph.sightings)
-    branches = (*_tree(graph, held), *_placed(graph))
-    trusted = {(branch.sees, branch.edge) for branch in branches}
-    cpds: list[CPD] = [
-        pgm.GaussianCPD(vertex, at, np.inf)
-        for vertices, means in ((poses, graph.poses), (landmarks, graph.landmarks))
-        for vertex, at in zip(vertices, means, strict=True)
-    ]
+    _require_hanging(graph, held)
+    certain = [] if noise is None else _branches(graph, held)
+    cpds: list[CPD] = []
+    for vertices, means in ((poses, graph.poses), (landmarks, graph.landmarks)):
+        if vertices:
+            anywhere = pgm.GaussianCPD(vertices[0], means[0], np.inf)
+            cpds.extend(pgm.plate(anywhere, {vertices[0]: vertices}, mean=means))
     evidence = {poses[row]: graph.poses[row] for row in held}
-    for letter, form, edges, ends, covs in (
-        ("z", _MOTION, graph.edges, poses, moves),
-        ("s", _SIGHT, graph.sightings, landmarks, sights),
+    for letter, form, edges, ends, kind in (
+        ("z", _MOTION, graph.edges, poses, _POSE),
+        ("s", _SIGHT, graph.sightings, landmarks, _PLACE),
     ):
-        rows = zip(edges.first.tolist(), edges.second.tolist(), edges.motions, covs, strict=True)
-        for row, (first, second, told, cov) in enumerate(rows):
-            one, other = poses[first], ends[second]
-            z = pgm.Variable(f"{letter}{row}", **form)
-            cpds.append(
-                pgm.NonlinearGaussianCPD(
-                    z,
+        if not len(edges):
+            continue
+        covs = _covariances(graph, edges)
+        z = pgm.variables((f"{letter}{row}" for row in range(len(edges))), **form)
+        evidence |= dict(zip(z, edges.motions, strict=True))
+        leads = np.zeros(len(edges), dtype=bool)
+        leads[[branch.edge for branch in certain if branch.edges is edges]] = True
+        one, other = pgm.Variable("one", **_POSE), pgm.Variable("other", **kind)
+        for rows, own in ((np.flatnonzero(leads), None), (np.flatnonzero(~leads), noise)):
+            if rows.size:
+                seen = pgm.NonlinearGaussianCPD(
+                    z[0],
                     given=(one, other),
                     function=motion.relative,
-                    cov=cov,
+                    cov=np.eye(z[0].dimension),
                     jacobian={one: motion.relative_by_state, other: motion.relative_by_other},
-                    noise=None if (letter == "s", row) in trusted else noise,
+                    noise=own,
                 )
-            )
-            evidence[z] = told
-    return PoseGraphNetwork(
-        graph, pgm.BayesianNetwork(cpds), evidence, poses, landmarks, held, branches
-    )
+                over = {
+                    z[0]: [z[row] for row in rows],
+                    one: [poses[row] for row in edges.first[rows]],
+                    other: [ends[row] for row in edges.second[rows]],
+                }
+                cpds.extend(pgm.plate(seen, over, cov=covs[rows]))
+    return PoseGraphNetwork(graph, pgm.BayesianNetwork(cpds), evidence, poses, landmarks, held)
 
 
 def squared_errors(graph: PoseGraph, poses: Array, landmarks: Array) -> Array:
@@ -225,6 +234,28 @@ def _turns(edges: Edges) -> Array:
     return out
 
 
+def _require_hanging(graph: PoseGraph, held: tuple[int, ...]) -> None:
+    """Refuse poses that no edges lead to from one that is held, and landmarks that none sees."""
+    edges, count = graph.edges, len(graph.poses)
+    first = np.concatenate([edges.first, np.full(len(held), count)])
+    second = np.concatenate([edges.second, held])
+    joined = coo_array((np.ones(len(first)), (first, second)), (count + 1, count + 1))
+    _, part = connected_components(joined, directed=False)
+    if (lost := np.flatnonzero(part[:-1] != part[-1])).size:
+        raise pgm.EvidenceError(
+            f"{lost.size} poses, the first of them {graph.names[lost[0]]}, hang on no edge that "
+            "leads to a pose that is held; FIX one of them, or leave them out"
+        )
+    if (lost := np.setdiff1d(np.arange(len(graph.landmarks)), graph.sightings.second)).size:
+        raise pgm.EvidenceError(
+            f"the landmark {graph.landmark_names[lost[0]]} is seen from no pose; leave it out"
+        )
+
+
+def _branches(graph: PoseGraph, held: tuple[int, ...]) -> tuple[Branch, ...]:
+    return *_tree(graph, held), *_placed(graph)
+
+
 def _tree(graph: PoseGraph, held: tuple[int, ...]) -> list[Branch]:
     """The edges by which each pose that is not held comes about, parents first."""
     edges, root = graph.edges, -1
@@ -236,12 +267,6 @@ def _tree(graph: PoseGraph, held: tuple[int, ...]) -> list[Branch]:
         if one != other and not joined.has_edge(one, other):
             far = 2 if abs(one - other) != 1 else 1
             joined.add_edge(one, other, weight=far, edge=row)
-    lost = set(range(len(graph.poses))) - set(nx.node_connected_component(joined, root))
-    if lost:
-        raise pgm.EvidenceError(
-            f"{len(lost)} poses, the first of them {graph.names[min(lost)]}, hang on no edge that "
-            "leads to a pose that is held; FIX one of them, or leave them out"
-        )
     tree = nx.minimum_spanning_tree(joined)
     found = []
     for parent, child in nx.bfs_edges(tree, root):
@@ -255,10 +280,6 @@ def _tree(graph: PoseGraph, held: tuple[int, ...]) -> list[Branch]:
 def _placed(graph: PoseGraph) -> list[Branch]:
     """The first sighting of each landmark."""
     seen, rows = np.unique(graph.sightings.second, return_index=True)
-    if lost := set(range(len(graph.landmarks))) - set(seen.tolist()):
-        raise pgm.EvidenceError(
-            f"the landmark {graph.landmark_names[min(lost)]} is seen from no pose; leave it out"
-        )
     return [
         Branch(
             int(graph.sightings.first[row]),

@@ -13,6 +13,7 @@ from pgm.compile import (
     Compiled,
     JoinGraph,
     JunctionTree,
+    MinDegree,
     MinFill,
     NestedDissection,
     StochasticMinFill,
@@ -33,6 +34,7 @@ from pgm.cpds import (
     TableCPD,
     TruncatedLeastSquares,
     noise,
+    plate,
     shifts,
 )
 from pgm.display.notebook import hand_in as _hand_in
@@ -254,6 +256,7 @@ __all__ = [
     "LinearisationError",
     "Lineariser",
     "Loopy",
+    "MinDegree",
     "MinFill",
     "MixtureCPD",
     "ModelError",
@@ -300,6 +303,7 @@ __all__ = [
     "maps",
     "most_probable",
     "noise",
+    "plate",
     "plot",
     "prepare",
     "query",

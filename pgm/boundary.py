@@ -117,6 +117,8 @@ def as_floats(
     """
     if type(value) is np.ndarray and value.dtype == _FLOAT:
         return value
+    if type(value) is float:  # of which CPDs of a network have thousands
+        return np.array(value)
     try:
         return _read(value, labels, missing)
     except _Unfit as fault:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, overload
 
@@ -13,7 +14,7 @@ from pgm.arguments import public
 from pgm.boundary import as_tuple, is_unordered, is_whole
 from pgm.display import InCode
 from pgm.errors import ModelError
-from pgm.resources import require_memory
+from pgm.resources import require_memory, uncollected
 
 # Numbers of memory that the name of a state takes.
 _STATE = 8
@@ -167,11 +168,13 @@ class Variable(_Hashed, InCode):
             raise ModelError(
                 f"variable {self.name}: step {step} is before the first, 0", variable=self
             )
-        copy = object.__new__(type(self))
+        return self._with(step=step, lag=lag)
+
+    def _with(self, **changed: Any) -> Variable:
+        """A copy with other fields, which are not checked."""
+        copy, place = object.__new__(type(self)), object.__setattr__
         for field in self.__dataclass_fields__:
-            object.__setattr__(copy, field, getattr(self, field))
-        object.__setattr__(copy, "step", step)
-        object.__setattr__(copy, "lag", lag)
+            place(copy, field, changed[field] if field in changed else getattr(self, field))
         return copy
 
     def __repr__(self) -> str:
@@ -273,26 +276,54 @@ def _names(variable: Variable, field: str, value: object) -> tuple[str, ...]:
 
 
 @public
-def variables(names: str | Iterable[str]) -> tuple[Variable, ...]:
-    """Scalar variables, one a name.
+def variables(
+    names: str | Iterable[str], components: Iterable[str] = (), angles: Iterable[str] = ()
+) -> tuple[Variable, ...]:
+    """Variables of one kind, one a name; scalars, if they are given no components.
 
     Parameters
     ----------
     names : str or iterable of str
         Names, in one string separated by white space or commas, or one by one.
+    components, angles : tuple of str, optional
+        Those of each; see `Variable`. Scalars that are angles have a component of one name.
 
     Examples
     --------
     >>> a, b, c = variables("a b c")
     >>> b.dimension
     1
+    >>> poses = variables("x0 x1 x2", ("east", "north", "heading"), angles=("heading",))
+    >>> poses[2].angles
+    ('heading',)
     """
     if isinstance(names, str):
         names = names.replace(",", " ").split()
     found = None if is_unordered(names) else as_tuple(names)
     if found is None:
         raise ModelError(f"variables takes names in order, in a text or one by one, not {names!r}")
-    made = tuple(Variable(name) for name in found)
+    if not found:
+        return ()
+    components = tuple(components) if isinstance(components, Iterator) else components
+    first = Variable(found[0], components, angles)
+    own = not components  # each is called like its variable
+    if own and first.angles:
+        raise ModelError(
+            f"variables that are angles need a component of one name: give "
+            f'components=("angle",), angles=("angle",), not angles={angles!r} alone',
+            variable=first,
+        )
+    made = [first]
+    with uncollected(len(found)):
+        for name in found[1:]:
+            if not isinstance(name, str) or not name:
+                Variable(name)  # which refuses it
+            scalar = {"components": (name,)} if own else {}
+            made.append(first._with(name=name, **scalar))
     if len(set(found)) < len(found):
-        raise ModelError(f"the names {found} repeat; each variable needs one of its own")
-    return made
+        twice = next(name for name, times in Counter(found).items() if times > 1)
+        raise ModelError(
+            f"the name {twice!r} repeats; each variable needs one of its own",
+            variable=next(variable for variable in made if variable.name == twice),
+        )
+    return tuple(made)

@@ -18,7 +18,16 @@ UNMARKED = {
     *pgm.results.__all__,
     *("Cells", "Dropped", "Edges", "PoseGraph", "Poses"),
     *("BeliefFamily", "Lineariser", "Oracle", "RobustNoise", "StatisticalRegression"),
-    *("Balanced", "Bethe", "Cubature", "LTRIP", "MinFill", "Taylor", "WeightedMinFill"),
+    *(
+        "Balanced",
+        "Bethe",
+        "Cubature",
+        "LTRIP",
+        "MinDegree",
+        "MinFill",
+        "Taylor",
+        "WeightedMinFill",
+    ),
 }
 MODULES = (
     pgm,

@@ -43,7 +43,7 @@ def test_every_name_is_there(name):
 @pytest.mark.parametrize(
     ("begun", "completed"),
     [
-        ("pgm.pl", "pgm.plot"),
+        ("pgm.plo", "pgm.plot"),
         ("pgm.consi", "pgm.consistency"),
         ("pgm.ma", "pgm.maps"),
         ("pgm.read_b", "pgm.read_bif("),

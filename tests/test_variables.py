@@ -123,3 +123,38 @@ def test_errors_say_what_they_are_about(error, base):
     assert (str(caught), caught.variable, caught.cpd) == ("words", X, "cpd")
     assert (caught.cluster, caught.step) == (4, 2)
     assert error("words").step is None
+
+
+@pytest.mark.parametrize(
+    "kind", [{}, {"components": ("n", "e")}, {"components": ("n", "e"), "angles": {"e"}}], ids=str
+)
+def test_variables_of_one_kind_are_those_that_are_made_one_by_one(kind):
+    made = pgm.variables((f"x{k}" for k in range(4)), **kind)
+    due = tuple(pgm.Variable(f"x{k}", **kind) for k in range(4))
+    assert made == due
+    assert list(map(hash, made)) == list(map(hash, due))
+    assert [v.angles for v in made] == [v.angles for v in due]
+    assert [v.at(2).previous for v in made] == [v.at(1) for v in due]
+
+
+def test_a_component_that_is_given_is_that_of_all():
+    assert [v.components for v in pgm.variables("a b", components=("a",))] == [("a",), ("a",)]
+    assert [v.components for v in pgm.variables("a b", components=iter(()))] == [("a",), ("b",)]
+    assert pgm.variables("", components=("a",)) == ()
+
+
+@pytest.mark.parametrize(
+    ("names", "kind", "text"),
+    [
+        ("a b a", {}, "name 'a' repeats"),
+        (["a", ""], {}, "name must be a non-empty string, not ''"),
+        (["a", 3], {"components": ("n", "e")}, "name must be a non-empty string, not 3"),
+        ("a b", {"angles": ("a",)}, 'give components=\\("angle",\\)'),
+        ("a b", {"components": ("n", "n")}, "repeat a name"),
+        ("a b", {"components": ("n", "e"), "angles": ("x",)}, "are not among its components"),
+        ("a b", {"components": {"n", "e"}}, "is a set, which has no order"),
+    ],
+)
+def test_variables_that_are_none_are_refused(names, kind, text):
+    with pytest.raises(pgm.ModelError, match=text):
+        pgm.variables(names, **kind)

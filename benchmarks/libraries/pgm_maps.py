@@ -10,19 +10,19 @@ from benchmarks.work.asked import Asked, Beliefs, Work
 TO_THE_OPTIMUM = pgm.Calibration(iterations=50, tolerance=1e-4)
 
 
-def marginals(work: Work) -> Contender:
-    """The network declared and compiled beforehand."""
+def marginals(work: Work, *, compiled: bool = False) -> Contender:
+    """The network declared and compiled beforehand, solved by NumPy alone or in machine code."""
     asked = work.asked()
-    graph = pgm.compile(asked.network)
+    graph = pgm.compile(asked.network, compiled=compiled)
     return Contender(lambda: _solved(graph, asked), work.units)
 
 
-def whole(work: Work) -> Contender:
+def whole(work: Work, *, compiled: bool = False) -> Contender:
     """From numbers to marginals: declared, compiled and solved."""
 
     def call() -> list[Beliefs]:
         asked = work.asked()
-        return _solved(pgm.compile(asked.network), asked)
+        return _solved(pgm.compile(asked.network, compiled=compiled), asked)
 
     return Contender(call, work.units)
 

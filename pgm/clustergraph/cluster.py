@@ -266,16 +266,25 @@ def assign(
     """The smallest cluster that holds each family, the first of equals; −1, where none does."""
     by_size = sorted(range(len(members)), key=sizes.__getitem__)
     # By variable the clusters that hold it, told by their places in the order of sizes.
-    holders: dict[int, set[int]] = {}
+    holders: dict[int, list[int]] = defaultdict(list)
     for rank, k in enumerate(by_size):
         for place in members[k]:
-            if place in holders:
-                holders[place].add(rank)
-            else:
-                holders[place] = {rank}
-    homes, nowhere = list[int](), set[int]()
+            holders[place].append(rank)
+    sets: dict[int, set[int]] = {}
+    homes = list[int]()
     for family in families:
-        fits = set.intersection(*[holders.get(place, nowhere) for place in family])
+        held = [holders[place] for place in family]
+        # Of most families a variable is in one cluster alone, or few: that of a measurement.
+        fewest = min(held, key=len)
+        if len(fewest) == 1 and set(members[by_size[fewest[0]]]).issuperset(family):
+            homes.append(by_size[fewest[0]])
+            continue
+        fits = set(fewest)
+        for place, ranks in zip(family, held, strict=True):
+            if ranks is not fewest:
+                if place not in sets:
+                    sets[place] = set(ranks)
+                fits &= sets[place]
         homes.append(by_size[min(fits)] if fits else -1)
     return homes
 

@@ -37,6 +37,7 @@ from pgm.factors.scope import MOST, Scope, as_scope, listed, unknown_name
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Integers
 from pgm.networks import BayesianNetwork
+from pgm.resources import uncollected
 from pgm.variables import Variable
 
 if TYPE_CHECKING:
@@ -175,10 +176,12 @@ class ClusterGraph(Drawn, Immutable):
     @cached_property
     def _clusters(self) -> tuple[Cluster, ...]:
         found = []
-        for index, (members, numbers) in enumerate(zip(self._members, self._assigned, strict=True)):
-            inside = tuple(self.network.cpds[number] for number in numbers)
-            families = tuple(self._named(self.network._families[number]) for number in numbers)
-            found.append(Cluster(index, self._named(members), inside, families))
+        cpds, places = self.network.cpds, self.network._families
+        with uncollected(len(cpds)):
+            for index, numbers in enumerate(self._assigned):
+                inside = tuple([cpds[number] for number in numbers])
+                families = tuple([self._named(places[number]) for number in numbers])
+                found.append(Cluster(index, self._named(self._members[index]), inside, families))
         return tuple(found)
 
     @cached_property

@@ -5,6 +5,7 @@ from pgm.compile.dynamic import DynamicGraph, SliceGraph, SliceLayout
 from pgm.compile.machine import Compilation, Compiled
 from pgm.compile.methods import LTRIP, Bethe, JoinGraph, JunctionTree
 from pgm.compile.orders import (
+    MinDegree,
     MinFill,
     NestedDissection,
     Order,
@@ -23,6 +24,7 @@ __all__ = [
     "JoinGraph",
     "JunctionTree",
     "Method",
+    "MinDegree",
     "MinFill",
     "NestedDissection",
     "Order",

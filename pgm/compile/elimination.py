@@ -15,18 +15,21 @@ from heapq import heapify, heappop, heappush
 from itertools import chain, cycle, islice, repeat
 
 from pgm.networks import BayesianNetwork
+from pgm.resources import uncollected
 
 Adjacency = Sequence[set[int]]
 
 
 def moral(network: BayesianNetwork) -> list[set[int]]:
     """The moral graph: every family is a clique; vertices are places in `network.variables`."""
-    adjacent: list[set[int]] = [set() for _ in network.variables]
-    for family in network._families:
-        for vertex in family:
-            adjacent[vertex].update(family)
-    for vertex, near in enumerate(adjacent):
-        near.discard(vertex)
+    families = network._families
+    with uncollected(len(families)):
+        adjacent: list[set[int]] = [set() for _ in network.variables]
+        for family in families:
+            for vertex in family:
+                adjacent[vertex].update(family)
+        for vertex, near in enumerate(adjacent):
+            near.discard(vertex)
     return adjacent
 
 
@@ -155,40 +158,41 @@ def clique_tree(adjacent: Adjacency, order: Sequence[int]) -> CliqueTree:
 
     The clique of a vertex is the vertex with its *later* neighbours in the filled graph; it hangs
     on the clique of the first of these. One that lies inside a clique hanging on it is that one.
+    There the later neighbours are the other's, less the vertex: the set is handed on.
 
     Source: Blair and Peyton (1993), An introduction to chordal graphs and clique trees.
     """
     position = [0] * len(order)
     for k, vertex in enumerate(order):
         position[vertex] = k
-    later = [
-        {other for other in near if position[other] > position[vertex]}
-        for vertex, near in enumerate(adjacent)
-    ]
-    hanging: list[list[int]] = [[] for _ in order]
-    home = [0] * len(order)
     tree = CliqueTree([], {})
-    for vertex in order:
-        reach = later[vertex]
-        own = -1
-        for child in hanging[vertex]:
-            if len(later[child]) == len(reach) + 1:
-                own = home[child]
-                break
-        if own < 0:
-            own = len(tree.cliques)
+    # By the first of their later neighbours: cliques, each with the neighbours that are left of it.
+    hanging: dict[int, list[tuple[int, set[int]]]] = {}
+    for k, vertex in enumerate(order):
+        near = {other for other in adjacent[vertex] if position[other] > k}
+        below = hanging.pop(vertex, None)
+        if below is None:
+            own, reach = len(tree.cliques), near
             tree.cliques.append({vertex, *reach})
-        home[vertex] = own
-        for child in hanging[vertex]:
-            other = home[child]
-            if other != own:
-                tree.sepsets[(other, own) if other < own else (own, other)] = later[child]
+        else:
+            own, reach = max(below, key=_extent)
+            if all(reach.issuperset(other) for _, other in below) and reach.issuperset(near):
+                reach.discard(vertex)
+            else:
+                own, reach = len(tree.cliques), near.union(*[other for _, other in below])
+                tree.cliques.append(reach.copy())
+                reach.discard(vertex)
+            for other, shared in below:
+                if other != own:
+                    tree.sepsets[(other, own) if other < own else (own, other)] = shared
         if reach:
-            parent = min(reach, key=position.__getitem__)
-            hanging[parent].append(vertex)
-            later[parent] |= reach
-            later[parent].discard(parent)
+            parent = order[min([position[other] for other in reach])]
+            hanging.setdefault(parent, []).append((own, reach))
     return tree
+
+
+def _extent(hung: tuple[int, set[int]]) -> int:
+    return len(hung[1])
 
 
 # The fills of a vertex are multiplied by E**SPREAD, where E is exponential with mean one: so it is

@@ -7,13 +7,18 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+
 from pgm.arguments import public
 from pgm.boundary import as_tuple, is_unordered, is_whole
 from pgm.clustergraph.cluster import extent
+from pgm.compile.dissection import dissect, stages
 from pgm.compile.elimination import Adjacency, cheapest, min_fill, moral
+from pgm.compile.sparse import SparseGraph
 from pgm.display import InCode
 from pgm.errors import GraphError
 from pgm.factors.scope import Scope, listed, unknown_name
+from pgm.kernels.arrays import Mask
 from pgm.networks import BayesianNetwork
 from pgm.variables import Variable
 
@@ -77,6 +82,37 @@ class WeightedMinFill(Rule):
         return min_fill(adjacent, _weights(network))
 
 
+@dataclass(frozen=True)
+class MinDegree(Rule):
+    """Next is a variable with the fewest neighbours, after all that are no parents.
+
+    Nothing has to be counted but neighbours: the 90,000 pixels of a field are ordered in a third of
+    a second, where `MinFill` takes half a minute. It leads to more operations: on a field of that
+    size a third, on smaller ones and pose graphs a tenth to a fifth.
+
+    References
+    ----------
+    Liu (1985), Modification of the minimum-degree algorithm by multiple elimination; as in SuperLU,
+    which comes with SciPy.
+
+    Examples
+    --------
+    >>> from pgm.examples import chain
+    >>> tree = pgm.JunctionTree(order=pgm.MinDegree())
+    >>> pgm.compile(chain, method=tree).cost
+    396
+    """
+
+    def _places(self, network: BayesianNetwork, adjacent: Adjacency) -> list[int]:
+        inner = _parents(network)
+        order = np.flatnonzero(inner)[SparseGraph.of(adjacent).part(inner).by_degree()]
+        return [*np.flatnonzero(~inner).tolist(), *order.tolist()]
+
+
+# A continuous network with more parents than this is ordered by degrees.
+LARGE = 5000
+
+
 @public
 @dataclass(frozen=True)
 class StochasticMinFill(Rule):
@@ -87,7 +123,8 @@ class StochasticMinFill(Rule):
     entries is taken, the same each time. The search takes about as long as two first passes of
     messages over the tables, and with 200 tries less than a second. There is none where a try would
     cost more than it could spare or nothing would make the tables fit in memory, nor of a
-    continuous network.
+    continuous network. That of more than 5,000 variables that are parents has the order of
+    `MinDegree`.
 
     Parameters
     ----------
@@ -121,7 +158,8 @@ class StochasticMinFill(Rule):
 
     def _places(self, network: BayesianNetwork, adjacent: Adjacency) -> list[int]:
         if not network.discrete:
-            return MinFill()._places(network, adjacent)
+            rule = MinDegree() if _is_large(network) else MinFill()
+            return rule._places(network, adjacent)
         return cheapest(adjacent, _weights(network), self.tries, self.seed)
 
 
@@ -132,8 +170,10 @@ class NestedDissection(Rule):
 
     The set is the smallest middle level of a breadth-first search from the edge of the network.
     The tree is shallow, about log₂ n clusters deep for a chain of n variables where `MinFill` gives
-    n, but cliques may be larger: a little on chains and grids, by powers of ten on networks that
-    branch. Inside a set, and in small parts, the next variable is the one of least weighted fill.
+    n. On fields it costs as `MinFill` does, a third less than `MinDegree` with 90,000 variables; on
+    pose graphs two to three times as much, and by powers of ten more on networks that branch.
+    Inside a set, and in small parts, the next variable is the one of least weighted fill; of more
+    than 5,000 variables that are parents, one with the fewest neighbours.
 
     Parameters
     ----------
@@ -162,7 +202,15 @@ class NestedDissection(Rule):
             )
 
     def _places(self, network: BayesianNetwork, adjacent: Adjacency) -> list[int]:
-        return min_fill(adjacent, _weights(network), dissect(adjacent, self.small))
+        if not _is_large(network):
+            return min_fill(adjacent, _weights(network), dissect(adjacent, self.small))
+        inner = _parents(network)
+        graph = SparseGraph.of(adjacent).part(inner)
+        stage = stages(graph, self.small)
+        apart = graph.without(stage[graph.tails] != stage[graph.heads])
+        by_degree = apart.by_degree()
+        order = by_degree[np.argsort(stage[by_degree], kind="stable")]
+        return [*np.flatnonzero(~inner).tolist(), *np.flatnonzero(inner)[order].tolist()]
 
 
 def places(
@@ -199,78 +247,18 @@ def places(
     return order_
 
 
+def _is_large(network: BayesianNetwork) -> bool:
+    """Whether more than `LARGE` variables are parents."""
+    most = len(network.variables)
+    return most > LARGE and int(np.count_nonzero(_parents(network))) > LARGE
+
+
+def _parents(network: BayesianNetwork) -> Mask:
+    """Which variables are parents; the others' neighbours are a family, joined to each other."""
+    found = np.zeros(len(network.variables), dtype=bool)
+    found[list({place for _, *parents in network._families for place in parents})] = True
+    return found
+
+
 def _weights(network: BayesianNetwork) -> list[int]:
     return list(map(extent, network.variables))
-
-
-def dissect(adjacent: Adjacency, small: int) -> list[int]:
-    """The stage at which each vertex is eliminated: minus the number of separators around it.
-
-    Vertices of one stage are those of a part that is not divided further, or of one separator;
-    two such sets of one stage are not joined, and stay so.
-
-    Parts of at most `small` vertices are not divided.
-    """
-    stages = [0] * len(adjacent)
-    parts = [(set(range(len(adjacent))), 0)]
-    while parts:
-        left, depth = parts.pop()
-        for start in sorted(left):
-            if start not in left:
-                continue
-            levels = _peripheral(adjacent, start, left)
-            piece = {vertex for level in levels for vertex in level}
-            left -= piece
-            for vertex in piece:
-                stages[vertex] = -depth
-            if len(piece) > small and len(levels) > 2:
-                parts.append((piece - _separator(adjacent, levels, len(piece)), depth + 1))
-    return stages
-
-
-def _levels(adjacent: Adjacency, start: int, inside: set[int]) -> list[list[int]]:
-    """The vertices by their distance from one, breadth first."""
-    seen = {start}
-    levels = [[start]]
-    while levels[-1]:
-        following = []
-        for vertex in levels[-1]:
-            for other in adjacent[vertex]:
-                if other in inside and other not in seen:
-                    seen.add(other)
-                    following.append(other)
-        levels.append(following)
-    return levels[:-1]
-
-
-def _peripheral(adjacent: Adjacency, start: int, inside: set[int]) -> list[list[int]]:
-    """Breadth-first levels from a pseudo-peripheral vertex."""
-    levels = _levels(adjacent, start, inside)
-    while True:
-        end = min(levels[-1], key=lambda vertex: (len(adjacent[vertex]), vertex))
-        further = _levels(adjacent, end, inside)
-        if len(further) <= len(levels):
-            return levels
-        levels = further
-
-
-def _separator(adjacent: Adjacency, levels: Sequence[list[int]], total: int) -> set[int]:
-    """The smallest level that leaves neither side more than two thirds, without idle vertices.
-
-    Where there is none, as around a hub, the one that leaves the least.
-    """
-    sides = []
-    before = 0
-    for level in levels:
-        sides.append(max(before, total - before - len(level)))
-        before += len(level)
-
-    def touching(k: int) -> set[int]:
-        beyond = set(levels[k + 1])
-        return {vertex for vertex in levels[k] if not beyond.isdisjoint(adjacent[vertex])}
-
-    inner = range(1, len(levels) - 1)
-    fair = {k: touching(k) for k in inner if 3 * sides[k] <= 2 * total}
-    if fair:
-        return fair[min(fair, key=lambda k: (len(fair[k]), sides[k], k))]
-    return touching(min(inner, key=lambda k: (sides[k], k)))

@@ -5,6 +5,7 @@ from pgm.cpds.conditional import ConditionalGaussian, Noise, noise
 from pgm.cpds.derivatives import Derivatives
 from pgm.cpds.gaussian import AffineCPD, GaussianCPD, LinearGaussianCPD, NonlinearGaussianCPD
 from pgm.cpds.mixture import MixtureCPD
+from pgm.cpds.repeated import plate
 from pgm.cpds.robust import Cauchy, Huber, RobustNoise, StudentT, TruncatedLeastSquares
 from pgm.cpds.sampled import SampledCPD
 from pgm.cpds.structured import Kronecker, shifts
@@ -29,5 +30,6 @@ __all__ = [
     "TableCPD",
     "TruncatedLeastSquares",
     "noise",
+    "plate",
     "shifts",
 ]

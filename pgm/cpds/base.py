@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import copy
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -25,6 +25,8 @@ from pgm.variables import Discrete, Variable
 
 # Values (..., d), or indices of states (...).
 Values = npt.NDArray[Any]
+# From a variable to the one in its place.
+Moved = Callable[[Variable], Variable]
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,9 +205,7 @@ class CPD(Shown, Immutable):
                 "cpd.origin.at(...)",
                 cpd=self,
             )
-        placed = copy.copy(self)
-        placed._set(**self._placed(step), _origin=self.origin)
-        return placed
+        return self._copy(lambda variable: variable.at(step), _origin=self.origin)
 
     @public
     def log_density(
@@ -349,9 +349,24 @@ class CPD(Shown, Immutable):
         """Draws of the child, (*size, *known.shape, d) or (*size, *known.shape)."""
         raise ModelError(f"{self!r} is of a kind that cannot be drawn from", cpd=self)
 
-    def _placed(self, step: int) -> dict[str, Any]:
-        """The attributes of a copy at a step that differ from this one's."""
-        return {"child": self.child.at(step), "given": tuple(v.at(step) for v in self.given)}
+    def _copy(self, moved: Moved, **changed: Any) -> Self:
+        """A copy over other variables, all of the same kinds, and with other attributes."""
+        found = object.__new__(type(self))
+        found.__dict__.update(self.__dict__, **self._over(moved), **changed)
+        return found
+
+    def _bare(self) -> dict[str, Any]:
+        """The attributes without what was worked out from them."""
+        cls = type(self)
+        return {
+            name: value
+            for name, value in self.__dict__.items()
+            if not isinstance(getattr(cls, name, None), cached_property)
+        }
+
+    def _over(self, moved: Moved) -> dict[str, Any]:
+        """The attributes of a copy over other variables that differ from this one's."""
+        return {"child": moved(self.child), "given": tuple(map(moved, self.given))}
 
     @property
     def _title(self) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.arguments import public
-from pgm.cpds.base import CPD, Known, Values
+from pgm.cpds.base import CPD, Known, Moved, Values
 from pgm.cpds.robust import RobustNoise
 from pgm.display import InCode, Listing, called, named_matrix
 from pgm.errors import LinearisationError, ModelError, NumericalError
@@ -147,9 +146,8 @@ class ConditionalGaussian(CPD):
         self._set(cov=cov)
 
     def _with_cov(self, cov: npt.ArrayLike | Noise) -> Self:
-        found = copy.copy(self)
-        for name in ("_variances", "_templates"):  # of a nonlinear CPD, computed from the noise
-            found.__dict__.pop(name, None)
+        found = object.__new__(type(self))
+        found.__dict__.update(self._bare())
         found._set_family(self.child, self.given, cov)
         return found
 
@@ -316,12 +314,11 @@ class ConditionalGaussian(CPD):
         """Σ |summand| of the mean, a bound for its rounding, (..., d)."""
         return np.zeros((1, self.child.dimension))
 
-    def _placed(self, step: int) -> dict[str, Any]:
-        placed = super()._placed(step)
+    def _over(self, moved: Moved) -> dict[str, Any]:
+        found = super()._over(moved)
         if isinstance(self.cov, Noise):
-            given = tuple(v.at(step) for v in self.cov.given)
-            placed["cov"] = replace(self.cov, given=given)
-        return placed
+            found["cov"] = replace(self.cov, given=tuple(map(moved, self.cov.given)))
+        return found
 
 
 def _log_density(lower: Array, residual: Array, error: Array) -> Array:

@@ -12,12 +12,13 @@ import numpy.typing as npt
 
 from pgm.arguments import public
 from pgm.boundary import as_floats
+from pgm.cpds.base import Moved
 from pgm.cpds.conditional import ConditionalGaussian, Noise
 from pgm.cpds.derivatives import Derivatives
 from pgm.cpds.robust import RobustNoise
 from pgm.display import Listing, by_component, called, named_matrix, number, stacked, vector
 from pgm.errors import ModelError
-from pgm.factors.arrays import flat
+from pgm.factors.arrays import flat, matrices
 from pgm.factors.scope import Scope, as_value, components, listed, namesake
 from pgm.kernels.arrays import Array, apply, frozen
 from pgm.linearisers import FunctionTemplate, Lineariser
@@ -53,9 +54,11 @@ class AffineCPD(ConditionalGaussian):
         parts = (apply(np.abs(self.matrices[p]), np.abs(known[p])) for p in self.given)
         return sum(parts, np.abs(self.offset))
 
-    def _placed(self, step: int) -> dict[str, Any]:
-        matrices = {parent.at(step): matrix for parent, matrix in self.matrices.items()}
-        return super()._placed(step) | {"matrices": MappingProxyType(matrices)}
+    def _over(self, moved: Moved) -> dict[str, Any]:
+        found = super()._over(moved)
+        matrices = dict(zip(found["given"], self.matrices.values(), strict=True))
+        found["matrices"] = MappingProxyType(matrices)
+        return found
 
 
 def _finite(child: Variable, value: Array, what: str) -> Array:
@@ -106,6 +109,8 @@ class GaussianCPD(AffineCPD):
             ) from None
 
     def _lead(self) -> tuple[int, ...]:
+        if self.offset.ndim == 1 and (isinstance(self.cov, Noise) or self.cov.ndim == 2):
+            return ()  # networks of thousands ask each of theirs
         covs = self.cov.shape[:-2] if isinstance(self.cov, np.ndarray) else ()
         if not covs:
             return self.offset.shape[:-1]
@@ -201,7 +206,7 @@ def _matrix(child: Variable, parent: Variable, value: npt.ArrayLike) -> Array:
     matrix = as_floats(value, what, variable=parent).copy()
     due = (child.dimension, parent.dimension)
     if matrix.ndim == 0 and due[0] == due[1]:
-        matrix = matrix * np.eye(due[0])
+        matrix = matrices(matrix, due[0])
     if matrix.shape != due:
         raise ModelError(f"{what} has shape {matrix.shape}; {due} was due", variable=parent)
     return _finite(child, matrix, f"matrix of {parent!r}")
@@ -356,10 +361,10 @@ class NonlinearGaussianCPD(ConditionalGaussian):
         due = (*call.lead, self.child.dimension)
         return call(self.function, [known[v] for v in self.given], due)
 
-    def _placed(self, step: int) -> dict[str, Any]:
-        jacobian = {parent.at(step): derivative for parent, derivative in self.jacobian.items()}
+    def _over(self, moved: Moved) -> dict[str, Any]:
+        jacobian = {moved(parent): derivative for parent, derivative in self.jacobian.items()}
         own = {"jacobian": MappingProxyType(jacobian), "_templates": {}}
-        return super()._placed(step) | own
+        return super()._over(moved) | own
 
     def _template(self, hidden: Scope) -> FunctionTemplate:
         known = self._templates.get(hidden)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from pgm.arguments import public
 from pgm.boundary import as_floats, as_tuple
-from pgm.cpds.base import CPD, Known, Values
+from pgm.cpds.base import CPD, Known, Moved, Values
 from pgm.cpds.conditional import ConditionalGaussian, Noise
 from pgm.cpds.gaussian import GaussianCPD
 from pgm.display import Listing, few, number
@@ -164,8 +164,9 @@ class MixtureCPD(CPD):
             drawn[rows] = part._draw(Known(own, count, count, step), rng)
         return drawn
 
-    def _placed(self, step: int) -> dict[str, Any]:
-        return super()._placed(step) | {"parts": tuple(part.at(step) for part in self.parts)}
+    def _over(self, moved: Moved) -> dict[str, Any]:
+        parts = tuple(part._copy(moved, _origin=part.origin) for part in self.parts)
+        return super()._over(moved) | {"parts": parts}
 
 
 def _of(part: CPD, known: Known) -> Known:

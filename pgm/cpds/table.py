@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from pgm.arguments import public
 from pgm.boundary import as_floats
-from pgm.cpds.base import CPD, Known, Values
+from pgm.cpds.base import CPD, Known, Moved, Values
 from pgm.cpds.structured import as_transition, is_structured, rounding
 from pgm.display import Listing, called, count
 from pgm.errors import ModelError
@@ -335,8 +335,8 @@ class TableCPD(CPD):
         row = np.ravel_multi_index(tuple(places), sizes) if sizes else np.zeros(shape, np.intp)
         return self._rows.draw(row, rng)
 
-    def _placed(self, step: int) -> dict[str, Any]:
-        return super()._placed(step) | {"inputs": tuple(v.at(step) for v in self.inputs)}
+    def _over(self, moved: Moved) -> dict[str, Any]:
+        return super()._over(moved) | {"inputs": tuple(map(moved, self.inputs))}
 
 
 def _at(step: int | None) -> str:

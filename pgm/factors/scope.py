@@ -36,7 +36,7 @@ def as_scope(
     if len(set(result)) < len(result):
         twice = next(v for v in result if result.count(v) > 1)
         raise ModelError(f"{what} holds {twice!r} twice; name each variable once", variable=twice)
-    if len(result) > 1:
+    if len({variable.name for variable in result}) < len(result):
         one_name_each(result)
     return result
 

@@ -212,6 +212,8 @@ def _to_disk(path: Path) -> None:
 
 # Letters of a word that a message shows.
 _SHOWN = 40
+# Digits from which on a float does not hold all whole numbers.
+_EXACT = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,6 +248,9 @@ class Line:
 
     def finite(self, words: Sequence[str], due: str) -> list[float]:
         """The finite numbers that some of the words are."""
+        found = _finite(words)
+        if found is not None:
+            return found
         found = []
         for word in words:
             try:
@@ -259,6 +264,8 @@ class Line:
 
     def whole(self, word: str, what: str) -> int:
         """The whole number that a word is."""
+        if len(word) < _EXACT and word.isascii() and word.isdigit():
+            return int(word)
         (found,) = self.finite([word], what)
         if found != int(found):
             raise self.fault(f"{what} {word}; a whole number was due")
@@ -302,6 +309,17 @@ def number(word: str, line: int, origin: Origin) -> float:
     if not math.isfinite(found):
         raise origin.fault(f"{word!r} is not finite; leave the line out", line)
     return found
+
+
+def _finite(words: Sequence[str]) -> list[float] | None:
+    """The numbers that words are; None where one is none, or not finite."""
+    if "_" in "".join(words):
+        return None
+    try:
+        found = list(map(float, words))
+    except ValueError:
+        return None
+    return found if all(map(math.isfinite, found)) else None
 
 
 def _float(word: str) -> float:

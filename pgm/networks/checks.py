@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from typing import TypeVar
 
@@ -44,10 +45,13 @@ def one_cpd_each(cpds: Iterable[CPD]) -> None:
 
 def runs(cpds: Iterable[CPD]) -> tuple[int, ...]:
     """The axes of runs of the CPDs, broadcast; axes that do not broadcast are refused."""
-    shapes = [(cpd.child, cpd._lead()) for cpd in cpds]
+    first: dict[tuple[int, ...], Variable] = {}
+    for cpd in cpds:
+        first.setdefault(cpd._lead(), cpd.child)
     try:
-        return np.broadcast_shapes(*(shape for _, shape in shapes))
+        return np.broadcast_shapes(*first)
     except ValueError:
+        shapes = [(child, shape) for shape, child in first.items()]
         raise ModelError(
             f"the CPDs have axes of runs that do not broadcast: {clash(shapes)}; give each the same"
         ) from None
@@ -70,8 +74,10 @@ def no_step_before(cpds: Iterable[CPD]) -> None:
 def in_order(cpds: Sequence[C], parents: Callable[[C], Scope]) -> tuple[C, ...]:
     """CPDs with parents before children, otherwise in the given order."""
     place = {cpd.child: k for k, cpd in enumerate(cpds)}
-    waiting = [{place[p] for p in parents(cpd) if p in place} for cpd in cpds]
-    children: list[list[int]] = [[] for _ in cpds]
+    waiting = [[place[p] for p in parents(cpd) if p in place] for cpd in cpds]
+    if all(k > parent for k, before in enumerate(waiting) for parent in before):
+        return tuple(cpds)
+    children: dict[int, list[int]] = defaultdict(list)
     for k, before in enumerate(waiting):
         for parent in before:
             children[parent].append(k)
@@ -81,12 +87,12 @@ def in_order(cpds: Sequence[C], parents: Callable[[C], Scope]) -> tuple[C, ...]:
     while ready:
         first = heapq.heappop(ready)
         order.append(first)
-        for k in children[first]:
+        for k in children.get(first, ()):
             missing[k] -= 1
             if not missing[k]:
                 heapq.heappush(ready, k)
     if len(order) < len(cpds):
-        loop = _cycle(waiting, set(range(len(cpds))).difference(order))
+        loop = _cycle(list(map(set, waiting)), set(range(len(cpds))).difference(order))
         path = " -> ".join(repr(cpds[k].child) for k in loop[:MOST])
         if len(loop) > MOST:
             path += f" -> ... ({len(loop) - 1} variables in all)"

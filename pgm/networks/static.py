@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property
 from itertools import combinations
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from pgm.evidence import Evidence
 from pgm.factors.scope import Scope, as_scope, listed, one_name_each, unknown_name
 from pgm.immutable import Immutable
 from pgm.networks import checks, sampling
+from pgm.resources import uncollected
 from pgm.variables import Variable
 
 if TYPE_CHECKING:
@@ -72,6 +73,12 @@ class BayesianNetwork(Drawn, Immutable):
         found = checks.as_cpds(cpds, "a network")
         if not found:
             raise ModelError("a network needs at least one CPD")
+        with uncollected(len(found)):
+            self._set(**self._checked(found))
+
+    @staticmethod
+    def _checked(found: tuple[CPD, ...]) -> dict[str, Any]:
+        """The attributes of a network of some CPDs, checked."""
         one_name_each(v for cpd in found for v in cpd.scope)
         checks.one_cpd_each(found)
         kinds = {cpd.discrete for cpd in found}
@@ -97,13 +104,13 @@ class BayesianNetwork(Drawn, Immutable):
                 variable=inputs[0],
                 cpd=cpd,
             )
-        self._set(
-            cpds=ordered,
-            variables=(*by_child, *inputs),
-            inputs=inputs,
-            discrete=discrete,
-            _by_child=MappingProxyType(by_child),
-        )
+        return {
+            "cpds": ordered,
+            "variables": (*by_child, *inputs),
+            "inputs": inputs,
+            "discrete": discrete,
+            "_by_child": MappingProxyType(by_child),
+        }
 
     # Graphs of the network are made and used by place: numbers are compared sooner than variables.
     @cached_property
@@ -113,7 +120,8 @@ class BayesianNetwork(Drawn, Immutable):
     @cached_property
     def _families(self) -> Sequence[tuple[int, ...]]:
         place = self._places.__getitem__
-        return [tuple(map(place, (cpd.child, *cpd.parents))) for cpd in self.cpds]
+        with uncollected(len(self.cpds)):
+            return [tuple(map(place, (cpd.child, *cpd.parents))) for cpd in self.cpds]
 
     @property
     def lead(self) -> tuple[int, ...]:

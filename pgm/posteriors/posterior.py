@@ -382,6 +382,8 @@ def alike(variables: Iterable[Variable]) -> Scope:
     found = as_scope(variables)
     if not found:
         raise EvidenceError("moments are stacked of one or more variables; there is none")
+    if len({len(v.components) for v in found}) == 1 and Discrete not in set(map(type, found)):
+        return found
     for variable in found:
         if isinstance(variable, Discrete):
             raise EvidenceError(f"{variable!r} is discrete, and has no mean", variable=variable)

@@ -12,11 +12,14 @@ from hypothesis import given
 
 import pgm
 from pgm.compile import StochasticMinFill
+from pgm.compile import orders as orders_module
+from pgm.compile.dissection import dissect
 from pgm.compile.elimination import Core, Filling, Search, cheapest, clique_tree, moral
-from pgm.compile.orders import dissect
+from pgm.compile.sparse import SparseGraph
 
 ORDERS = {
     "min-fill": pgm.MinFill(),
+    "minimum degree": pgm.MinDegree(),
     "weighted min-fill": pgm.WeightedMinFill(),
     "stochastic min-fill": StochasticMinFill(),
     "nested dissection": pgm.NestedDissection(),
@@ -53,7 +56,7 @@ def test_orders_are_values(order):
     assert hash(order) == hash(type(order)(**vars(order)))
 
 
-@pytest.mark.parametrize("order", [pgm.MinFill(), pgm.WeightedMinFill()])
+@pytest.mark.parametrize("order", [pgm.MinFill(), pgm.WeightedMinFill(), pgm.MinDegree()])
 @pytest.mark.parametrize("branches", [1, 2, 3, 20])
 def test_trees_have_width_one(order, branches):
     graph = compiled(continuous(tree(60, branches)), order)
@@ -177,6 +180,110 @@ def test_there_is_no_search_where_it_does_not_pay(network):
 def test_searches_take_whole_numbers(wrong):
     with pytest.raises(pgm.GraphError, match=f"whole number of {next(iter(wrong))}, 0 or more"):
         StochasticMinFill(**wrong)
+
+
+@given(networks())
+def test_minimum_degree_takes_childless_variables_first_then_by_degree(network):
+    order = pgm.MinDegree()(network)
+    parents = {p for cpd in network.cpds for p in cpd.parents}
+    last = [v in parents for v in order]
+    assert last == sorted(last)
+    adjacent, place = moral(network), {v: k for k, v in enumerate(network.variables)}
+    left = nx.Graph((v, u) for v, near in enumerate(adjacent) for u in near)
+    left.add_nodes_from(range(len(adjacent)))
+    for k, variable in enumerate(order):
+        vertex = place[variable]
+        if last[k] and (k == 0 or not last[k - 1]):
+            # Several vertices of least degree are eliminated at once: the first is one of these.
+            assert left.degree[vertex] == min(dict(left.degree).values())
+        left.add_edges_from(itertools.combinations(list(left[vertex]), 2))
+        left.remove_node(vertex)
+
+
+def field(side):
+    """Pixels, each seen with the next to the east and to the north."""
+    x = np.reshape(pgm.variables(f"x{k}" for k in range(side * side)), (side, side))
+    a, b, d = pgm.variables("a b d")
+    difference = pgm.LinearGaussianCPD(d, given={a: 1.0, b: -1.0}, cov=0.1)
+    cpds = [*pgm.plate(pgm.GaussianCPD(a, 0.0, 1.0), {a: x})]
+    for name, one, other in (("e", x[:, :-1], x[:, 1:]), ("n", x[:-1], x[1:])):
+        z = np.reshape(pgm.variables(f"{name}{k}" for k in range(one.size)), one.shape)
+        cpds += pgm.plate(difference, {d: z, a: one, b: other})
+    return pgm.BayesianNetwork(cpds)
+
+
+def operations(network, order):
+    """Σ n² over the cliques of all variables as they are eliminated, on a copy of the graph."""
+    place = {v: k for k, v in enumerate(network.variables)}
+    left, total = [set(near) for near in moral(network)], 0
+    for variable in order:
+        vertex = place[variable]
+        near = left[vertex]
+        total += (len(near) + 1) ** 2
+        for other in near:
+            left[other] |= near
+            left[other] -= {other, vertex}
+    return total
+
+
+def test_fields_have_about_the_operations_of_min_fill_by_degrees_and_by_dissection(monkeypatch):
+    side = 30
+    network = field(side)
+    least = operations(network, pgm.MinFill()(network))
+    order = pgm.MinDegree()(network)
+    assert operations(network, order) < 1.25 * least
+    # SciPy tells the inverse of the order, in which they are thirty times as many.
+    first, pixels = order[: -side * side], order[-side * side :]
+    by_name = sorted(pixels, key=network.variables.index)
+    place = {v: k for k, v in enumerate(by_name)}
+    inverse = [by_name[k] for k in np.argsort([place[v] for v in pixels])]
+    assert operations(network, (*first, *inverse)) > 5 * least
+    monkeypatch.setattr(orders_module, "LARGE", 100)
+    assert operations(network, pgm.NestedDissection()(network)) < 1.25 * least
+
+
+def test_large_continuous_networks_are_ordered_by_degrees(monkeypatch):
+    network = field(12)  # of whose variables 144 are parents
+    monkeypatch.setattr(orders_module, "LARGE", 144)
+    assert StochasticMinFill()(network) == pgm.MinFill()(network) != pgm.MinDegree()(network)
+    monkeypatch.setattr(orders_module, "LARGE", 143)
+    assert StochasticMinFill()(network) == pgm.MinDegree()(network)
+    tables = discrete(grid(6))
+    monkeypatch.setattr(orders_module, "LARGE", 0)
+    assert StochasticMinFill(tries=0)(tables) == pgm.MinFill()(tables)
+
+
+@given(networks())
+def test_large_networks_are_dissected_by_degrees(network):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(orders_module, "LARGE", 0)
+        order = pgm.NestedDissection(small=2)(network)
+        assert sorted(map(repr, order)) == sorted(map(repr, network.variables))
+        assert pgm.NestedDissection(small=2)(pgm.BayesianNetwork(network.cpds)) == order
+        compiled(network, pgm.NestedDissection(small=2)).check()
+
+
+@pytest.mark.parametrize("large", [0, 10**6])
+def test_dissection_of_a_long_chain_is_shallow_by_degrees_too(monkeypatch, large):
+    monkeypatch.setattr(orders_module, "LARGE", large)
+    graph = compiled(continuous(chain(3000)), pgm.NestedDissection())
+    assert graph.width == 2
+    assert depth(graph) <= 2 * math.log2(3000) + 8
+
+
+@given(networks())
+def test_levels_of_a_search_are_networkx_own(network):
+    adjacent = moral(network)
+    plain = nx.Graph((v, u) for v, near in enumerate(adjacent) for u in near)
+    plain.add_nodes_from(range(len(adjacent)))
+    graph = SparseGraph.of(adjacent)
+    parts = graph.components()
+    assert len(set(parts)) == nx.number_connected_components(plain)
+    starts = np.unique(parts, return_index=True)[1]
+    due = {}
+    for start in starts.tolist():
+        due |= nx.single_source_shortest_path_length(plain, start)
+    assert graph.levels(starts).tolist() == [due[v] for v in range(len(adjacent))]
 
 
 @pytest.mark.parametrize("count", [100, 1000])

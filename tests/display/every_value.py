@@ -328,7 +328,7 @@ def small():
         pgm.Balanced(),
         pgm.Compiled(2),
     ]
-    orders = [pgm.MinFill(), pgm.WeightedMinFill(), pgm.NestedDissection()]
+    orders = [pgm.MinFill(), pgm.MinDegree(), pgm.WeightedMinFill(), pgm.NestedDissection()]
     orders += [pgm.StochasticMinFill(seed=1)]
     marks = maps.FeatureMap(np.zeros((300, 2)))
     rest = [X, X.previous, RAIN, pgm.Kronecker([np.eye(2), np.eye(3)]), marks]

@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import pgm
+from pgm.factors.arrays import covariance_fault
 
 x = pgm.Variable("x", components=("east", "north", "heading"), angles=("heading",))
 y = pgm.Variable("y", components=("east", "north"))
@@ -180,3 +181,22 @@ def test_noise_stays_diagonal_in_an_unrolled_network():
     found = pgm.infer(pgm.compile(network), evidence)
     due = pgm.filter(model, {u: controls})
     assert_allclose(found[x.at(2)].cov, due[x.at(2)].cov, atol=1e-12)
+
+
+@pytest.mark.parametrize("least", [1e-3, 1e-9, 1e-12, 0.0, -1e-12, -9e-11, -1.1e-10, -1e-9, -0.1])
+@pytest.mark.parametrize("size", [2, 3, 6])
+def test_what_is_indefinite_is_what_the_eigenvalues_of_correlations_say(size, least):
+    rng = np.random.default_rng(size)
+    for _ in range(20):
+        axes = np.linalg.qr(rng.normal(size=(size, size)))[0]
+        values = np.concatenate([[0.0], rng.uniform(0.5, 2.0, size - 1)])
+        scaled = axes @ np.diag(values) @ axes.T
+        scaled /= np.sqrt(np.outer(np.diag(scaled), np.diag(scaled)))
+        scaled = 0.5 * (scaled + scaled.T)
+        scaled += least * np.eye(size)
+        unit = 10.0 ** rng.uniform(-6.0, 6.0, size)
+        cov = scaled * np.outer(unit, unit)
+        cov = np.triu(cov) + np.triu(cov, 1).T
+        assert (covariance_fault(cov) is None) == (least > -1e-10)
+        sound = np.eye(size)
+        assert (covariance_fault(np.stack([sound, cov])) is None) == (least > -1e-10)

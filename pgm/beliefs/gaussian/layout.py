@@ -10,11 +10,11 @@ and a column for each hidden component x of child and parents.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Hashable, Iterator
+from collections.abc import Callable, Collection, Hashable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import groupby
-from typing import ClassVar
+from itertools import accumulate, groupby
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -27,6 +27,8 @@ from pgm.kernels.arrays import Integers, Mask
 from pgm.linearisation.family import Family
 from pgm.schedules.rounds import Directed
 from pgm.variables import Variable
+
+T = TypeVar("T")
 
 
 def knowing(graph: ClusterGraph) -> list[tuple[CPD, list[Variable]]]:
@@ -179,6 +181,17 @@ class Layout:
     absent: frozenset[Variable]
     anchored: bool = False
 
+    def derived(self, kind: Hashable, make: Callable[[], T], *key: Hashable) -> T:
+        """The result of `make`, which hangs on the layout, kind and key alone; made once."""
+        if (kind, key) not in self._derived:
+            self._derived[kind, key] = make()
+        found: T = self._derived[kind, key]
+        return found
+
+    @cached_property
+    def _derived(self) -> dict[Hashable, Any]:
+        return {}
+
     @cached_property
     def hidden(self) -> Scope:
         """The variables neither observed nor absent, parents before children."""
@@ -187,8 +200,14 @@ class Layout:
     @cached_property
     def places(self) -> dict[Variable, Integers]:
         """For each hidden variable the places of its components, (d,)."""
-        starts = np.cumsum([0, *(v.dimension for v in self.hidden)])
-        return {v: np.arange(a, a + v.dimension) for v, a in zip(self.hidden, starts, strict=False)}
+        every = np.arange(self.size)
+        return {v: every[a : a + v.dimension] for v, a in self.starts.items()}
+
+    @cached_property
+    def starts(self) -> dict[Variable, int]:
+        """For each hidden variable the place of its first component."""
+        ends = accumulate((v.dimension for v in self.hidden), initial=0)
+        return dict(zip(self.hidden, ends, strict=False))
 
     @cached_property
     def size(self) -> int:
@@ -254,7 +273,7 @@ class Layout:
         )
         observed[[place[v] for v in self.observed if v in place]] = True
         absent[[place[v] for v in self.absent]] = True
-        first[[place[v] for v in self.hidden]] = [places[0] for places in self.places.values()]
+        first[[place[v] for v in self.hidden]] = list(self.starts.values())
         home = np.zeros(len(self.graph.network.cpds), dtype=np.intp)
         for cluster, own in enumerate(self.graph._assigned):
             home[list(own)] = cluster

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -142,7 +143,14 @@ class Model:
                 at = start[:, group.parents].swapaxes(0, 1)
                 family.linearise(slice(None), at, np.zeros((*at.shape, at.shape[-1])))
         find = prior_predictive if start is not None else predictive
-        frame = find(layout, families, bound.runs, shared=shared, start=start)
+        made = partial(find, layout, families, bound.runs, shared=shared, start=start)
+        # What hangs on no evidence is found once.
+        constant = start is None and all(
+            family is group.families.get(())
+            for group, family in zip(layout.groups, families, strict=True)
+            if not group.observed or not family.exact
+        )
+        frame = layout.derived(find, made, bound.runs) if constant else made()
         points = [LinearisedAt.prior(frame, group) for group in layout.groups]
         moved = [
             None if rows is None else np.broadcast_to(rows, (len(rows), bound.runs, rows.shape[2]))

@@ -85,7 +85,12 @@ class GaussianOutcome(Outcome[Gaussian]):
 
     @quiet()
     def _stacked(self, variables: Sequence[Variable]) -> tuple[Array, Array]:
-        places = np.array([self._require_hidden(variable) for variable in variables])
+        starts = self._plan.layout.starts
+        if not all(map(starts.__contains__, variables)):
+            for variable in variables:
+                self._require_hidden(variable)
+        first = np.fromiter(map(starts.__getitem__, variables), np.intp, len(variables))
+        places = first[:, None] + np.arange(variables[0].dimension)
         beliefs, lead = self._done.beliefs, self._model.lead
         homes, columns = (part[places] for part in beliefs.places.blocks.homes)
         at = homes[:, 0], columns  # all components of a variable are in the same blocks

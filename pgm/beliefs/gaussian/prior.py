@@ -18,6 +18,8 @@ from pgm.kernels import moments
 from pgm.kernels.arrays import Array, Integers, Mask, apply, transpose
 from pgm.linearisation.family import Family
 
+# Components from which on units are those of the CPDs' own noise, if that is nowhere zero.
+LARGE = 1000
 # The unit of a variable is at least this share of its value: small parts of it are still digits.
 SHARE = 1e-6
 
@@ -51,13 +53,16 @@ def prior_predictive(
     `families` has a `Family` for each group of CPDs; `shared` says whether all runs have the same
     covariances, which are then computed once. Without a `start` nonlinear CPDs are linearised here,
     at the moments of their parents. With a start, (runs, size), they have to be linearised already,
-    and the start is the frame's mean; where it is NaN the mean follows from the parents. The scale
-    of a component is at least a millionth of the numbers that its mean is a sum of.
+    and the start is the frame's mean; where it is NaN the mean follows from the parents. In large
+    networks the scale is that of the CPDs' own noise where that will do. The scale of a component
+    is at least a millionth of the numbers that its mean is a sum of.
     """
     mean = np.empty((runs, layout.size)) if start is None else start.copy()
     variance = np.zeros((1 if shared else runs, layout.size))
     size = np.abs(mean).max(axis=0, initial=0.0) if start is not None else np.zeros(layout.size)
-    frontier = _Frontier(variance.shape[0])
+    # Where no relation is exact, units need not be the prior's, which cost most in large networks.
+    own_units = layout.size > LARGE and _are_proper(layout, families, linearised=start is not None)
+    frontier = _Frontier(0 if own_units else variance.shape[0])
     # What was measured has no moments of its own, and asks for its parents' to be linearised alone.
     asking = [
         not group.observed or (start is None and not family.exact)
@@ -89,7 +94,8 @@ def prior_predictive(
             continue
         group, family = layout.groups[g], families[g]
         parents = group.parents[row]
-        inside, across = frontier.covariance(parents)
+        if not own_units:
+            inside, across = frontier.covariance(parents)
         if start is None and not family.exact:
             wide = np.broadcast_to(inside, (runs, *inside.shape[1:]))
             family.linearise(row, mean[:, parents], wide)
@@ -97,15 +103,18 @@ def prior_predictive(
             child = group.child[row]
             matrix = family.matrix[row, :last]
             noise = family.noise[row, :last]
-            own = moments.predict(inside, matrix, np.where(np.isinf(noise), 1.0, noise))
+            if not own_units:
+                noise = moments.predict(inside, matrix, np.where(np.isinf(noise), 1.0, noise))
             if start is None or np.isnan(mean[0, child[0]]):
                 at = mean[:, parents]
                 mean[:, child] = apply(family.matrix[row], at) + family.offset[row]
                 summands = apply(np.abs(family.matrix[row]), np.abs(at))
                 size[child] = (summands + np.abs(family.offset[row])).max(axis=0)
-            variance[:, child] = np.diagonal(own, axis1=-2, axis2=-1)
-            if left[int(child[0])]:
-                frontier.add(child, matrix @ across, own)
+            variance[:, child] = np.diagonal(noise, axis1=-2, axis2=-1)
+            if left[int(child[0])] and not own_units:
+                frontier.add(child, matrix @ across, noise)
+        if own_units:
+            continue
         left.subtract(parents.tolist())
         frontier.drop([int(place) for place in parents if not left[int(place)]])
     scale = np.sqrt(np.maximum(variance.max(axis=0, initial=0.0), 0.0))
@@ -113,6 +122,15 @@ def prior_predictive(
     scale = np.maximum(scale, SHARE * size)
     certain = (variance == 0.0).all(axis=0) & (start is None)
     return Frame(mean, np.where(scale > 0.0, scale, 1.0), certain)
+
+
+def _are_proper(layout: Layout, families: list[Family], *, linearised: bool) -> bool:
+    """Whether no hidden child has a variance of zero, and all CPDs are affine, or `linearised`."""
+    return all(
+        (family.exact or linearised)
+        and (group.observed or (np.diagonal(family.noise, axis1=-2, axis2=-1) > 0.0).all())
+        for group, family in zip(layout.groups, families, strict=True)
+    )
 
 
 class _Frontier:

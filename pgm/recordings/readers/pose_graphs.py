@@ -34,7 +34,9 @@ _LASER = "ROBOTLASER1 type start field step most accuracy remission count"
 _BEHIND = 15
 # Places of the upper triangle, rows and columns, in which the numbers of an edge stand.
 _UPPER = (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)
-_TORO_PLACES = (0, 0, 1, 2, 0, 1), (0, 1, 1, 2, 2, 2)
+# Which of the six numbers stands in each place of the symmetric matrix, row by row.
+_PLACES = 0, 1, 2, 1, 3, 4, 2, 4, 5
+_TORO_PLACES = 0, 1, 4, 1, 2, 5, 4, 5, 3
 # Of an edge in space, the components in the plane: x, y, and the quaternion's z.
 _PLANE = (0, 1, 5)
 PLACED = "not in the file, composed along a spanning tree of its edges"
@@ -265,13 +267,13 @@ def _edge(found: _Found, line: Line) -> None:
     root = toro and found.isam
     due = _ISAM if root else _TORO if toro else _EDGE
     numbers = line.numbers(due.format(line.words[0]), 1)
-    rows, columns = _TORO_PLACES if toro and not root else _UPPER
-    information = np.zeros((3, 3))
-    information[rows, columns] = numbers[5:]
     if root:
-        information = information.T @ information
+        upper = np.zeros((3, 3))
+        upper[_UPPER] = numbers[5:]
+        information = upper.T @ upper
     else:
-        information[columns, rows] = numbers[5:]
+        each = _TORO_PLACES if toro else _PLACES
+        information = np.array([numbers[5 + k] for k in each]).reshape(3, 3)
     found.edges.append((line, *_ends(line), numbers[2:5], information))
 
 
