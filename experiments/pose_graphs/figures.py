@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import matplotlib.pyplot as plt
 import numpy as np
 import numpy.typing as npt
@@ -12,9 +14,10 @@ from matplotlib.lines import Line2D
 from scipy import stats
 
 from experiments.pose_graphs.given import Given
-from experiments.pose_graphs.solving import Prepared, Solved
+from experiments.pose_graphs.solving import Solved
 from models.pose_graphs import PoseGraphNetwork
 from pgm.plot.drawing.colours import INK, MUTED, PALETTE
+from pgm.recordings import PoseGraph
 
 Array = npt.NDArray[np.float64]
 # So many of the poses have their ellipse.
@@ -89,28 +92,31 @@ def errors(made: PoseGraphNetwork, begin: str, before: Array, after: Array) -> F
     return figure
 
 
-def misled(
-    given: Given, right: Solved, wrong: Solved, false: npt.NDArray[np.intp], ready: Prepared
-) -> Figure:
-    """The optimum of the graph's own edges and that with false closures, beside the truth."""
+def misled(given: Given, wrong: PoseGraph, led: Mapping[str, Solved], least: float) -> Figure:
+    """Poses of a graph with false closures by each noise, beside the truth.
+
+    False closures are drawn whose weight is above the least.
+    """
     assert given.truth is not None
-    figure, axes = plt.subplots(1, 2, figsize=(10.5, 5.4), layout="constrained")
-    edges = ready.made.graph.edges
-    closing = np.stack([edges.first[false], edges.second[false]], axis=1)
-    for ax, title, solved in zip(
-        axes, ("its own closures", "with false closures"), (right, wrong), strict=True
-    ):
+    figure, axes = plt.subplots(2, 2, figsize=(10.0, 10.0), layout="constrained")
+    false = slice(len(given.graph.edges), None)
+    closing = np.stack([wrong.edges.first[false], wrong.edges.second[false]], axis=1)
+    for k, (ax, (title, solved)) in enumerate(zip(axes.flat, led.items(), strict=True)):
         ax.plot(*given.truth[:, :2].T, color=MUTED, lw=2.5, alpha=0.6)
         ax.plot(*solved.poses[:, :2].T, color=PALETTE[0], lw=0.8)
-        if solved is wrong:
-            lines = list(solved.poses[closing, :2])
-            ax.add_collection(LineCollection(lines, colors=PALETTE[1], lw=0.8, alpha=0.8))
-        ax.set(title=title, xlabel="east [m]", ylabel="north [m]" if ax is axes[0] else "")
+        used = np.ones(len(closing)) if solved.weights is None else solved.weights[-len(closing) :]
+        lines = list(solved.poses[closing[used > least], :2])
+        ax.add_collection(LineCollection(lines, colors=PALETTE[1], lw=0.8, alpha=0.8))
+        ax.set(
+            title=title,
+            xlabel="east [m]" if k >= 2 else "",
+            ylabel="north [m]" if k % 2 == 0 else "",
+        )
         ax.set_aspect("equal", adjustable="datalim")
     handles = [
         Line2D([0, 1], [0, 1], color=MUTED, lw=2.5, alpha=0.6, label="truth"),
         Line2D([0, 1], [0, 1], color=PALETTE[0], lw=0.8, label="poses"),
-        Line2D([0, 1], [0, 1], color=PALETTE[1], lw=0.8, label="false closures"),
+        Line2D([0, 1], [0, 1], color=PALETTE[1], lw=0.8, label="false closures that are used"),
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=3)
     plt.close(figure)

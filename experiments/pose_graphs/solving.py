@@ -58,6 +58,9 @@ class Solved:
     status : Status
     seconds : float
         What inferring took, with all covariances.
+    weights : ndarray or None
+        (M,): those of the measurements, in the order of `made.evidence`; None where their noise is
+        Gaussian.
     """
 
     poses: Array
@@ -66,6 +69,7 @@ class Solved:
     errors: Array
     status: Any
     seconds: float
+    weights: Array | None = None
 
     @property
     def beliefs(self) -> pgm.Gaussian:
@@ -73,10 +77,10 @@ class Solved:
         return pgm.Gaussian(pose, self.poses, self.covs)
 
 
-def prepared(graph: PoseGraph) -> Prepared:
-    """Declare and compile the network of a pose graph."""
+def prepared(graph: PoseGraph, noise: pgm.RobustNoise | None = None) -> Prepared:
+    """Declare and compile the network of a pose graph, with some noise of its closures."""
     begun = perf_counter()
-    made = pose_graph_network(graph)
+    made = pose_graph_network(graph, noise)
     compiled = pgm.compile(made.network)
     return Prepared(made, compiled, perf_counter() - begun)
 
@@ -103,4 +107,8 @@ def solve(
     covs, _ = made.covs(posterior)
     seconds = perf_counter() - begun
     errors = squared_errors(made.graph, poses, landmarks)
-    return Solved(poses, landmarks, covs, errors, posterior.status, seconds)
+    robust = any(getattr(cpd, "noise", None) is not None for cpd in made.network.cpds)
+    held = {made.poses[row] for row in made.held}
+    measured = [z for z in made.evidence if z not in held] if robust else []
+    weights = np.array([posterior.weights[z] for z in measured]) if robust else None
+    return Solved(poses, landmarks, covs, errors, posterior.status, seconds, weights)

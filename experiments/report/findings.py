@@ -126,11 +126,13 @@ FINDINGS = {
         "is right.",
     ),
     "pose_graphs": Finding(
-        "Does a pose graph's optimum know its errors?",
-        "The drawn graph's χ² goes from {results/*/before/*:.4g} to "
-        "{results/*/against_truth/*/error:.5g} where right noise has {results/*/due}; its poses "
-        "are then off by {results/*/against_truth/*/rmse:.2f} m (RMSE) with an NEES of "
-        "{results/*/against_truth/*/nees:.2f} a degree of freedom.",
+        "What do loop closures do that are false?",
+        "With {settings/false} false closures for each right one the poses of the drawn graph are "
+        "off by {results/*/against_truth/least squares/rmse:.2f} m (RMSE) by least squares, by "
+        "{results/*/against_truth/truncated least squares/rmse:.2f} m with truncated least "
+        "squares, and by {results/*/against_truth/right closures/rmse:.2f} m without false ones, "
+        "where their NEES is {results/*/against_truth/right closures/nees:.2f} a degree of "
+        "freedom.",
     ),
     "recordings": Finding(
         "What do gates and robust noise gain on a real recording?",
