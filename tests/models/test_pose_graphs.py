@@ -5,9 +5,12 @@ from io import StringIO
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.linalg import qr, solve_triangular
+from scipy.linalg.lapack import dtrtri
 from scipy.optimize import least_squares
 
 import pgm
+from experiments.pose_graphs.given import find
 from models import motion
 from models.pose_graphs import pose_graph_network, squared_errors
 from pgm.recordings import read_pose_graph
@@ -141,3 +144,47 @@ def test_refusals():
         pose_graph_network(read_pose_graph(StringIO(two + "0\n")))
     with pytest.raises(pgm.EvidenceError, match="landmark 8 is seen from no pose"):
         pose_graph_network(read_pose_graph(StringIO(two + "9\nVERTEX_XY 8 1 1\n")))
+
+
+@pytest.mark.slow
+def test_marginals_of_manhattan_are_those_of_dense_rows():
+    """3,500 poses: one dense triangle of all rows, by LAPACK, linearised at the optimum."""
+    path = find("m3500")
+    if path is None:
+        pytest.skip("the pose graph m3500 is not here; PGM_DATA may name its folder's folder")
+    graph = read_pose_graph(path)
+    made = pose_graph_network(graph)
+    every = pgm.Calibration(iterations=30, tolerance=0.0)
+    start = made.start(graph.poses, graph.landmarks)
+    posterior = pgm.infer(pgm.compile(made.network), made.evidence, schedule=every, start=start)
+    poses, _ = made.means(posterior)
+    assert squared_errors(graph, poses, graph.landmarks).sum() == pytest.approx(3549.0368, abs=1e-4)
+    place = {row: 3 * k for k, row in enumerate(made.free)}
+    edges = graph.edges
+    matrix, right = np.zeros((3 * len(edges), 3 * len(place))), np.zeros(3 * len(edges))
+    one, other = poses[edges.first], poses[edges.second]
+    slopes = motion.relative_by_state(one, other), motion.relative_by_other(one, other)
+    away = edges.motions - motion.relative(one, other)
+    away[:, 2] = (away[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
+    noise = {cpd.child.name: cpd.cov for cpd in made.network.cpds}
+    for k in range(len(edges)):
+        lower = np.linalg.cholesky(noise[f"z{k}"])
+        own = slice(3 * k, 3 * k + 3)
+        right[own] = solve_triangular(lower, away[k], lower=True)
+        for row, slope in zip((edges.first[k], edges.second[k]), slopes, strict=True):
+            if row in place:
+                columns = slice(place[row], place[row] + 3)
+                matrix[own, columns] = solve_triangular(lower, slope[k], lower=True)
+    size = matrix.shape[1]
+    triangle = qr(np.column_stack([matrix, right]), mode="r", overwrite_a=True, check_finite=False)[
+        0
+    ]
+    step = solve_triangular(triangle[:size, :size], triangle[:size, size])
+    inverse = dtrtri(triangle[:size, :size])[0]
+    covs, _ = made.covs(posterior)
+    for row, first in place.items():
+        rows = inverse[first : first + 3]
+        due = rows @ rows.T
+        std = np.sqrt(np.diagonal(due))
+        assert (np.abs(covs[row] - due) <= 1e-10 * np.outer(std, std)).all()
+        assert (np.abs(step[first : first + 3]) <= 1e-10 * std).all()

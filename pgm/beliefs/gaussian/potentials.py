@@ -167,7 +167,9 @@ class _Linearised(NamedTuple):
         if taken is not None:
             matrix = np.where(taken[..., None], matrix, 0.0)
             residual, size = np.where(taken, residual, 0.0), np.where(taken, size, 0.0)
-            noise, missing = independent(noise, taken), missing + (~taken).sum(axis=-1)
+            # A flat component counts as one of variance one would: the chain's convention.
+            flat = np.isinf(np.diagonal(family.own_noise, axis1=-2, axis2=-1))
+            noise, missing = independent(noise, taken), missing + (~(taken | flat)).sum(axis=-1)
         known = np.pad(certain, [(0, 0), (matrix.shape[-1] - certain.shape[1], 0)])
         weights = model.weights[g]
         surplus = np.zeros(missing.shape) if weights is None else weights.surplus()

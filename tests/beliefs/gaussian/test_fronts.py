@@ -155,10 +155,10 @@ def test_flat_priors_leave_least_squares(way, seed):
     for k, v in enumerate(x):
         own = slice(2 * k, 2 * k + 2)
         assert_allclose(posterior[v].cov, cov[own, own], rtol=1e-9, atol=1e-12)
-    # The integral over all unknowns of the readings' density, a flat prior being one.
+    # The integral over all unknowns of the readings' density, a flat prior being (2π)^(-1/2).
     stds = np.concatenate([np.sqrt(np.diagonal(c.cov)) for c in network.cpds if c.given])
     due = -0.5 * ((rows @ mean - right) ** 2).sum() + 0.5 * np.linalg.slogdet(cov)[1]
-    due += 0.5 * (mean.size - right.size) * np.log(2 * np.pi) - np.log(stds).sum()
+    due -= 0.5 * right.size * np.log(2 * np.pi) + np.log(stds).sum()
     assert posterior.log_evidence == pytest.approx(due, rel=1e-11)
 
 
@@ -169,7 +169,26 @@ def test_a_prior_flat_in_one_component(way):
     posterior = pgm.infer(pgm.compile(net), {z: 7.0})
     assert_allclose(posterior[x].mean, [5.0, 2.0], atol=1e-13)
     assert_allclose(posterior[x].cov, [[5.0, -4.0], [-4.0, 4.0]], atol=1e-13)
-    assert posterior.log_evidence == pytest.approx(0.0)
+    assert posterior.log_evidence == pytest.approx(-0.5 * np.log(2 * np.pi))
+
+
+def test_evidence_of_a_chain_unrolled(way):
+    """As of the chain itself, whose flat prior counts the same."""
+    x, z = pgm.Variable("x", ("a", "b")), pgm.Variable("z")
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(x, [1.0, 2.0], np.diag([np.inf, 4.0]))],
+        [pgm.LinearGaussianCPD(x, {x.previous: [[1.0, 0.5], [0.0, 1.0]]}, cov=[0.1, 0.2])],
+        [pgm.LinearGaussianCPD(z, {x: [[1.0, 0.0]]}, cov=0.3)],
+    )
+    read = np.array([[0.3], [1.0], [2.5], [2.0]])
+    due = pgm.smooth(model, {z: read})
+    found = pgm.infer(
+        pgm.compile(model.unroll(4)), {z.at(k + 1): value for k, value in enumerate(read)}
+    )
+    assert_allclose(found.log_evidence, due.log_evidence, rtol=1e-11)
+    for k in range(5):
+        assert_allclose(found[x.at(k)].mean, due[x.at(k)].mean, atol=1e-10)
+        assert_allclose(found[x.at(k)].cov, due[x.at(k)].cov, atol=1e-10)
 
 
 def test_what_flat_priors_leave_open_is_told(way):
