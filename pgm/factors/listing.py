@@ -161,18 +161,35 @@ class Framed:
         >>> frame["mean_north"].tolist()
         [5.0, 6.0, 7.0]
         """
-        pandas = optional("pandas", f"{type(self).__name__}.to_frame()", FRAMES)
         lead = self.mean.shape[:-1]
         levels: list[Any] = list(map(range, lead))
         titles = run_names(len(lead) - (self.steps is not None))
         if self.steps is not None:
             levels[-1], titles = self.steps, [*titles, "step"]
-        columns = {
-            f"{what}_{label}": moment[..., k].reshape(-1)
-            for what, moment in (("mean", self.mean), ("std", self.std))
-            for k, label in enumerate(self.components)
-        }
-        return pandas.DataFrame(columns, index=_index(pandas, levels, titles))
+        what = f"{type(self).__name__}.to_frame()"
+        return moments_frame(self.mean, self.std, self.components, levels, titles, what)
+
+
+def moments_frame(
+    mean: Array,
+    std: Array,
+    components: Sequence[str],
+    levels: Sequence[Any],
+    titles: Sequence[str],
+    what: str,
+) -> Any:
+    """Means and deviations (..., n) as a data frame, with a level of the index for each axis.
+
+    `levels` has the labels along each of the leading axes, `titles` their names; `what` is the
+    call, for the error where pandas is missing.
+    """
+    pandas = optional("pandas", what, FRAMES)
+    columns = {
+        f"{name}_{label}": moment[..., k].reshape(-1)
+        for name, moment in (("mean", mean), ("std", std))
+        for k, label in enumerate(components)
+    }
+    return pandas.DataFrame(columns, index=_index(pandas, levels, titles))
 
 
 def run_names(axes: int) -> list[str]:

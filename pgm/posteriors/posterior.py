@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic
 from pgm.clustergraph import Cluster
 from pgm.display import NoArray, Shown, Summary, Viewed
 from pgm.errors import EvidenceError
+from pgm.factors.listing import moments_frame, run_names
 from pgm.factors.scope import Scope, as_scope
 from pgm.kernels.arrays import Array, deviation
 from pgm.posteriors.labelled import Labelled
@@ -183,6 +184,51 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
     def stds(self, variables: Iterable[Variable]) -> Array:
         """The standard deviations of several variables: (*runs, k, d); see `means`."""
         return deviation(self.covs(variables))
+
+    def to_frame(self, variables: Iterable[Variable]) -> Any:
+        """The means and standard deviations of several variables as a data frame of pandas.
+
+        A row for each run, step and variable, in the index: the level ``run``, or ``run_0``,
+        ``run_1``, ... where runs have several axes, the level ``step``, where the variables have
+        any, and the level ``variable``, of names. Columns are ``mean_<component>``, then
+        ``std_<component>``, and ``value`` stands for the component of several scalars; see `means`.
+
+        Raises
+        ------
+        EvidenceError
+            As of `means`, or if the variables' components have other names.
+        ImportError
+            Where pandas is missing.
+
+        Examples
+        --------
+        >>> x, y = (pgm.Variable(name, components=("east", "north")) for name in "xy")
+        >>> priors = [pgm.GaussianCPD(v, mean=[0.0, k], cov=0.25) for k, v in enumerate((x, y))]
+        >>> posterior = pgm.infer(pgm.compile(pgm.BayesianNetwork(priors)), {})
+        >>> posterior.to_frame([x, y]).loc["y"].tolist()
+        [0.0, 1.0, 0.5, 0.5]
+        """
+        found = alike(variables)
+        labels = found[0].components
+        other = next((v for v in found if v.components != labels), None)
+        if len(labels) == 1 and other is not None:
+            labels, other = ("value",), None
+        if other is not None:
+            raise EvidenceError(
+                f"{other!r} has the components {other.components}, {found[0]!r} has "
+                f"{found[0].components}: a frame has columns of one kind of variables",
+                variable=other,
+            )
+        mean, cov = self._outcome._stacked(found)
+        steps = getattr(self[found[0]], "steps", None)
+        lead = mean.shape[:-2]
+        levels: list[Any] = [*map(range, lead), [repr(v) for v in found]]
+        titles = run_names(len(lead) - (steps is not None))
+        if steps is not None:
+            levels[-2], titles = steps, [*titles, "step"]
+        titles = [*titles, "variable"]
+        what = "Posterior.to_frame()"
+        return moments_frame(mean, deviation(cov), labels, levels, titles, what)
 
     def joint(self, *variables: Variable) -> B:
         """The joint of some variables without evidence, in the order given.

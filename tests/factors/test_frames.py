@@ -125,3 +125,40 @@ def test_without_pandas(call, what, monkeypatch):
     told = rf"{what}\.to_frame\(\) needs pandas: pip install 'sepset\[frames\]'"
     with pytest.raises(ImportError, match=told):
         call()
+
+
+def test_many_variables_in_one_frame():
+    x = [pgm.Variable(f"x{k}", ("east", "north")) for k in range(3)]
+    net = pgm.BayesianNetwork([pgm.GaussianCPD(v, RNG.normal(size=(2, 2)), 2.0) for v in x])
+    posterior = pgm.infer(pgm.compile(net), {})
+    frame = posterior.to_frame(x)
+    assert frame.index.names == ["run", "variable"]
+    assert list(frame.columns) == ["mean_east", "mean_north", "std_east", "std_north"]
+    for run in range(2):
+        for v in x:
+            own = posterior[v]
+            due = [*own.mean[run], *own.std[run]]
+            np.testing.assert_allclose(frame.loc[(run, repr(v))], due, atol=0)
+
+
+def test_many_variables_over_time_in_one_frame():
+    x, y = pgm.Variable("x"), pgm.Variable("y")
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(v, 0.0, 1.0) for v in (x, y)],
+        [pgm.LinearGaussianCPD(v, {v.previous: 1.0}, cov=0.1) for v in (x, y)],
+        [],
+    )
+    posterior = pgm.smooth(model, {}, steps=3)
+    frame = posterior.to_frame([x, y])
+    assert frame.index.names == ["step", "variable"]
+    assert list(frame.columns) == ["mean_value", "std_value"]
+    np.testing.assert_allclose(frame.loc[(2, "y"), "std_value"], posterior[y.at(2)].std[0], atol=0)
+
+
+def test_a_frame_is_of_variables_of_one_kind():
+    x, y = pgm.Variable("x", ("a", "b")), pgm.Variable("y", ("c", "d"))
+    posterior = pgm.infer(
+        pgm.compile(pgm.BayesianNetwork([pgm.GaussianCPD(v, [0, 0], 1.0) for v in (x, y)])), {}
+    )
+    with pytest.raises(pgm.EvidenceError, match=r"y has the components .* columns of one kind"):
+        posterior.to_frame([x, y])
