@@ -120,9 +120,9 @@ def audit(
     outcome = posterior._outcome if isinstance(posterior, Posterior) else None
     if outcome is None or outcome.form not in _DRAWS:
         raise ModelError(_advice(posterior))
-    if outcome.form != NETWORK:
-        for cpd in outcome.graph.model.prior:
-            cpd.require_proper("an audit draws from the posterior, and weighs with the prior")
+    graph = outcome.graph
+    for cpd in graph.network.cpds if outcome.form == NETWORK else graph.model.prior:
+        cpd.require_proper("an audit draws from the posterior, and weighs with the prior")
     draws: ChainDraws | TreeDraws = _DRAWS[outcome.form].make(outcome)
     known = posterior.log_evidence
     require_runs(8 * samples, known.size, "the weights of an audit")
