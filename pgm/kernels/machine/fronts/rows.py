@@ -12,7 +12,7 @@ from pgm.kernels.machine.emitter.memory import Cells, Memory
 from pgm.kernels.machine.emitter.module import Module
 from pgm.kernels.machine.emitter.numbers import Number
 from pgm.kernels.machine.emitter.wholes import Address, Whole
-from pgm.kernels.machine.fronts.writing import TOGETHER, Matrix, packs, padded, plan, scalar
+from pgm.kernels.machine.fronts.writing import TOGETHER, Given, Matrix, packs, padded, scalar
 
 # Numbers of a column that are so small are zeros: their inverses are beyond float64's range.
 _NOTHING = 1e-300
@@ -32,14 +32,15 @@ def write(module: Module, lanes: int) -> None:
     table, entries, right, kept, left, residual, work, first, last, sides, negligible = (
         code.arguments
     )
-    told = plan(code, table)
+    given = Given.of(code, table, (entries, right, left), sides)
+    told = given.told
     with code.loop(last, first) as front:
         rows, columns = told["rows"].load(front), told["sizes"].load(front)
         pivots = told["pivots"].load(front)
         height = padded(code, rows)
         matrix = Matrix(code, work + height, height)  # behind the reflection's vector
         matrix.clear(columns + sides)
-        _gather(code, told, front, matrix, entries, right, left, sides, columns)
+        _gather(code, given, front, matrix, columns)
         with code.when(rows < pivots):
             code.give(front)
         _reflect(code, matrix, packs(code, work), rows, columns, sides)
@@ -55,32 +56,21 @@ def write(module: Module, lanes: int) -> None:
     code.give(code.whole(-1))
 
 
-def _gather(
-    code: Code,
-    told: dict[str, Cells[Whole]],
-    front: Whole,
-    matrix: Matrix,
-    entries: Address,
-    right: Address,
-    left: Address,
-    sides: Whole,
-    columns: Whole,
-) -> None:
+def _gather(code: Code, given: Given, front: Whole, matrix: Matrix, columns: Whole) -> None:
     """Put the rows of a front's factors and of its children below one another."""
+    told, sides = given.told, given.sides
     filled = code.variable(code.whole(0))
-    flat, sums = Memory(code, entries, lanes=1), Memory(code, right, lanes=1)
     factors, where = told["factors"], told["columns"]
-    with code.loop(told["first_factor"].load(front + 1), told["first_factor"].load(front)) as k:
+    with given.each("first_factor", front) as k:
         height, width, entry, row, begin = (factors.load(k * 5 + part) for part in range(5))
         with code.loop(height) as i:
             at = filled.get()
             with code.loop(width) as j:
-                matrix.put(at, where.load(begin + j), flat.load(entry + i * width + j))
+                matrix.put(at, where.load(begin + j), given.entries.load(entry + i * width + j))
             with code.loop(sides) as n:
-                matrix.put(at, columns + n, sums.load((row + i) * sides + n))
+                matrix.put(at, columns + n, given.right.load((row + i) * sides + n))
             filled.set(at + 1)
-    waits = Memory(code, left, lanes=1)
-    with code.loop(told["first_child"].load(front + 1), told["first_child"].load(front)) as k:
+    with given.each("first_child", front) as k:
         child = told["children"].load(k)
         shared, begin = told["separators"].load(child), told["first_column"].load(child)
         stack, width = told["waiting"].load(child), shared + sides
@@ -88,9 +78,9 @@ def _gather(
             at = filled.get()
             with code.loop(shared, i) as j:
                 column = told["above"].load(begin + j)
-                matrix.put(at, column, waits.load(stack + i * width + j))
+                matrix.put(at, column, given.left.load(stack + i * width + j))
             with code.loop(sides) as n:
-                matrix.put(at, columns + n, waits.load(stack + i * width + shared + n))
+                matrix.put(at, columns + n, given.left.load(stack + i * width + shared + n))
             filled.set(at + 1)
 
 

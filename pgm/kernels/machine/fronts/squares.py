@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from pgm.kernels.machine.emitter.code import Code
 from pgm.kernels.machine.emitter.kinds import ADDRESS, FLOAT, WHOLE
-from pgm.kernels.machine.emitter.memory import Cells, Memory
+from pgm.kernels.machine.emitter.memory import Memory
 from pgm.kernels.machine.emitter.module import Module
 from pgm.kernels.machine.emitter.numbers import Number
-from pgm.kernels.machine.emitter.wholes import Address, Whole
-from pgm.kernels.machine.fronts.writing import TOGETHER, Matrix, padded, plan
+from pgm.kernels.machine.emitter.wholes import Whole
+from pgm.kernels.machine.fronts.writing import TOGETHER, Given, Matrix, padded
 
 
 def write(module: Module, lanes: int) -> None:
@@ -26,14 +26,15 @@ def write(module: Module, lanes: int) -> None:
     kinds = [ADDRESS] * 6 + [WHOLE] * 3 + [FLOAT]
     code = module.function("squares", kinds, WHOLE, lanes=lanes, disjoint=True)
     table, entries, right, kept, left, work, first, last, sides, negligible = code.arguments
-    told = plan(code, table)
+    given = Given.of(code, table, (entries, right, left), sides)
+    told = given.told
     with code.loop(last, first) as front:
         columns, pivots = told["sizes"].load(front), told["pivots"].load(front)
         every = columns + sides
         height = padded(code, every)
         matrix = Matrix(code, work + height, height)  # behind the diagonal
         matrix.clear(columns)
-        _assemble(code, told, front, matrix, entries, right, left, sides, columns)
+        _assemble(code, given, front, matrix, columns)
         _factorise(code, front, matrix, Memory(code, work, lanes=1), pivots, columns, negligible)
         out, place = Memory(code, kept, lanes=1), told["keeps"].load(front)
         with code.loop(pivots) as j, code.loop(every, j) as i:
@@ -45,42 +46,35 @@ def write(module: Module, lanes: int) -> None:
     code.give(code.whole(-1))
 
 
-def _assemble(
-    code: Code,
-    told: dict[str, Cells[Whole]],
-    front: Whole,
-    matrix: Matrix,
-    entries: Address,
-    right: Address,
-    left: Address,
-    sides: Whole,
-    columns: Whole,
-) -> None:
+def _assemble(code: Code, given: Given, front: Whole, matrix: Matrix, columns: Whole) -> None:
     """Sum the squares of a front's factors and what its children leave; right sides are rows."""
-    flat, known = Memory(code, entries, lanes=1), Memory(code, right, lanes=1)
+    told, sides = given.told, given.sides
     factors, where = told["factors"], told["columns"]
-    with code.loop(told["first_factor"].load(front + 1), told["first_factor"].load(front)) as k:
+    with given.each("first_factor", front) as k:
         height, width, entry, row, begin = (factors.load(k * 5 + part) for part in range(5))
         with code.loop(height) as i, code.loop(width) as a:
             line = entry + i * width
-            one, column = flat.load(line + a), where.load(begin + a)
+            one, column = given.entries.load(line + a), where.load(begin + a)
             with code.loop(width) as b:
                 other = where.load(begin + b)
                 with code.when(other >= column):
-                    matrix.add(other, column, one * flat.load(line + b))
+                    matrix.add(other, column, one * given.entries.load(line + b))
             with code.loop(sides) as n:
-                matrix.add(columns + n, column, one * known.load((row + i) * sides + n))
-    waits = Memory(code, left, lanes=1)
-    with code.loop(told["first_child"].load(front + 1), told["first_child"].load(front)) as k:
+                matrix.add(columns + n, column, one * given.right.load((row + i) * sides + n))
+    with given.each("first_child", front) as k:
         child = told["children"].load(k)
         shared, begin = told["separators"].load(child), told["first_column"].load(child)
         stack, tall = told["waiting"].load(child), shared + sides
         with code.loop(shared) as j:
             column = told["above"].load(begin + j)
             with code.loop(shared, j) as i:
-                matrix.add(told["above"].load(begin + i), column, waits.load(stack + j * tall + i))
+                matrix.add(
+                    told["above"].load(begin + i),
+                    column,
+                    given.left.load(stack + j * tall + i),
+                )
             with code.loop(sides) as n:
-                matrix.add(columns + n, column, waits.load(stack + j * tall + shared + n))
+                matrix.add(columns + n, column, given.left.load(stack + j * tall + shared + n))
 
 
 def _factorise(

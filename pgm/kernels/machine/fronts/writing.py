@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from pgm.kernels.machine.emitter.code import Code
@@ -49,6 +50,33 @@ class Matrix(NamedTuple):
         found = packs(self.code, self.address)
         with self.code.loop(columns * self.height // self.code.lanes) as k:
             found.store(k, 0.0)
+
+
+class Given(NamedTuple):
+    """The arrays of a call on the way up: the plan's, and those of numbers.
+
+    Attributes
+    ----------
+    told : dict of str to Cells
+        See `plan`.
+    entries, right : Memory
+        The entries of all factors, and their right sides.
+    left : Memory
+        The stack on which fronts leave to their parents.
+    sides : Whole
+        The number of right sides.
+    """
+
+    told: dict[str, Cells[Whole]]
+    entries: Memory
+    right: Memory
+    left: Memory
+    sides: Whole
+
+    @classmethod
+    def of(cls, code: Code, table: Address, numbers: Sequence[Address], sides: Whole) -> Given:
+        """The arrays at addresses: of a plan's table, and of entries, right sides and the stack."""
+        return cls(plan(code, table), *(Memory(code, each, lanes=1) for each in numbers), sides)
 
 
 def packs(code: Code, address: Address) -> Memory:
