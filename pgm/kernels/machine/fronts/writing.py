@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from typing import NamedTuple
 
 from pgm.kernels.machine.emitter.code import Code
@@ -76,7 +77,13 @@ class Given(NamedTuple):
     @classmethod
     def of(cls, code: Code, table: Address, numbers: Sequence[Address], sides: Whole) -> Given:
         """The arrays at addresses: of a plan's table, and of entries, right sides and the stack."""
-        return cls(plan(code, table), *(Memory(code, each, lanes=1) for each in numbers), sides)
+        entries, right, left = (Memory(code, each, lanes=1) for each in numbers)
+        return cls(plan(code, table), entries, right, left, sides)
+
+    def each(self, first: str, front: Whole) -> AbstractContextManager[Whole]:
+        """The code inside runs for each number from a front's `first` to the next front's."""
+        starts = self.told[first]
+        return self.entries.code.loop(starts.load(front + 1), starts.load(front))
 
 
 def packs(code: Code, address: Address) -> Memory:
