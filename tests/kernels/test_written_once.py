@@ -323,6 +323,7 @@ DIFFERENCES = listed(
     {f"{DIGITS}adjoint.py": "_across", f"{DIGITS}adjoint_belief.py": "given"},
     # Information: what is left of it, and what has changed.
     {"kernels/canonical.py": "_backward_indefinite marginalise"},
+    {"beliefs/gaussian/front_squares.py": "_eliminated"},
     {"kernels/row_messages.py": "_moved change", "kernels/elements.py": "compose"},
     # A projection, and squares of draws.
     {"kernels/rows.py": "_eliminate_exact _eliminate_proper"},
@@ -378,7 +379,7 @@ SOLUTIONS = listed(
     {"kernels/elements.py": "_meet compose moved"},
     {"beliefs/gaussian/potentials.py": "_factor", "beliefs/gaussian/joints.py": "_gain"},
     {"beliefs/gaussian/relations.py": "_solved_for", "beliefs/gaussian/solving.py": "__call__"},
-    {"beliefs/gaussian/refusals.py": "_open"},
+    {"beliefs/gaussian/refusals.py": "_open", "beliefs/gaussian/front_squares.py": "_eliminated"},
     {"beliefs/moments/passes/likelihoods.py": "of"},
     {"beliefs/moments/passes/messages.py": "likelihoods"},
     # Unknown directions, exact relations, bounds of rounding, and whether messages settle.
