@@ -42,12 +42,12 @@ class Covariances:
         return self._across(variables, homes)
 
     def _places(self, clique: Clique, variables: Iterable[int]) -> Integers:
-        sizes = self.tree.sizes
+        size = self.tree.size
         begin, column = {}, 0
         for variable in (*clique.pivots, *clique.separators):
             begin[variable] = column
-            column += sizes[variable]
-        found = [np.arange(begin[v], begin[v] + sizes[v]) for v in variables]
+            column += size(variable)
+        found = [np.arange(begin[v], begin[v] + size(v)) for v in variables]
         return np.concatenate(found)
 
     def _of_clique(self, clique: Clique) -> Array:
@@ -62,7 +62,7 @@ class Covariances:
     def _made(self, clique: Clique) -> Array:
         own = len(clique.triangle)
         inverse = solve_triangular(clique.triangle[:, :own], np.eye(own))
-        gain = clique.solved[:, :-1]
+        gain = clique.gain
         spread = np.zeros((0, 0))
         if clique.separators:
             above = self.tree.homes[self.tree.parents[clique.lead]]
@@ -74,7 +74,7 @@ class Covariances:
 
     def _across(self, variables: Sequence[int], homes: Sequence[Clique]) -> Array:
         """Columns of the covariance, by the triangles of the cliques from the variables' up."""
-        tree, sizes = self.tree, self.tree.sizes
+        tree, size = self.tree, self.tree.size
         path = tree.upwards(homes)
         depth: dict[int, int] = {}
         for lead in path:
@@ -84,7 +84,7 @@ class Covariances:
             for each in reversed(way):
                 depth.setdefault(each, depth.get(tree.parents[each], -1) + 1)
         order = sorted(path, key=lambda lead: -depth[lead])
-        total = sum(sizes[v] for v in variables)
+        total = sum(size(v) for v in variables)
         asked, column = {lead: np.zeros((_size(path[lead]), total)) for lead in order}, 0
         for variable, clique in zip(variables, homes, strict=True):
             for place in self._places(clique, [variable]).tolist():
@@ -118,4 +118,4 @@ class Covariances:
 
 
 def _size(clique: Clique) -> int:
-    return clique.triangle.shape[1] - 1
+    return int(clique.triangle.shape[1]) - 1

@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg.lapack import dgeqrf
 
 from pgm.inference.growing.factors import Rows
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.machine.fronts.plan import KeepingPlan
-from pgm.kernels.rows import NEGLIGIBLE, triangular
+from pgm.kernels.rows import NEGLIGIBLE
 
 
 class Posed(NamedTuple):
@@ -53,18 +54,22 @@ def _by_numpy(fronts: Sequence[Posed]) -> list[Found] | int:
     for k, (own, size, _, parent, above) in enumerate(fronts):
         blocks = waiting[k]
         count = sum(len(rows.right) for _, rows in blocks)
-        matrix, right = np.zeros((count, size)), np.zeros((count, 1))
-        row = 0
-        for columns, rows in blocks:
+        if count < own:
+            return k
+        matrix, row = np.zeros((max(count, size), size + 1)), 0
+        for where, rows in blocks:
             height = len(rows.right)
-            matrix[row : row + height, columns] = rows.entries.reshape(height, -1)
-            right[row : row + height, 0] = rows.right
+            matrix[row : row + height, where] = rows.entries.reshape(height, -1)
+            matrix[row : row + height, size] = rows.right
             row += height
-        factor = triangular(matrix, right)
+        # The largest rows first, which keeps digits.
+        order = np.argsort(-np.abs(matrix[:, :size]).max(axis=1), kind="stable")
+        factor = dgeqrf(matrix[order])[0]
+        factor = np.triu(factor[:size])
         inside = factor[:own, :own]
-        pivots = np.diagonal(inside)
-        proper = np.abs(pivots) > NEGLIGIBLE * np.sqrt(np.einsum("ij,ij->j", inside, inside))
-        if count < own or not proper.all():
+        pivots = inside.diagonal()
+        proper = np.abs(pivots) > NEGLIGIBLE * np.sqrt((inside * inside).sum(axis=0))
+        if not proper.all():
             return k
         sign = np.where(pivots < 0.0, -1.0, 1.0)[:, None]
         rest = factor[own:size]
@@ -81,31 +86,32 @@ def _by_numpy(fronts: Sequence[Posed]) -> list[Found] | int:
 def _by_machine(fronts: Sequence[Posed]) -> list[Found] | int:
     from pgm.kernels.machine.fronts.solving import Solver  # which takes llvmlite
 
-    factors, columns, entries, right = [], [], [], []
-    begin, row, per_front = 0, 0, []
+    columns: list[int] = []
+    widths, entries, right = [], [], []
     for front in fronts:
         for where, rows in front.blocks:
-            height = len(rows.right)
-            factors += (height, len(where), begin, row, len(columns))
+            widths.append(len(where))
             columns += where
             entries.append(rows.entries)
             right.append(rows.right)
-            begin, row = begin + len(rows.entries), row + height
-        per_front.append(len(front.blocks))
+    heights = np.array(list(map(len, right)), dtype=np.intp)
+    wide = np.array(widths, dtype=np.intp)
+    begins = [_ends(part)[:-1] for part in (heights * wide, heights, wide)]
+    per_front = [len(front.blocks) for front in fronts]
     parents = np.array([front.parent for front in fronts])
     hanging = np.flatnonzero(parents >= 0)
     hanging = hanging[np.argsort(parents[hanging], kind="stable")]
-    own = np.array([front.own for front in fronts])
-    shared = np.array([front.size for front in fronts]) - own
+    pivots = np.array([front.own for front in fronts])
+    shared = np.array([front.size for front in fronts]) - pivots
     plan = KeepingPlan(
-        pivots=own,
+        pivots=pivots,
         separators=shared,
         first_child=_ends(np.bincount(parents[hanging], minlength=len(fronts))),
         children=hanging,
         first_column=_ends(shared),
         above=np.array([c for front in fronts for c in front.above], dtype=np.intp),
         first_factor=_ends(np.array(per_front)),
-        factors=np.array(factors, dtype=np.intp).reshape(-1, 5),
+        factors=np.stack([heights, wide, *begins], axis=1),
         columns=np.array(columns, dtype=np.intp),
     )
     solver = Solver(plan, 1)
@@ -118,15 +124,21 @@ def _by_machine(fronts: Sequence[Posed]) -> list[Found] | int:
     if fault >= 0:
         return fault
     found = []
-    places = zip(plan.keeps(1).tolist(), plan.waiting(1)[0].tolist(), plan.sent.tolist())
-    for front, (place, wait, sent) in zip(fronts, places, strict=False):
-        own, size = front.own, front.size
-        triangle = kept[place : place + own * (size + 1)].reshape(own, size + 1).copy()
-        wide = size - own + 1
-        rest = solver.left[wait : wait + sent * wide].reshape(sent, wide)
+    places = zip(
+        fronts,
+        plan.keeps(1)[:-1].tolist(),
+        plan.waiting(1)[0].tolist(),
+        plan.sent.tolist(),
+        strict=True,
+    )
+    for front, place, wait, sent in places:
+        size, width = front.size, front.size - front.own + 1
+        end = place + front.own * (size + 1)
+        triangle = kept[place:end].reshape(front.own, size + 1).copy()
+        rest = solver.left[wait : wait + sent * width].reshape(sent, width)
         found.append(Found(triangle, Rows(rest[:, :-1].ravel(), rest[:, -1].copy())))
     return found
 
 
-def _ends(sizes: Array) -> Array:
+def _ends(sizes: Integers) -> Integers:
     return np.concatenate([[0], np.cumsum(sizes)]).astype(np.intp)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.cpds import AffineCPD, ConditionalGaussian
+from pgm.cpds import AffineCPD, ConditionalGaussian, NonlinearGaussianCPD
 from pgm.cpds.plates import plate
 from pgm.errors import ModelError, NumericalError
 from pgm.factors.scope import Scope
@@ -22,11 +22,17 @@ from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, Mask, apply, independent, transpose
 from pgm.kernels.rows import NEGLIGIBLE, largest_first
 from pgm.linearisation.family import Family
-from pgm.linearisers import Lineariser
+from pgm.linearisers import BoundFunction, Lineariser
+from pgm.linearisers.function import Source
+from pgm.linearisers.numbering import COUNTED
 from pgm.variables import Variable
 
+# Shares of variances, given the components before, from which on their order makes no difference.
+PLAIN = 1e-2
 # Values of the variables with evidence, (d,) each.
 Known = Mapping[Variable, Array]
+# By their keys, the first CPDs that have come of each.
+Plates = Mapping[Hashable, "Given"]
 
 
 class Given(NamedTuple):
@@ -91,13 +97,31 @@ def whitened(given: Sequence[Given], taken: Sequence[Mask | None], known: Known)
 
     `taken` marks the components that were measured, None for all. A singular noise is refused.
     """
-    family = _family(given, known)
-    size = given[0].cpd.child.dimension
-    noise = np.broadcast_to(family.own_noise[:, 0], (len(given), size, size))
-    proper = np.isfinite(np.diagonal(noise, axis1=-2, axis2=-1))
-    seen = proper & np.array([np.ones(size, bool) if mask is None else mask for mask in taken])
-    noise = independent(noise, seen)
-    deviation = np.sqrt(np.diagonal(noise, axis1=-2, axis2=-1))[..., None]
+    first = given[0].cpd
+    if isinstance(first.cov, np.ndarray):
+        noise = np.array([each.cpd.cov for each in given])
+    else:
+        noise = _family(given, known).own_noise[:, 0]
+    seen = np.isfinite(np.diagonal(noise, axis1=-2, axis2=-1))
+    if not seen.any():  # of flat priors
+        return np.zeros(noise.shape)
+    if any(mask is not None for mask in taken):
+        size = first.child.dimension
+        seen = seen & np.array([np.ones(size, bool) if mask is None else mask for mask in taken])
+    if seen.all():
+        return _roots(given, noise)
+    return np.where(seen[:, None, :], _roots(given, independent(noise, seen)), 0.0)
+
+
+def _roots(given: Sequence[Given], noise: Array) -> Array:
+    variance = np.diagonal(noise, axis1=-2, axis2=-1)
+    try:
+        lower = np.linalg.cholesky(noise)
+        if (np.diagonal(lower, axis1=-2, axis2=-1) ** 2 > PLAIN * variance).all():
+            return np.asarray(np.linalg.inv(lower))
+    except np.linalg.LinAlgError:
+        pass
+    deviation = np.sqrt(variance)[..., None]
     unit = np.where(deviation > 0.0, deviation, 1.0)
     correlation = noise / (unit * transpose(unit))
     order = largest_first(correlation)[..., None]
@@ -113,25 +137,24 @@ def whitened(given: Sequence[Given], taken: Sequence[Mask | None], known: Known)
         if roots.determined(own).any():
             raise ModelError(
                 f"{cpd!r} has no noise in some direction; a growing map keeps rows with noise: "
-                "give it a small variance, give what is known exactly as evidence, or add the "
-                "exact function of its parents into the functions that take it",
+                "give it a small variance, or give what is known exactly as evidence",
                 variable=cpd.child,
                 cpd=cpd,
             )
-    picked = np.take_along_axis(np.broadcast_to(np.eye(size), lower.shape), order, axis=-2)
-    white = solving.solve_lower(lower, picked) / transpose(unit)
-    return np.where(seen[:, None, :], white, 0.0)
+    picked = np.take_along_axis(np.broadcast_to(np.eye(lower.shape[-1]), lower.shape), order, -2)
+    return np.asarray(solving.solve_lower(lower, picked) / transpose(unit))
 
 
 def linearised(
     factors: Sequence[Factor],
     points: Mapping[int, Array],
     known: Known,
+    plates: Plates,
     lineariser: Lineariser,
 ) -> list[Rows]:
     """The rows of factors, linearised at the points of their variables, by number.
 
-    All factors of one key are linearised in one call.
+    All factors of one key are linearised in one call, by the template of the first of that key.
     """
     alike: dict[Hashable, list[int]] = {}
     for k, factor in enumerate(factors):
@@ -139,7 +162,9 @@ def linearised(
     found: list[Rows | None] = [None] * len(factors)
     for places in alike.values():
         own = [factors[k] for k in places]
-        for k, rows in zip(places, _linearised(own, points, known, lineariser), strict=True):
+        for k, rows in zip(
+            places, _linearised(own, points, known, plates, lineariser), strict=True
+        ):
             found[k] = rows
     return [rows for rows in found if rows is not None]
 
@@ -149,7 +174,8 @@ def predicted(given: Given, at: Array, known: Known, lineariser: Lineariser) -> 
     family = _family([given], known, lineariser)
     mean = at[None, None]
     family.linearise(slice(None), mean, np.zeros((*mean.shape, mean.shape[-1])))
-    return family.value(slice(None), mean)[0, 0]
+    found: Array = family.value(slice(None), mean)[0, 0]
+    return found
 
 
 def probe(given: Given, known: Known, lineariser: Lineariser) -> None:
@@ -175,29 +201,66 @@ def _family(given: Sequence[Given], known: Known, lineariser: Lineariser | None 
     return family
 
 
+def _tangent(
+    leading: Given, given: Sequence[Given], at: Array, known: Known
+) -> tuple[Array, Array] | None:
+    """Values and slopes of CPDs at places, where all derivatives were given; else None.
+
+    So it is where they fail or are not finite: `_line` tells of that.
+    """
+    cpd = leading.cpd
+    if not isinstance(cpd, NonlinearGaussianCPD) or not at.size or cpd.child.step is not None:
+        return None
+    template = cpd._template(leading.parents)
+    if template.missing:
+        return None
+    inputs = [
+        np.array([known[each.cpd.given[k]] for each in given])[:, None] if place is None else None
+        for k, place in enumerate(template.places)
+    ]
+    function = BoundFunction(template, inputs, 2, 0, source=Source(cpd, False, COUNTED))
+    try:
+        with np.errstate(all="ignore"):
+            value, slope = function.tangent(at[:, None])
+    except Exception:
+        return None
+    if not (np.isfinite(value).all() and np.isfinite(slope).all()):
+        return None
+    return value[:, 0], slope[:, 0]
+
+
+def _line(
+    given: Sequence[Given], at: Array, known: Known, lineariser: Lineariser
+) -> tuple[Array, Array]:
+    """Values and slopes of any CPDs at places, (CPDs, n)."""
+    family, mean = _family(given, known, lineariser), at[:, None]
+    family.linearise(slice(None), mean, np.zeros((*mean.shape, at.shape[1])))
+    return family.value(slice(None), mean)[:, 0], family.matrix[:, 0]
+
+
 def _linearised(
-    factors: Sequence[Factor], points: Mapping[int, Array], known: Known, lineariser: Lineariser
+    factors: Sequence[Factor],
+    points: Mapping[int, Array],
+    known: Known,
+    plates: Plates,
+    lineariser: Lineariser,
 ) -> list[Rows]:
     given = [factor.given for factor in factors]
     first = given[0]
     hidden = first.reading is None
-    family = _family(given, known, lineariser)
     begin = 1 if hidden else 0
-    if first.parents:
-        at = np.array([np.concatenate([points[v] for v in f.scope[begin:]]) for f in factors])
-    else:
-        at = np.zeros((len(factors), 0))
-    mean = at[:, None]
-    family.linearise(slice(None), mean, np.zeros((*mean.shape, at.shape[1])))
-    slope, value = family.matrix[:, 0], family.value(slice(None), mean)[:, 0]
+    each = [[points[f.scope[k]] for f in factors] for k in range(begin, len(factors[0].scope))]
+    at = np.concatenate(each, axis=1) if each else np.zeros((len(factors), 0))
+    tangent = _tangent(plates[first.key], given, at, known) or _line(given, at, known, lineariser)
+    value, slope = tangent
     angles = first.cpd.child.angle_mask
     if first.reading is not None:
-        reading = np.array([each.reading for each in given])
+        reading = np.array([one.reading for one in given])
         away = nearest_branch(reading, value, angles) - value
         matrix = -slope
     else:
         child = np.array([points[factor.scope[0]] for factor in factors])
-        if not family.exact:
+        if not isinstance(first.cpd, AffineCPD):
             value = nearest_branch(value, child, angles)
         away = child - value
         one = np.broadcast_to(np.eye(len(angles)), (len(factors), len(angles), len(angles)))

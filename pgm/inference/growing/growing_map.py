@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.arguments import public
-from pgm.boundary import as_mapping, is_number
+from pgm.boundary import as_mapping, is_number, is_whole
 from pgm.compile.machine import Choice, as_choice
 from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, GaussianCPD, NonlinearGaussianCPD
 from pgm.display import Shown, Summary
@@ -25,7 +25,7 @@ from pgm.immutable import Immutable
 from pgm.inference.growing.covariances import Covariances
 from pgm.inference.growing.factors import Factor, Given, linearised, predicted, probe, whitened
 from pgm.inference.growing.registers import Register
-from pgm.inference.growing.tree import Change, Tree, Undetermined, update
+from pgm.inference.growing.tree import Change, Point, Tree, Undetermined, update
 from pgm.inference.growing.vectors import Vector
 from pgm.kernels.arrays import Array, Mask, deviation
 from pgm.linearisers import TAYLOR, Lineariser, Taylor
@@ -38,8 +38,9 @@ from pgm.variables import Discrete, Variable
 ENOUGH = 5000
 # and cliques that are eliminated at once, from which on a call of it does.
 SEVERAL = 3
-# Up to how much of the threshold a mean may lag behind those above it.
-SHARE = 1e-2
+# So few variables are linearised anew at once, also where it is not their turn.
+AT_ONCE = 5
+_SETTINGS = "lineariser", "threshold", "every", "tolerance", "compiled"
 
 
 class Growth(NamedTuple):
@@ -70,14 +71,20 @@ class Growth(NamedTuple):
 class _Contents(NamedTuple):
     """What has been added so far, in stores that are shared with the maps before."""
 
-    numbers: Register[Variable, int] = Register()
-    names: Register[str, Variable] = Register()
-    known: Register[Variable, Array] = Register()
-    evidence: Register[Variable, Any] = Register()
-    plates: Register[Hashable, Any] = Register()
-    cpds: Vector[CPD] = Vector()
-    variables: Vector[Variable] = Vector()
-    children: Register[Variable, None] = Register()
+    numbers: Register[Variable, int]
+    names: Register[str, Variable]
+    known: Register[Variable, Array]
+    evidence: Register[Variable, Array]
+    plates: Register[Hashable, Given]
+    children: Register[Variable, None]
+    cpds: Vector[CPD]
+    variables: Vector[Variable]
+
+    @classmethod
+    def empty(cls) -> _Contents:
+        """Those of a map without anything."""
+        made: list[Register[Any, Any]] = [Register() for _ in range(6)]
+        return cls(*made, Vector(), Vector())  # type: ignore[call-arg, arg-type]
 
 
 @public
@@ -86,11 +93,11 @@ class GrowingMap(Shown, Immutable):
 
     An addition costs what it changes, not what there is. Variables stand in a tree of cliques
     (Kaess et al., 2012, iSAM2): a new CPD touches the cliques on the way from its variables to the
-    root, which are eliminated anew, by Householder's reflections. Variables whose means are farther
-    than `threshold` from the point at which their CPDs are linearised are moved there at the next
-    addition, which touches every clique that holds one. What hangs below keeps its rows, and its
-    means as long as those above hardly move. It is Gauss–Newton with one step an addition; see
-    `settled` for more.
+    root, which are eliminated anew, by Householder's reflections. Variables that have moved by more
+    than `threshold` since their CPDs were linearised have these linearised anew, which touches
+    every clique that holds one. What hangs below keeps its rows, and its means as long as those
+    above hardly move. So the belief is that of Gauss–Newton's last step, or of an earlier one for
+    variables within the threshold; `settled` goes on to the end.
 
     Maps are values: `add` returns another one, which shares with this one all that did not change.
 
@@ -99,8 +106,15 @@ class GrowingMap(Shown, Immutable):
     lineariser : Taylor
         Rules that take more of a belief than its mean are refused.
     threshold : float
-        How far any component may be from its point, in the component's own units (metres, radians),
-        0 or more; only of variables in which some CPD is not linear.
+        How far the mean of any component may be from where CPDs are linearised, in the component's
+        own units (metres, radians), 0 or more. It matters for variables in which some CPD is not
+        linear.
+    every : int
+        At each so many additions all variables beyond the threshold are linearised anew; in between
+        where they are five or fewer. With 1 it is at each addition, of means before it.
+    tolerance : float
+        How far the separators of a clique may move, as a vector, without that its means are found
+        anew: by about so much means lag behind, also of linear CPDs. 0 or more.
     compiled : bool, optional
         Whether rows are made triangular by machine code (llvmlite), which is made in a second, once
         a process. If not given, after the first thousands of cliques.
@@ -133,6 +147,8 @@ class GrowingMap(Shown, Immutable):
 
     lineariser: Lineariser
     threshold: float
+    every: int
+    tolerance: float
     compiled: Choice
     touched: Scope
     relinearised: Scope
@@ -140,12 +156,16 @@ class GrowingMap(Shown, Immutable):
     _tree: Tree
     _contents: _Contents
     _by_numpy: int
+    # How many additions ago variables were linearised anew.
+    _turn: int
 
     def __init__(
         self,
         lineariser: Lineariser = TAYLOR,
         threshold: float = 0.1,
         *,
+        every: int = 10,
+        tolerance: float = 1e-3,
         compiled: bool | None = None,
     ) -> None:
         if not isinstance(lineariser, Taylor):
@@ -153,15 +173,23 @@ class GrowingMap(Shown, Immutable):
                 f"GrowingMap linearises at means, by pgm.Taylor(); found {lineariser!r}: add all, "
                 "then give `network` and `evidence` to pgm.infer with it"
             )
-        if not is_number(threshold) or not threshold >= 0.0:
-            raise ModelError(
-                f"GrowingMap: threshold={threshold!r}; a number was due, 0 or more, in the units "
-                "of the variables' components"
-            )
-        compiled = as_choice(compiled, f"GrowingMap(compiled={compiled!r})")  # type: ignore[assignment]
-        self._set(lineariser=lineariser, threshold=float(threshold), compiled=compiled)
-        contents = _Contents(*(type(each)() for each in _Contents()))
-        self._put(Change(Tree(), (), 0, 0), contents, (), 0)
+        for name, value in (("threshold", threshold), ("tolerance", tolerance)):
+            if not is_number(value) or not value >= 0.0:
+                raise ModelError(
+                    f"GrowingMap: {name}={value!r}; a number was due, 0 or more, in the units of "
+                    "the variables' components"
+                )
+        if not is_whole(every) or every < 1:
+            raise ModelError(f"GrowingMap: every={every!r}; a whole number was due, from 1 on")
+        self._set(
+            lineariser=lineariser,
+            threshold=float(threshold),
+            every=int(every),
+            tolerance=float(tolerance),
+            compiled=as_choice(compiled, f"GrowingMap(compiled={compiled!r})"),
+            _turn=0,
+        )
+        self._put(Change(Tree(), (), 0, 0), _Contents.empty(), (), 0)
 
     def _put(
         self, change: Change, contents: _Contents, relinearised: Sequence[int], by_numpy: int
@@ -231,22 +259,19 @@ class GrowingMap(Shown, Immutable):
         added = _Added.checked(self._contents, cpds, as_mapping(evidence, "evidence"))
         starts = added.starts(self._tree, start, self.lineariser)
         tree = self._tree
-        new = range(len(tree.sizes), len(tree.sizes) + len(added.hidden))
+        new = range(len(tree.points), len(tree.points) + len(added.hidden))
         numbers = dict(zip(added.hidden, new, strict=True))
         factors = added.factors(self._contents, numbers)
-        more = range(len(tree.factors), len(tree.factors) + len(factors))
-        tree = replace(
-            tree,
-            sizes=tree.sizes.extended(v.dimension for v in added.hidden),
-            bends=tree.bends.extended(False for _ in added.hidden),
-            points=tree.points.extended(starts),
-            factors=tree.factors.extended(factors),
-        )
         bent = {v for f in factors if f.given.bends for v in f.scope[-len(f.given.parents) :]}
-        tree = replace(tree, bends=tree.bends.replaced(dict.fromkeys(bent, True)))
+        points = {v: Point(at, v in bent) for v, at in zip(new, starts, strict=True)}
+        for v in bent.difference(new):
+            if not tree.points[v].bends:
+                points[v] = Point(tree.points[v].at, True)
+        tree = replace(tree, points=tree.points.replaced(points))
         contents = added.contents(self._contents, numbers)
-        last = {v for factor in factors for v in factor.scope}
-        return self._updated(tree, contents, new, more, last, self._tree.moved)
+        turn = (self._turn + 1) % self.every
+        moved = () if turn and len(tree.moved) > AT_ONCE else tree.moved
+        return self._updated(tree, contents, new, factors, moved, self.tolerance, turn)
 
     @public
     def settled(self, iterations: int = 100, tolerance: float = 1e-10) -> GrowingMap:
@@ -275,11 +300,12 @@ class GrowingMap(Shown, Immutable):
         found = self
         for _ in range(iterations):
             tree = found._tree
-            every = range(len(tree.sizes))
+            every = range(len(tree.points))
             if not every:
                 return found
-            found = found._updated(tree, found._contents, (), (), set(), every, 0.0)
-            moves = [np.abs(found._tree.distance(v)).max() for v in every if found._tree.bends[v]]
+            found = found._updated(tree, found._contents, (), (), every, 0.0)
+            tree = found._tree
+            moves = [np.abs(tree.distance(v)).max() for v in every if tree.points[v].bends]
             if max(moves, default=0.0) <= tolerance:
                 return found
         raise NumericalError(
@@ -293,40 +319,43 @@ class GrowingMap(Shown, Immutable):
         tree: Tree,
         contents: _Contents,
         new: Sequence[int],
-        more: Sequence[int],
-        last: set[int],
+        more: Sequence[Factor],
         moved: Sequence[int],
-        tolerance: float | None = None,
+        tolerance: float,
+        turn: int = 0,
     ) -> GrowingMap:
         """The map after an update of the tree; `moved` are variables to linearise anew."""
-        first = new[0] if new else len(tree.sizes)
+        first = new[0] if new else len(tree.points)
+        last = {v for factor in more for v in factor.scope}
         seeds = [tree.homes[v] for v in last if v < first]
         touched = tree.upwards([*seeds, *tree.holding(moved)])
+        again, kept = list(more), []
         if moved:
-            moves = {v: tree.mean(v) for v in moved}
+            moves = {v: Point(tree.mean(v), tree.points[v].bends) for v in moved}
             tree = replace(tree, points=tree.points.replaced(moves))
-        again = set(moved)
-        numbers = [
-            f
-            for clique in touched.values()
-            for f in clique.factors
-            if again and not again.isdisjoint(tree.factors[f].scope)
-        ]
-        numbers += more
-        factors = tree.factors.some(numbers)
-        scope = dict.fromkeys(v for factor in factors for v in factor.scope)
-        points = dict(zip(scope, tree.points.some(scope), strict=True))
-        rows = linearised(factors, points, contents.known, self.lineariser)
+        apart = set(moved).isdisjoint
+        for clique in touched.values():
+            if not moved:
+                kept += clique.factors
+                continue
+            for pair in clique.factors:
+                if apart(pair[0].scope):
+                    kept.append(pair)
+                else:
+                    again.append(pair[0])
+        scope = list(dict.fromkeys(v for factor in again for v in factor.scope))
+        points = {v: p.at for v, p in zip(scope, tree.points.some(scope), strict=True)}
+        rows = linearised(again, points, contents.known, contents.plates, self.lineariser)
+        kept += zip(again, rows, strict=True)
         found: GrowingMap = object.__new__(type(self))
-        found._set(lineariser=self.lineariser, threshold=self.threshold, compiled=self.compiled)
+        found._set(**{name: getattr(self, name) for name in _SETTINGS}, _turn=turn)
         if not touched and not new:
             found._put(Change(tree, (), 0, 0), contents, (), self._by_numpy)
             return found
         machine = self._machine and len(touched) + len(new) >= SEVERAL
-        limits = self.threshold, SHARE * self.threshold if tolerance is None else tolerance
-        fresh = dict(zip(numbers, rows, strict=True))
+        limits = self.threshold, tolerance
         try:
-            change = update(tree, touched, new, more, fresh, last, *limits, machine=machine)
+            change = update(tree, touched, new, kept, last, *limits, machine=machine)
         except Undetermined as open_:
             raise _undetermined(contents.variables.some(open_.variables)) from None
         by_numpy = self._by_numpy + (0 if machine else change.fronts)
@@ -343,12 +372,12 @@ class GrowingMap(Shown, Immutable):
         """Whether a variable is a hidden one of the map."""
         return isinstance(variable, Variable) and variable in self._contents.numbers
 
-    def __len__(self) -> int:
-        return len(self._contents.numbers)
+    __iter__ = None  # else Python would go through places until one is refused
 
-    def __iter__(self) -> Iterator[Variable]:
+    @property
+    def variables(self) -> Scope:
         """The hidden variables, in the order in which they were added."""
-        return iter(self._contents.variables)
+        return tuple(self._contents.variables)
 
     def __getitem__(self, variable: Variable) -> Gaussian:
         """The belief in a hidden variable."""
@@ -394,17 +423,17 @@ class GrowingMap(Shown, Immutable):
     @property
     def evidence(self) -> dict[Variable, Array]:
         """All evidence so far, as it was given, (d,) each."""
-        return dict(self._contents.evidence.items())
+        return dict(self._contents.evidence)
 
     @property
     def points(self) -> dict[Variable, Array]:
         """Where the CPDs of each hidden variable are linearised, (d,), as for ``start=``."""
         every = zip(self._contents.variables, self._tree.points, strict=True)
-        return {variable: point.copy() for variable, point in every}
+        return {variable: point.at.copy() for variable, point in every}
 
     @property
     def _title(self) -> str:
-        hidden, cpds = len(self), len(self._contents.cpds)
+        hidden, cpds = len(self._contents.numbers), len(self._contents.cpds)
         return (
             f"GrowingMap({hidden} hidden variable{'s' * (hidden != 1)}, "
             f"{cpds} CPD{'s' * (cpds != 1)}, {self._tree.cliques} cliques)"
@@ -532,7 +561,7 @@ class _Added(NamedTuple):
         """What the map then contains."""
         scope = dict.fromkeys(v for cpd in self.cpds for v in cpd.scope)
         names = {v.name: v for v in scope if v.name not in before.names}
-        plates = {g.key: None for g in self.given if g.key not in before.plates}
+        plates = {g.key: g for g in reversed(self.given) if g.key not in before.plates}
         kept = {v: np.array(_as_given(value)) for v, value in self.evidence.items()}
         return _Contents(
             before.numbers.extended(new),
@@ -540,9 +569,9 @@ class _Added(NamedTuple):
             before.known.extended(self.known),
             before.evidence.extended(kept),
             before.plates.extended(plates),
+            before.children.extended({cpd.child: None for cpd in self.cpds}),
             before.cpds.extended(self.cpds),
             before.variables.extended(new),
-            before.children.extended({cpd.child: None for cpd in self.cpds}),
         )
 
 
@@ -556,7 +585,7 @@ class _Both(Mapping[Variable, Array]):
         return self.more[key] if key in self.more else self.before[key]
 
     def __contains__(self, key: object) -> bool:
-        return key in self.more or key in self.before  # type: ignore[operator]
+        return key in self.more or key in self.before
 
     def __iter__(self) -> Iterator[Variable]:
         return iter([*self.before, *self.more])

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from itertools import islice
 from threading import Lock
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 K = TypeVar("K")
 T = TypeVar("T")
 
 
-class Register(Generic[K, T]):
+class Register(Mapping[K, T]):
     """The first entries of a mapping that others may have extended.
 
     Of two registers that are grown from one the second is a copy.
@@ -27,8 +27,8 @@ class Register(Generic[K, T]):
     def __len__(self) -> int:
         return self.count
 
-    def __contains__(self, key: K) -> bool:
-        found = self._entries.get(key)
+    def __contains__(self, key: object) -> bool:
+        found = self._entries.get(key)  # type: ignore[arg-type]
         return found is not None and found[0] < self.count
 
     def __getitem__(self, key: K) -> T:
@@ -37,19 +37,9 @@ class Register(Generic[K, T]):
             raise KeyError(key)
         return found[1]
 
-    def get(self, key: K) -> T | None:
-        """The entry of a key, or None."""
-        found = self._entries.get(key)
-        return found[1] if found is not None and found[0] < self.count else None
-
     def __iter__(self) -> Iterator[K]:
-        return iter([key for key, _ in self.items()])
-
-    def items(self) -> Iterator[tuple[K, T]]:
-        """Keys with their entries, in the order in which they came."""
         with self._lock:  # nothing is added while they are counted off
-            found = list(islice(self._entries.items(), self.count))
-        return ((key, entry) for key, (_, entry) in found)
+            return iter(list(islice(self._entries, self.count)))
 
     def extended(self, more: Mapping[K, T]) -> Register[K, T]:
         """The register with more entries, of keys that it does not have."""

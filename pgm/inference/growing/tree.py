@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg.lapack import dtrtrs
@@ -12,7 +13,7 @@ from pgm.inference.growing.cliques import Clique, Front, columns, ordered, sprea
 from pgm.inference.growing.eliminating import Found, Posed, eliminated
 from pgm.inference.growing.factors import Factor, Rows
 from pgm.inference.growing.vectors import Vector
-from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.arrays import Array
 
 
 class Undetermined(Exception):
@@ -21,6 +22,13 @@ class Undetermined(Exception):
     def __init__(self, variables: Sequence[int]) -> None:
         super().__init__(variables)
         self.variables = variables
+
+
+class Point(NamedTuple):
+    """Where CPDs of a variable are linearised, (d,), and whether some CPD is not linear in it."""
+
+    at: Array
+    bends: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,10 +40,8 @@ class Tree:
 
     Attributes
     ----------
-    sizes, bends : Vector
-        Of each variable how many components it has, and whether some CPD is not linear in it.
     points : Vector
-        Of each variable its point, (d,), where CPDs of it are linearised.
+        The point of each variable.
     homes : Vector
         The clique that eliminates each variable.
     parents : Vector
@@ -43,35 +49,33 @@ class Tree:
     means : Vector
         By their leads, the means of cliques, their pivots' and then their separators', by which
         the pivots' were found: distances from the points, (size,).
-    factors, rows : Vector
-        The factors, and their rows as linearised last.
     moved : tuple of int
         The variables that are farther from their points than their limits.
     cliques : int
         How many cliques there are.
     """
 
-    sizes: Vector[int] = field(default_factory=Vector)
-    bends: Vector[bool] = field(default_factory=Vector)
-    points: Vector[Array] = field(default_factory=Vector)
+    points: Vector[Point] = field(default_factory=Vector)
     homes: Vector[Clique] = field(default_factory=Vector)
     parents: Vector[int] = field(default_factory=Vector)
     means: Vector[Array] = field(default_factory=Vector)
-    factors: Vector[Factor] = field(default_factory=Vector)
-    rows: Vector[Rows] = field(default_factory=Vector)
     moved: tuple[int, ...] = ()
     cliques: int = 0
 
     def distance(self, variable: int) -> Array:
         """The mean of a variable, counted from its point, (d,)."""
-        clique = self.homes[variable]
+        clique, size = self.homes[variable], self.size(variable)
         begin = clique.first[clique.pivots.index(variable)]
-        return self.means[clique.lead][begin : begin + self.sizes[variable]]
+        return self.means[clique.pivots[0]][begin : begin + size]
 
     def mean(self, variable: int) -> Array:
         """The mean of a variable, (d,)."""
-        found: Array = self.points[variable] + self.distance(variable)
+        found: Array = self.points[variable].at + self.distance(variable)
         return found
+
+    def size(self, variable: int) -> int:
+        """How many components a variable has."""
+        return len(self.points[variable].at)
 
     def holding(self, variables: Iterable[int]) -> list[Clique]:
         """The cliques that hold any of some variables."""
@@ -96,14 +100,25 @@ class Tree:
                     break
         return found
 
-    @property
-    def leads(self) -> list[int]:
-        """The leads of all cliques, each after the one above it."""
-        every = {clique.lead: clique for clique in self.homes}
-        found = [lead for lead in every if self.parents[lead] < 0]
-        for lead in found:
-            found += [child.lead for child, _ in every[lead].children]
-        return found
+    # Cliques that hold those below them would be pickled one inside the other, to any depth.
+    def __getstate__(self) -> dict[str, Any]:
+        state = {each.name: getattr(self, each.name) for each in fields(self)}
+        cliques = {clique.lead: clique for clique in state.pop("homes")}
+        below = {
+            lead: [(child.lead, above) for child, above in clique.children]
+            for lead, clique in cliques.items()
+        }
+        apart = [replace(clique, children=[]) for clique in cliques.values()]
+        return state | {"apart": apart, "below": below}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        apart, below = state.pop("apart"), state.pop("below")
+        cliques = {clique.lead: clique for clique in apart}
+        for lead, children in below.items():
+            cliques[lead].children += [(cliques[child], above) for child, above in children]
+        homes = {variable: clique for clique in apart for variable in clique.pivots}
+        for name, value in (state | {"homes": Vector[Clique]().replaced(homes)}).items():
+            object.__setattr__(self, name, value)
 
 
 @dataclass(frozen=True)
@@ -130,12 +145,12 @@ class Change:
 def update(
     tree: Tree,
     touched: Mapping[int, Clique],
-    new: Sequence[int],
-    more: Sequence[int],
-    rows: Mapping[int, Rows],
+    new: Iterable[int],
+    factors: Sequence[tuple[Factor, Rows]],
     last: set[int],
     limit: float,
     tolerance: float,
+    *,
     machine: bool,
 ) -> Change:
     """The tree with some cliques eliminated anew, together with new variables and factors.
@@ -143,13 +158,13 @@ def update(
     Parameters
     ----------
     tree : Tree
-        Already with the points, sizes and factors that are new, or have changed.
+        Already with the points that are new, or have changed.
     touched : mapping of int to Clique
         The cliques, and all above them.
-    new, more : sequence of int
-        The numbers of variables and of factors that no clique has so far.
-    rows : mapping of int to Rows
-        Rows of factors that were linearised anew.
+    new : iterable of int
+        The variables that no clique has so far.
+    factors : sequence of pairs
+        All factors of the cliques, and new ones, with their rows.
     last : set of int
         Variables to leave last.
     limit : float
@@ -159,51 +174,53 @@ def update(
     machine : bool
         Whether machine code makes rows triangular.
     """
-    variables = [*(v for clique in touched.values() for v in clique.pivots), *new]
-    factors = [*(f for clique in touched.values() for f in clique.factors), *more]
+    variables = [v for clique in touched.values() for v in clique.pivots]
+    variables += new
     hanging = [
         child
         for clique in touched.values()
         for child, _ in clique.children
-        if child.lead not in touched
+        if child.pivots[0] not in touched
     ]
-    kept = tree.rows.replaced(rows)
-    size = dict(zip(variables, tree.sizes.some(variables), strict=True))
-    scopes = [factor.scope for factor in tree.factors.some(factors)]
-    every = [*scopes, *(child.separators for child in hanging)]
-    fronts = ordered(variables, list(size.values()), every, last)
-    posed = _Posed(fronts, size)
-    posed.place(factors, scopes, kept, hanging)
+    points = tree.points.some(variables)
+    sizes = [len(point.at) for point in points]
+    scopes = [factor.scope for factor, _ in factors]
+    scopes += [child.separators for child in hanging]
+    fronts = ordered(variables, sizes, scopes, last)
+    posed = _Posed(fronts, dict(zip(variables, sizes, strict=True)))
+    posed.place(factors, hanging)
     found = eliminated(posed.fronts, machine=machine)
     if isinstance(found, int):
         raise Undetermined(fronts[found].pivots)
-    bends = dict(zip(variables, tree.bends.some(variables), strict=True))
-    cliques = [
-        _clique(front, one, posed.columns[k], posed.factors[k], size, bends, limit)
-        for k, (front, one) in enumerate(zip(fronts, found, strict=True))
-    ]
+    limits = {
+        v: limit if point.bends else np.inf for v, point in zip(variables, points, strict=True)
+    }
+    cliques = posed.cliques(found, limits)
     parents, homes = {}, {}
-    for k, (front, clique) in enumerate(zip(fronts, cliques, strict=True)):
-        for variable in front.pivots:
+    for front, one, clique in zip(fronts, posed.fronts, cliques, strict=True):
+        lead = clique.pivots[0]
+        for variable in clique.pivots:
             homes[variable] = clique
         if front.parent >= 0:
             above = cliques[front.parent]
-            above.children.append((clique, _indices(posed.fronts[k].above)))
-            parents[clique.lead] = above.lead
+            above.children.append((clique, np.array(one.above)))
+            parents[lead] = above.pivots[0]
         else:
-            parents[clique.lead] = -1
-    for child, (front_number, above_columns) in zip(hanging, posed.hung, strict=True):
-        cliques[front_number].children.append((child, _indices(above_columns)))
-        parents[child.lead] = cliques[front_number].lead
+            parents[lead] = -1
+    for child, (k, columns_above) in zip(hanging, posed.hung, strict=True):
+        cliques[k].children.append((child, np.array(columns_above)))
+        parents[child.pivots[0]] = cliques[k].pivots[0]
     roots = [clique for front, clique in zip(fronts, cliques, strict=True) if front.parent < 0]
-    fresh = {clique.lead for clique in cliques}
+    fresh = {clique.pivots[0] for clique in cliques}
     means, moved = _solved(tree, roots, fresh, tolerance)
+    homes_now = tree.homes.replaced(homes)
+    # Those whose means have stayed are where they were.
+    moved += [v for v in tree.moved if homes_now[v].pivots[0] not in means]
     grown = replace(
         tree,
-        homes=tree.homes.replaced(homes),
+        homes=homes_now,
         parents=tree.parents.replaced(parents),
         means=tree.means.replaced(means),
-        rows=kept,
         moved=tuple(moved),
         cliques=tree.cliques - len(touched) + len(cliques),
     )
@@ -213,62 +230,65 @@ def update(
 class _Posed:
     """Fronts as they are eliminated, with the rows that each of them has."""
 
-    def __init__(self, fronts: Sequence[Front], size: dict[int, int]) -> None:
-        self.size = size
-        self.columns = [columns(front.pivots, front.separators, size) for front in fronts]
-        self.front = {v: k for k, front in enumerate(fronts) for v in front.pivots}
-        self.factors: list[list[int]] = [[] for _ in fronts]
+    def __init__(self, named: Sequence[Front], size: dict[int, int]) -> None:
+        self.named, self.size = named, size
+        self.columns = [columns(front.pivots, front.separators, size) for front in named]
+        self.front = {v: k for k, front in enumerate(named) for v in front.pivots}
+        self.factors: list[list[tuple[Factor, Rows]]] = [[] for _ in named]
         self.hung: list[tuple[int, list[int]]] = []
         self.fronts = []
-        for k, (pivots, separators, parent) in enumerate(fronts):
-            own = sum(size[v] for v in pivots)
-            shared = sum(size[v] for v in separators)
-            above = spread(separators, self.columns[parent], size) if parent >= 0 else []
-            self.fronts.append(Posed(own, own + shared, [], parent, above))
+        for front in named:
+            own = sum(map(size.__getitem__, front.pivots))
+            shared = sum(map(size.__getitem__, front.separators))
+            above = []
+            if front.parent >= 0:
+                above = spread(front.separators, self.columns[front.parent], size)
+            self.fronts.append(Posed(own, own + shared, [], front.parent, above))
 
-    def place(
-        self,
-        factors: Sequence[int],
-        scopes: Sequence[Sequence[int]],
-        rows: Vector[Rows],
-        hanging: Sequence[Clique],
-    ) -> None:
+    def place(self, factors: Sequence[tuple[Factor, Rows]], hanging: Sequence[Clique]) -> None:
         """Put rows of factors, and what cliques have left, where their first variable leaves."""
-        for factor, scope, own in zip(factors, scopes, rows.some(factors), strict=True):
-            k = min(self.front[v] for v in scope)
-            self.factors[k].append(factor)
-            self.fronts[k].blocks.append((spread(scope, self.columns[k], self.size), own))
+        front, every, size = self.front.__getitem__, self.columns, self.size
+        for pair in factors:
+            scope = pair[0].scope
+            k = min(map(front, scope))
+            self.factors[k].append(pair)
+            self.fronts[k].blocks.append((spread(scope, every[k], size), pair[1]))
         for child in hanging:
-            k = min(self.front[v] for v in child.separators)
-            where = spread(child.separators, self.columns[k], self.size)
+            k = min(map(front, child.separators))
+            where = spread(child.separators, every[k], size)
             self.hung.append((k, where))
             if child.left.right.size:
                 self.fronts[k].blocks.append((where, child.left))
 
-
-def _clique(
-    front: Front,
-    found: Found,
-    column: dict[int, int],
-    factors: Sequence[int],
-    size: dict[int, int],
-    bends: dict[int, bool],
-    limit: float,
-) -> Clique:
-    own = len(found.triangle)
-    solved, _ = dtrtrs(found.triangle[:, :own], found.triangle[:, own:])
-    solved[:, :-1] *= -1.0
-    limits = [limit if bends[v] else np.inf for v in front.pivots for _ in range(size[v])]
-    return Clique(
-        tuple(front.pivots),
-        tuple(front.separators),
-        tuple(column[v] for v in front.pivots),
-        tuple(factors),
-        found.triangle,
-        np.ascontiguousarray(solved),
-        found.left,
-        np.array(limits),
-    )
+    def cliques(self, found: Sequence[Found], limits: Mapping[int, float]) -> list[Clique]:
+        """The cliques that the fronts have become."""
+        pivots = [v for front in self.named for v in front.pivots]
+        counts = [self.size[v] for v in pivots]
+        owners = np.repeat(pivots, counts)
+        limit = np.repeat([limits[v] for v in pivots], counts)
+        made, begin = [], 0
+        for front, column, factors, (triangle, left) in zip(
+            self.named, self.columns, self.factors, found, strict=True
+        ):
+            own = len(triangle)
+            solved, _ = dtrtrs(triangle[:, :own], triangle[:, own:])
+            end = begin + own
+            made.append(
+                Clique(
+                    tuple(front.pivots),
+                    tuple(front.separators),
+                    tuple(column[v] for v in front.pivots),
+                    factors,
+                    triangle,
+                    -solved[:, :-1],
+                    solved[:, -1].copy(),
+                    left,
+                    limit[begin:end].copy(),
+                    owners[begin:end].copy(),
+                )
+            )
+            begin = end
+        return made
 
 
 def _solved(
@@ -276,35 +296,32 @@ def _solved(
 ) -> tuple[dict[int, Array], list[int]]:
     """The means of cliques from the roots down, by lead, and the variables beyond their limits.
 
-    Cliques that are not `fresh` have their means found again where a separator has moved by more
-    than `tolerance` since they were found last.
+    Cliques that are not `fresh` have their means found again where their separators have moved, as
+    one vector, by more than `tolerance` since they were found last.
     """
-    none = np.zeros(0, dtype=np.intp)
     found: dict[int, Array] = {}
-    moved: list[int] = []
-    waiting = [(root, np.zeros(0), none) for root in roots]
+    visited: list[Clique] = []
+    values: list[Array] = []
+    join, before, least = np.concatenate, tree.means, tolerance**2
+    waiting = [(root, np.zeros(0)) for root in roots]
     while waiting:
-        clique, parent, above = waiting.pop()
-        known = parent[above]
-        own, lead = len(clique.triangle), clique.lead
+        clique, known = waiting.pop()
+        lead = clique.pivots[0]
         if lead not in fresh:
-            before = tree.means[lead][own:]
-            if abs(known - before).max() <= tolerance:
+            away = known - before[lead][len(clique.offset) :]
+            if away.dot(away) <= least:
                 continue
-        solved = clique.solved
-        pivots = solved[:, -1] + solved[:, :-1] @ known
-        mean = found[lead] = np.concatenate([pivots, known])
-        if (abs(pivots) > clique.limits).any():
-            moved += _beyond(clique, pivots)
-        waiting += [(child, mean, at) for child, at in clique.children]
+        own = clique.gain.dot(known)
+        own += clique.offset
+        mean = found[lead] = join((own, known))
+        visited.append(clique)
+        values.append(own)
+        if clique.children:
+            waiting += [(child, mean.take(at)) for child, at in clique.children]
+    moved = []
+    if visited:
+        far = np.abs(join(values)) > join([clique.limits for clique in visited])
+        if far.any():
+            owners = join([clique.owners for clique in visited])
+            moved = list(dict.fromkeys(owners[far].tolist()))
     return found, moved
-
-
-def _beyond(clique: Clique, pivots: Array) -> list[int]:
-    far = np.flatnonzero(np.abs(pivots) > clique.limits)
-    which = np.searchsorted(clique.first, far, side="right") - 1
-    return [clique.pivots[k] for k in dict.fromkeys(which.tolist())]
-
-
-def _indices(found: list[int]) -> Integers:
-    return np.array(found, dtype=np.intp)
