@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from pgm.inference.growing.cliques import Clique
 from pgm.inference.growing.tree import Tree
@@ -60,6 +59,8 @@ class Covariances:
         return self._found[clique.lead]
 
     def _made(self, clique: Clique) -> Array:
+        from scipy.linalg import solve_triangular  # here, since it is slow to import
+
         own = len(clique.triangle)
         inverse = solve_triangular(clique.triangle[:, :own], np.eye(own))
         gain = clique.gain
@@ -74,6 +75,8 @@ class Covariances:
 
     def _across(self, variables: Sequence[int], homes: Sequence[Clique]) -> Array:
         """Columns of the covariance, by the triangles of the cliques from the variables' up."""
+        from scipy.linalg import solve_triangular  # here, since it is slow to import
+
         tree, size = self.tree, self.tree.size
         path = tree.upwards(homes)
         depth: dict[int, int] = {}

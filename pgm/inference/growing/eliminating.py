@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dgeqrf
 
 from pgm.inference.growing.factors import Rows
 from pgm.kernels.arrays import Array, Integers
@@ -49,6 +48,8 @@ def eliminated(fronts: Sequence[Posed], *, machine: bool) -> list[Found] | int:
 
 
 def _by_numpy(fronts: Sequence[Posed]) -> list[Found] | int:
+    from scipy.linalg.lapack import dgeqrf  # here, since it is slow to import
+
     found: list[Found] = []
     waiting: list[list[tuple[list[int], Rows]]] = [[*front.blocks] for front in fronts]
     for k, (own, size, _, parent, above) in enumerate(fronts):

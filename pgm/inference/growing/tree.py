@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dtrtrs
 
 from pgm.inference.growing.cliques import Clique, Front, columns, ordered, spread
 from pgm.inference.growing.eliminating import Found, Posed, eliminated
@@ -262,6 +261,8 @@ class _Posed:
 
     def cliques(self, found: Sequence[Found], limits: Mapping[int, float]) -> list[Clique]:
         """The cliques that the fronts have become."""
+        from scipy.linalg.lapack import dtrtrs  # here, since it is slow to import
+
         pivots = [v for front in self.named for v in front.pivots]
         counts = [self.size[v] for v in pivots]
         owners = np.repeat(pivots, counts)
