@@ -42,6 +42,16 @@ class Contents(NamedTuple):
         made: list[Register[Any, Any]] = [Register() for _ in range(6)]
         return cls(*made, Vector(), Vector())  # type: ignore[call-arg, arg-type]
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Keys of plates are of objects of this process.
+        plates = list(self.plates.values())
+        return _restored, (plates, self._replace(plates=Register())._asdict())
+
+
+def _restored(plates: Sequence[Given], others: Mapping[str, Any]) -> Contents:
+    found = Contents(**others)
+    return found._replace(plates=found.plates.extended({each.key: each for each in plates}))
+
 
 class Added(NamedTuple):
     """CPDs that are added, checked, parents first, with their hidden children."""

@@ -9,7 +9,7 @@ noise's information.
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -57,9 +57,16 @@ class Given(NamedTuple):
     @classmethod
     def of(cls, cpd: ConditionalGaussian, known: Known, reading: Array | None) -> Given:
         """The CPD, with its hidden parents: those that have no value."""
-        hidden = [parent not in known for parent in cpd.given]
-        parents = tuple(v for v, own in zip(cpd.given, hidden, strict=True) if own)
-        return cls(cpd, (plate(cpd), tuple(hidden), reading is None), parents, reading)
+        return cls._of(cpd, tuple(v for v in cpd.given if v not in known), reading)
+
+    @classmethod
+    def _of(cls, cpd: ConditionalGaussian, parents: Scope, reading: Array | None) -> Given:
+        key = plate(cpd), tuple(v in parents for v in cpd.given), reading is None
+        return cls(cpd, key, parents, reading)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Keys are of objects of this process.
+        return Given._of, (self.cpd, self.parents, self.reading)
 
     @property
     def bends(self) -> bool:

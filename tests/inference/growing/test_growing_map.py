@@ -169,6 +169,13 @@ def test_additions_touch_what_they_change():
     assert "1499 hidden variables, 2999 CPDs" in repr(grown)
     restored = pickle.loads(pickle.dumps(grown))
     assert (restored.means(poses[1:]) == grown.means(poses[1:])).all()
+    # Keys that are made of objects are of these objects now.
+    kept = [f.given for home in restored._tree.homes for f, _ in home.factors]
+    made = [type(each).of(each.cpd, restored._contents.known, each.reading) for each in kept]
+    assert [each.key for each in kept] == [each.key for each in made]
+    assert {each.key for each in kept} == set(restored._contents.plates) - {
+        each.key for each in restored._contents.plates.values() if not each.parents
+    }
     z = edge("after", poses[3], poses[1499])
     after = {z.child: np.zeros(3)}
     assert (restored.add(z, after).means(poses[1:]) == grown.add(z, after).means(poses[1:])).all()
