@@ -140,7 +140,7 @@ class Added(NamedTuple):
         """The factors over hidden variables, but for those that say nothing."""
         alike: dict[Hashable, list[Given]] = {}
         for each in self.given:
-            if each.parents or each.reading is None:
+            if not (each.flat or (each.reading is not None and not each.parents)):
                 alike.setdefault(each.key, []).append(each)
         found = []
         for own in alike.values():

@@ -13,7 +13,7 @@ from pgm.kernels.arrays import Array, Integers
 # Cliques are joined while no more than this share of the joined columns' entries are zeros,
 ZEROS = 0.1
 # or while the columns that are eliminated together are so few.
-FEW = 20
+FEW = 32
 
 
 @dataclass(slots=True, eq=False)

@@ -69,6 +69,12 @@ class Given(NamedTuple):
         return Given._of, (self.cpd, self.parents, self.reading)
 
     @property
+    def flat(self) -> bool:
+        """Whether it is a prior of infinite variances alone, which says nothing."""
+        cov = self.cpd.cov
+        return isinstance(cov, np.ndarray) and not np.isfinite(cov.diagonal()).any()
+
+    @property
     def bends(self) -> bool:
         """Whether its rows depend on where its parents are."""
         return bool(self.parents) and not isinstance(self.cpd, AffineCPD)
@@ -110,8 +116,6 @@ def whitened(given: Sequence[Given], taken: Sequence[Mask | None], known: Known)
     else:
         noise = _family(given, known).own_noise[:, 0]
     seen = np.isfinite(np.diagonal(noise, axis1=-2, axis2=-1))
-    if not seen.any():  # of flat priors
-        return np.zeros(noise.shape)
     if any(mask is not None for mask in taken):
         size = first.child.dimension
         seen = seen & np.array([np.ones(size, bool) if mask is None else mask for mask in taken])
