@@ -17,7 +17,7 @@ from pgm.inference.growing.factors import Factor, Given, predicted, probe, white
 from pgm.inference.growing.registers import Register
 from pgm.inference.growing.tree import Tree
 from pgm.inference.growing.vectors import Vector
-from pgm.kernels.arrays import Array, Mask
+from pgm.kernels.arrays import Array, Mask, frozen
 from pgm.linearisers import Lineariser, Taylor
 from pgm.networks import checks
 from pgm.schedules.starting_points import Start
@@ -159,7 +159,7 @@ class Added(NamedTuple):
         scope = dict.fromkeys(v for cpd in self.cpds for v in cpd.scope)
         names = {v.name: v for v in scope if v.name not in before.names}
         plates = {g.key: g for g in reversed(self.given) if g.key not in before.plates}
-        kept = {v: np.array(_as_given(value)) for v, value in self.evidence.items()}
+        kept = {v: frozen(np.array(_as_given(value))) for v, value in self.evidence.items()}
         return Contents(
             before.numbers.extended(new),
             before.names.extended(names),

@@ -8,6 +8,7 @@ from growing.dense_maps import POSE, dense, edge, free, linear, rings
 from numpy.testing import assert_allclose
 
 import pgm
+from models import motion
 from pgm.inference.growing import growing_map
 
 
@@ -70,6 +71,22 @@ def test_pose_graphs(seed, every, machine):
         moved += grown.status.relinearised
         assert_dense(grown)
     assert moved
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_means_lag_by_no_more_than_about_the_tolerance(seed):
+    steps = rings(seed, 40, closures=0.2)
+    options = {"threshold": np.inf, "every": 1}
+    exact = grow(steps, tolerance=0.0, **options)
+    every = exact.variables
+    away = [
+        np.abs(grow(steps, tolerance=size, **options).means(every) - exact.means(every)).max()
+        for size in (1e-1, 1e-3, 1e-5)
+    ]
+    assert away[0] < 0.5
+    assert away[1] < 1e-2
+    assert away[2] < 1e-4
+    assert away[0] > 0.0
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -219,6 +236,33 @@ def test_angles_are_read_at_the_nearest_branch():
     assert_allclose(grown[x].mean, 2 * np.pi - 3.1 + 4 * np.pi)
 
 
+@pytest.mark.parametrize("turns", [0, 1, -3])
+def test_motions_of_hidden_poses(turns):
+    """Children of functions, started whole turns from where their parents lead to."""
+    u = pgm.Variable("u", ("forward", "left", "turn"))
+    poses = [pgm.Variable(f"x{k}", **POSE) for k in range(8)]
+    grown = pgm.GrowingMap(threshold=0.01, every=1, tolerance=0.0)
+    grown = grown.add(pgm.GaussianCPD(poses[0], [0.0, 0.0, 3.0], [1.0, 1.0, 0.1]))
+    for k in range(1, 8):
+        step = pgm.NonlinearGaussianCPD(
+            poses[k],
+            given=(poses[k - 1], u),
+            function=motion.increment,
+            cov=[0.1, 0.1, 0.01],
+            jacobian={
+                poses[k - 1]: motion.increment_by_state,
+                u: motion.increment_by_control,
+            },
+        )
+        z = edge(f"z{k}", poses[0], poses[k])
+        before = grown.means(poses[k - 1 : k])[0]
+        start = np.add(before, [0.1, 0.0, 0.2 + turns * 2 * np.pi])
+        evidence = {z.child: [k, 0.0, 0.2 * k]} | ({u: [1.0, 0.0, 0.2]} if k == 1 else {})
+        grown = grown.add([step, z], evidence, start={poses[k]: start})
+        assert_dense(grown)
+        assert abs(grown[poses[k]].mean - start)[2] < 1.0
+
+
 def test_starts_come_from_priors_and_parents():
     a, b, c = pgm.variables("a b c")
     grown = pgm.GrowingMap().add(pgm.GaussianCPD(a, 2.0, 1.0))
@@ -258,6 +302,18 @@ def test_parts_that_nothing_joins_yet():
     joined = grown.add(pgm.LinearGaussianCPD(z, {a: 1.0, b: -1.0}, 1.0), {z: 0.0})
     assert_allclose(joined.joint(b, a).cov, [[4 - 16 / 6, 4 / 6], [4 / 6, 1 - 1 / 6]])
     assert_allclose(grown.joint(a, b).cov, [[1.0, 0.0], [0.0, 4.0]])
+
+
+def test_machine_code_takes_over_after_thousands_of_cliques(monkeypatch):
+    pytest.importorskip("llvmlite")
+    monkeypatch.setattr(growing_map, "ENOUGH", 10)
+    steps = rings(2, 20)
+    assert not pgm.GrowingMap()._machine
+    taken = grow(steps)
+    assert taken._machine
+    assert not grow(steps, compiled=False)._machine
+    found = grow(steps, compiled=False).means(taken.variables)
+    assert_allclose(taken.means(taken.variables), found, atol=1e-9)
 
 
 def test_nothing_is_added_in_vain():
