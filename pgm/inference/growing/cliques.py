@@ -125,7 +125,8 @@ def _least_degree(
     """The order in which vertices leave, and the neighbours that each has then; uses up the sets.
 
     Next is one of the least number of neighbours' components, `late` ones after all others. Least
-    fill would have a tenth fewer entries, and takes four times as long.
+    fill touched a few variables less on a published pose graph, but took longer to find than that
+    saved.
     """
     alike = len(set(sizes)) == 1
     weigh = sizes.__getitem__
