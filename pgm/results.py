@@ -17,6 +17,7 @@ name              what it is                           what returns it
 `Associations`    probabilities of what was sighted    ``posterior.associations[z]``
 `Lost`            steps of beliefs probably wrong      ``posterior.lost``
 `OnlineBelief`    the belief at one step of a loop     `OnlineFilter`'s ``predict``, ``update``
+`Growth`          how large a growing map is           ``grown.status``
 `MostProbable`    the likeliest assignment             `pgm.most_probable`
 `Audit`           a smoother against the exact answer  `pgm.audit`
 `Comparison`      linearisers side by side             `pgm.compare`
@@ -44,6 +45,7 @@ from pgm.inference import (
     Audit,
     GridBelief,
     GridFigures,
+    Growth,
     Innovations,
     Lost,
     MostProbable,
@@ -92,6 +94,7 @@ __all__ = [
     "FitStatus",
     "GridBelief",
     "GridFigures",
+    "Growth",
     "Innovations",
     "Lost",
     "MostProbable",

@@ -41,7 +41,7 @@ ROOMS = {
         *("steps", "compiled", "passes", "digits", "smoothers"),
         *("association", "outcomes", "bound", "solvers", "parts", "online"),
     ),
-    "pgm.inference": ("audit", "query"),
+    "pgm.inference": ("audit", "query", "growing"),
     "pgm.kernels.machine": ("emitter", "matrices", "fronts", "sweeps", "newton"),
     "pgm.kernels.machine.matrices": ("in_memory",),
     "pgm.kernels.machine.sweeps": ("told",),

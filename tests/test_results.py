@@ -50,6 +50,7 @@ CALLS = {
     "FitStatus": lambda: fitted().status,
     "GridBelief": lambda: pgm.filter(walk, GIVEN, belief=GRID)[x],
     "GridFigures": lambda: pgm.filter(walk, GIVEN, belief=GRID).status._figures,
+    "Growth": lambda: pgm.GrowingMap().status,
     "Innovations": lambda: pgm.filter(walk, GIVEN).innovations[z],
     "Lost": lambda: pgm.filter(walk, GIVEN).lost,
     "MostProbable": lambda: pgm.most_probable(pgm.compile(rainy), {wet: "yes"}),
@@ -69,7 +70,7 @@ CALLS = {
 OLD = sorted(
     set(results.__all__)
     - {"Compilation", "ControlReport", "Derivatives", "GridFigures", "Innovations"}
-    - {"ParticleFigures", "ReadingReport", "Row", "Sample"}
+    - {"Growth", "ParticleFigures", "ReadingReport", "Row", "Sample"}
 )
 # What posteriors, statuses and filters are of, by the name of their class before.
 POSTERIORS = {

@@ -5,7 +5,7 @@ linearised. `infer`, `filter` and `smooth` run one on evidence and return a post
 joints, log-evidence and status; `prepare` has it run many times, with other values. `query` and
 `most_probable` answer single questions about discrete networks, `audit` estimates how far a
 Gaussian posterior is from the exact one, and an `OnlineFilter` takes one step at a time in a
-robot's loop.
+robot's loop, and a `GrowingMap` takes what a network without time grows by.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -24,6 +24,7 @@ from pgm.beliefs.points.particle_belief import ParticleBelief
 from pgm.inference.audit import Audit, audit
 from pgm.inference.dynamic import filter, smooth
 from pgm.inference.engine import infer
+from pgm.inference.growing import GrowingMap, Growth
 from pgm.inference.online import OnlineFilter
 from pgm.inference.prepared import Prepared, prepare
 from pgm.inference.query import query
@@ -71,6 +72,8 @@ __all__ = [
     "Grid",
     "GridBelief",
     "GridFigures",
+    "GrowingMap",
+    "Growth",
     "Injection",
     "Innovations",
     "KLDSampling",

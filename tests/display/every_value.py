@@ -146,6 +146,7 @@ def filtered():
     gated = pgm.filter(model, batch.evidence, gate=0.9)
     empty = pgm.smooth(model, {U: asked[U]})
     errors = consistency.anees(many[X], batch[X])
+    grown = pgm.GrowingMap().add(pgm.GaussianCPD(M, np.zeros(2), np.eye(2)))
     return {
         "dynamic network": model,
         "sample": drawn,
@@ -185,6 +186,8 @@ def filtered():
             model.replace(prior=[pgm.GaussianCPD(X, np.zeros((5, 3)), np.eye(3))])
         ).initial(),
         "online lag": lagged,
+        "growing map": grown,
+        "growth": grown.status,
         "chain": pgm.compile(model, STEPS),
         "compilation": pgm.compile(model, STEPS).compilation,
         "tree": pgm.compile(model, STEPS, method=pgm.Balanced()),

@@ -119,6 +119,14 @@ class Plan:
         return np.array(found, dtype=np.intp), most
 
 
+class KeepingPlan(Plan):
+    """A plan whose fronts leave their rows beside one another, where they stay after a call."""
+
+    def _stack(self, sides: int) -> tuple[Integers, int]:
+        ends = _ends(self.separators * (self.separators + sides))
+        return ends[:-1], int(ends[-1])
+
+
 def _ends(sizes: Integers) -> Integers:
     return np.concatenate([[0], np.cumsum(sizes)]).astype(np.intp)
 

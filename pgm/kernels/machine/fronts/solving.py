@@ -59,7 +59,8 @@ class Solver:
         return np.array([_address(part) for part in found], dtype=np.int64), found
 
     @cached_property
-    def _left(self) -> Array:
+    def left(self) -> Array:
+        """Where fronts leave rows to their parents, and those of a `KeepingPlan` stay."""
         return np.empty(self.plan.waiting(self.sides)[1] + 1)
 
     @cached_property
@@ -91,13 +92,13 @@ class Solver:
         kept: The `room` for triangles.
         """
         residual = np.zeros(self.sides)
-        arrays = entries, right, kept, self._left, residual, self._work
+        arrays = entries, right, kept, self.left, residual, self._work
         fault: int = self._called("rows", *arrays)(negligible)
         return residual, fault
 
     def squares(self, entries: Array, right: Array, kept: Array, negligible: float) -> int:
         """Factorise the normal equations of all fronts: the front at fault, else −1."""
-        arrays = entries, right, kept, self._left, self._work
+        arrays = entries, right, kept, self.left, self._work
         found: int = self._called("squares", *arrays)(negligible)
         return found
 

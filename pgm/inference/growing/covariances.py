@@ -1,0 +1,124 @@
+"""Covariances of the variables of a tree of cliques, found when they are asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from pgm.inference.growing.cliques import Clique
+from pgm.inference.growing.tree import Tree
+from pgm.kernels.arrays import Array, Integers
+
+
+class Covariances:
+    """The covariances of a tree's cliques, each found from that of the clique above it.
+
+    With R₁₁ x + R₁₂ s = c and the separators' covariance P: cov(x, s) = G P and cov(x) = R₁₁⁻¹
+    R₁₁⁻ᵀ + G P Gᵀ, with the gain G = −R₁₁⁻¹ R₁₂.
+    """
+
+    def __init__(self, tree: Tree) -> None:
+        self.tree = tree
+        self._found: dict[int, Array] = {}
+
+    def of(self, variable: int) -> Array:
+        """The covariance of one variable, (d, d)."""
+        clique = self.tree.homes[variable]
+        places = self._places(clique, [variable])
+        found: Array = self._of_clique(clique)[np.ix_(places, places)]
+        return found
+
+    def joint(self, variables: Sequence[int]) -> Array:
+        """The covariance of several variables, (n, n)."""
+        homes = [self.tree.homes[v] for v in variables]
+        for clique in homes:
+            held = {*clique.pivots, *clique.separators}
+            if held.issuperset(variables):
+                places = self._places(clique, variables)
+                found: Array = self._of_clique(clique)[np.ix_(places, places)]
+                return found
+        return self._across(variables, homes)
+
+    def _places(self, clique: Clique, variables: Iterable[int]) -> Integers:
+        size = self.tree.size
+        begin, column = {}, 0
+        for variable in (*clique.pivots, *clique.separators):
+            begin[variable] = column
+            column += size(variable)
+        found = [np.arange(begin[v], begin[v] + size(v)) for v in variables]
+        return np.concatenate(found)
+
+    def _of_clique(self, clique: Clique) -> Array:
+        tree, path = self.tree, [clique]
+        while path[-1].lead not in self._found and tree.parents[path[-1].lead] >= 0:
+            path.append(tree.homes[tree.parents[path[-1].lead]])
+        for own in reversed(path):
+            if own.lead not in self._found:
+                self._found[own.lead] = self._made(own)
+        return self._found[clique.lead]
+
+    def _made(self, clique: Clique) -> Array:
+        from scipy.linalg import solve_triangular  # here, since it is slow to import
+
+        own = len(clique.triangle)
+        inverse = solve_triangular(clique.triangle[:, :own], np.eye(own))
+        gain = clique.gain
+        spread = np.zeros((0, 0))
+        if clique.separators:
+            above = self.tree.homes[self.tree.parents[clique.lead]]
+            at = self._places(above, clique.separators)
+            spread = self._found[above.lead][np.ix_(at, at)]
+        cross = gain @ spread
+        cov = inverse @ inverse.T + cross @ gain.T
+        return np.block([[0.5 * (cov + cov.T), cross], [cross.T, spread]])
+
+    def _across(self, variables: Sequence[int], homes: Sequence[Clique]) -> Array:
+        """Columns of the covariance, by the triangles of the cliques from the variables' up."""
+        from scipy.linalg import solve_triangular  # here, since it is slow to import
+
+        tree, size = self.tree, self.tree.size
+        path = tree.upwards(homes)
+        depth: dict[int, int] = {}
+        for lead in path:
+            way = [lead]
+            while way[-1] not in depth and tree.parents[way[-1]] >= 0:
+                way.append(tree.parents[way[-1]])
+            for each in reversed(way):
+                depth.setdefault(each, depth.get(tree.parents[each], -1) + 1)
+        order = sorted(path, key=lambda lead: -depth[lead])
+        total = sum(size(v) for v in variables)
+        asked, column = {lead: np.zeros((_size(path[lead]), total)) for lead in order}, 0
+        for variable, clique in zip(variables, homes, strict=True):
+            for place in self._places(clique, [variable]).tolist():
+                asked[clique.lead][place, column] = 1.0
+                column += 1
+        for lead in order:
+            clique, own = path[lead], len(path[lead].triangle)
+            white = solve_triangular(clique.triangle[:, :own], asked[lead][:own], trans="T")
+            rest = asked[lead][own:] - clique.triangle[:, own:-1].T @ white
+            asked[lead][:own] = white
+            if clique.separators:
+                above = path[tree.parents[lead]]
+                asked[above.lead][self._places(above, clique.separators)] += rest
+        for lead in reversed(order):
+            clique, own = path[lead], len(path[lead].triangle)
+            if clique.separators:
+                above = path[tree.parents[lead]]
+                at = self._places(above, clique.separators)
+                asked[lead][own:] = asked[above.lead][at]
+            known = clique.triangle[:, own:-1] @ asked[lead][own:]
+            asked[lead][:own] = solve_triangular(
+                clique.triangle[:, :own], asked[lead][:own] - known
+            )
+        found = np.concatenate(
+            [
+                asked[clique.lead][self._places(clique, [variable])]
+                for variable, clique in zip(variables, homes, strict=True)
+            ]
+        )
+        return np.asarray(0.5 * (found + found.T))
+
+
+def _size(clique: Clique) -> int:
+    return int(clique.triangle.shape[1]) - 1
