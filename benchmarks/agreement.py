@@ -113,6 +113,19 @@ def maps(library: str, ours: Sequence[Beliefs], theirs: Sequence[Beliefs]) -> No
             _require(library, "covariances", change / size, alike)
 
 
+def ways(library: str, ours: Array, theirs: Array) -> None:
+    """Poses (N, 3) to a metre and a fifth of a radian: some are linearised elsewhere.
+
+    Raises
+    ------
+    AssertionError
+        Where they differ.
+    """
+    away = theirs - ours
+    away[:, 2] = np.remainder(away[:, 2] + np.pi, 2.0 * np.pi) - np.pi
+    _require(library, "places and headings", away / np.array([1.0, 1.0, 0.2]), 1.0)
+
+
 def marginals(library: str, ours: list[Array], theirs: list[Array]) -> None:
     """Probabilities.
 

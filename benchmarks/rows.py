@@ -460,6 +460,21 @@ def city() -> Row:
     )
 
 
+def growing() -> Row:
+    """A published pose graph pose by pose, each with its edges to those before it."""
+    return replace(
+        pose_graph("m3500"),
+        name=f"{pose_graphs.title('m3500')}_growing",
+        contenders={
+            "pgm": part("pgm_growing", "growing"),
+            "pgm_compiled": part("pgm_growing", "growing", compiled=True),
+            "gtsam": part("gtsam_growing", "growing"),
+        },
+        check=agreement.ways,
+        repeats=2,
+    )
+
+
 def landmark_map(count: int, *, reckoned: bool) -> Row:
     """Landmarks and poses that a robot finds out at once, from dead reckoning or near the truth."""
     poses = round(count * landmarks.A_LANDMARK)
@@ -545,6 +560,7 @@ ROWS = [
     *map(pose_graph, pose_graphs.PUBLISHED),
     *map(whole_program, ("m3500", "intel")),
     city(),
+    growing(),
     landmark_map(30, reckoned=True),
     landmark_map(300, reckoned=False),
     *(field(side, quick) for side, quick in ((60, 30), (100, 0), (300, 0))),

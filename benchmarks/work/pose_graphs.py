@@ -69,6 +69,15 @@ def _first(graph: PoseGraph, size: int) -> PoseGraph:
     return _graph(graph.poses[:size], among)
 
 
+def arriving(work: Surveyed) -> list[list[int]]:
+    """The rows of the edges that each pose has with poses before it, from the second pose on."""
+    edges = work.graph.edges
+    found: list[list[int]] = [[] for _ in range(work.units)]
+    for row, last in enumerate(np.maximum(edges.first, edges.second).tolist()):
+        found[last].append(row)
+    return found[1:]
+
+
 def city(size: int) -> Surveyed:
     """A drawn world of so many poses, with as many edges a pose as the graph city10000."""
     poses, edges = CITY
