@@ -8,6 +8,7 @@ import numpy as np
 
 from pgm.inference.growing.cliques import Clique
 from pgm.inference.growing.tree import Tree
+from pgm.kernels import dense, step
 from pgm.kernels.arrays import Array, Integers
 
 
@@ -69,9 +70,9 @@ class Covariances:
             above = self.tree.homes[self.tree.parents[clique.lead]]
             at = self._places(above, clique.separators)
             spread = self._found[above.lead][np.ix_(at, at)]
-        cross = gain @ spread
-        cov = inverse @ inverse.T + cross @ gain.T
-        return np.block([[0.5 * (cov + cov.T), cross], [cross.T, spread]])
+        parts = dense.Stack(spread, True), dense.Stack(gain), dense.Stack(inverse @ inverse.T)
+        cross, cov = (each.array for each in step.crossed(*parts))
+        return np.block([[cov, cross], [cross.T, spread]])
 
     def _across(self, variables: Sequence[int], homes: Sequence[Clique]) -> Array:
         """Columns of the covariance, by the triangles of the cliques from the variables' up."""
