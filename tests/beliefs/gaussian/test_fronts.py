@@ -339,3 +339,44 @@ def test_drawn_networks_with_flat_priors_against_fractions(way, seed):
     tolerance = 1e-9 if digits is None else max(1e-9, 10.0 ** -float(np.min(digits)))
     joint = posterior.joint(*x)
     assert_moments(joint.mean, joint.cov, mean.astype(float), cov.astype(float), tolerance, 1e-15)
+
+
+def test_machine_code_is_chosen_and_told():
+    pytest.importorskip("llvmlite")
+    drawn = regular(2, 12, 2, reach=4)
+    network = drawn.network()
+    compiled, plain = (
+        pgm.infer(pgm.compile(network, compiled=choice), {}) for choice in (True, False)
+    )
+    assert compiled.status.compilation == "compiled"
+    assert "compiled" in repr(compiled.status)
+    assert plain.status.compilation == ""
+    for v in drawn.variables:
+        assert_allclose(compiled[v].mean, plain[v].mean, atol=1e-12)
+        assert_allclose(compiled[v].cov, plain[v].cov, atol=1e-12)
+    x, y = pgm.variables("x y")
+    same = pgm.BayesianNetwork(
+        [pgm.GaussianCPD(x, 0.0, 1.0), pgm.LinearGaussianCPD(y, {x: 1.0}, cov=0.0)]
+    )
+    told = pgm.infer(pgm.compile(same, compiled=True), {}).status.compilation
+    assert told == "not compiled: CPDs without noise are left to NumPy"
+
+
+def test_machine_code_is_of_trees_of_gaussians():
+    pytest.importorskip("llvmlite")
+    coin = pgm.Discrete("coin", states=2)
+    tables = pgm.BayesianNetwork([pgm.TableCPD(coin, table=[0.5, 0.5])])
+    with pytest.raises(pgm.ModelError, match="compiled= is for networks of Gaussian CPDs"):
+        pgm.compile(tables, compiled=True)
+    a, b, c, d = pgm.variables("a b c d")
+    loop = pgm.BayesianNetwork(
+        [
+            pgm.GaussianCPD(a, 0.0, 1.0),
+            pgm.LinearGaussianCPD(b, {a: 1.0}, cov=1.0),
+            pgm.LinearGaussianCPD(c, {a: 1.0}, cov=1.0),
+            pgm.LinearGaussianCPD(d, {b: 1.0, c: 1.0}, cov=1.0),
+        ]
+    )
+    with pytest.raises(pgm.GraphError, match="solved in rounds by NumPy"):
+        pgm.compile(loop, method=pgm.Bethe(), compiled=True)
+    assert not pgm.infer(pgm.compile(loop, compiled=False), {}).status.compilation
