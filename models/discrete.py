@@ -46,7 +46,7 @@ def sprinkler() -> pgm.BayesianNetwork:
 
 
 def asia() -> pgm.BayesianNetwork:
-    """What ails a patient who is short of breath; `either` is a deterministic table.
+    """The causes of a patient's short breath; `either` is a deterministic table.
 
         p(visit) p(smoking) p(tuberculosis | visit) p(cancer | smoking) p(bronchitis | smoking)
         p(either | tuberculosis, cancer) p(xray | either) p(dyspnoea | either, bronchitis)

@@ -34,7 +34,7 @@ File = Annotated[
 
 @dataclass(frozen=True)
 class Setting:
-    """What is known of one recording.
+    """The settings of one recording.
 
     The range calibration, range = scale · distance + offset, was fitted with the truth, and the
     noise was tuned: results check an engine, they claim no accuracy.

@@ -59,7 +59,7 @@ class Given:
 
     @property
     def begin(self) -> str:
-        """What the graph's own poses are."""
+        """A name of the graph's own poses."""
         return "the file's poses" if self.truth is None else "the odometry"
 
 

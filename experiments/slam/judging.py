@@ -1,4 +1,4 @@
-"""What a map is worth against the truth, and what closing the loop changes in it."""
+"""The errors of a map against the truth, and its deviations before and after a loop is closed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the beliefs of a pose are worth against the truth."""
+"""The errors of beliefs of a pose against the truth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a planar robot senses: the state is x = (east [m], north [m], heading θ [rad]).
+"""Sensors of a planar robot: the state is x = (east [m], north [m], heading θ [rad]).
 
 Landmarks are m = (east [m], north [m]). Functions are called ``function(x)`` or ``function(x, m)``
 with equal leading axes (``...``) and return ``(..., d)``. The Jacobians ``function_by_state``

@@ -1,4 +1,4 @@
-"""What one CPD adds to the cost of a point, by which a step control judges its steps.
+"""The cost of a point by one CPD, by which a step control judges its steps.
 
 The cost is −2 ln p of the point and the measurements, but for constants (`LevenbergMarquardt`). A
 CPD adds rᵀ Q⁺ r for each of its *rows*: r is the child less the value that its parents' belief lets

@@ -48,6 +48,7 @@ from pgm.kernels.arrays import (
     vacant,
 )
 from pgm.kernels.prefixes import by_rows
+from pgm.linearisation.affine import affine_rows, plate_noise
 from pgm.linearisation.failures import failure, require_finite
 from pgm.linearisation.rows import At, Rows, own_noise
 from pgm.linearisers import (
@@ -121,7 +122,7 @@ class Family(Rows):
         plate = () if copies else tuple(plate)
         noise = own_noise(cpd, step if timed else None, rows, inputs, lead, numbering)
         if plate:
-            noise = _stacked_noise(plate, lead)
+            noise = plate_noise(plate, lead)
         if isinstance(cpd, NonlinearGaussianCPD):
             template = template or cpd._template(hidden)
             if plate:
@@ -135,29 +136,10 @@ class Family(Rows):
         made = cls(*known)
         made.plate, made.noise = plate, np.broadcast_to(noise, (rows, runs, height, height))
         if isinstance(cpd, AffineCPD):
-            constant, shift = made._affine_of_all(lead)
-            made.affine = constant, shift
+            constant, shift = made.affine = affine_rows(cpd, plate, hidden, inputs, lead)
             made.matrix = np.broadcast_to(constant[..., None, :, :], (rows, runs, height, width))
             made.offset = np.broadcast_to(shift, (rows, runs, height))
         return made
-
-    def _affine_of_all(self, lead: tuple[int, ...]) -> tuple[Array, Array]:
-        """F (d, n), or (rows, d, n) of a plate, and b (rows or 1, runs or 1, d) of affine CPDs."""
-        if not self.plate:
-            return _affine(self.cpd, self.hidden, self.inputs, lead)
-        cpds = [cpd for cpd in self.plate if isinstance(cpd, AffineCPD)]
-        offset = np.array([cpd.offset for cpd in cpds])
-        if offset.ndim > 2:  # of priors with axes of runs, which all of a plate have alike
-            offset = np.stack([np.broadcast_to(own, (*lead, own.shape[-1])) for own in offset])
-        offset = offset.reshape(len(cpds), -1, offset.shape[-1])
-        slopes = [np.zeros((len(cpds), offset.shape[-1], 0))]
-        for k, parent in enumerate(self.cpd.given):
-            slope = np.array([cpd.matrices[cpd.given[k]] for cpd in cpds])
-            if parent in self.hidden:
-                slopes.append(slope)
-            else:
-                offset = offset + apply(slope[:, None], self.inputs[parent])
-        return np.concatenate(slopes, axis=2), offset
 
     @cached_property
     def shape(self) -> tuple[int, ...]:
@@ -661,28 +643,6 @@ class Family(Rows):
             else None
             for parent, place in zip(self.template.given, self.template.places, strict=True)
         ]
-
-
-def _affine(
-    cpd: ConditionalGaussian,
-    hidden: Scope,
-    inputs: Mapping[Variable, Array],
-    lead: tuple[int, ...],
-) -> tuple[Array, Array]:
-    """F (d, n) and b (rows or 1, runs or 1, d) of an affine CPD."""
-    assert isinstance(cpd, AffineCPD)
-    constant, shift = cpd._affine(hidden, inputs)
-    if not cpd.given and shift.ndim > 1:
-        shift = np.broadcast_to(shift, (*lead, shift.shape[-1])).reshape(1, -1, shift.shape[-1])
-    return constant, shift if shift.ndim == 3 else shift[None, None]
-
-
-def _stacked_noise(plate: Sequence[ConditionalGaussian], lead: tuple[int, ...]) -> Array:
-    """The noise covariances of the CPDs of a plate, (rows, runs or 1, d, d)."""
-    covs = [cpd.cov for cpd in plate]
-    if all(isinstance(cov, np.ndarray) and cov.ndim == 2 for cov in covs):
-        return np.array(covs)[:, None]
-    return np.concatenate([own_noise(each, None, 1, {}, lead, COUNTED) for each in plate])
 
 
 def _unplaced(function: BoundFunction) -> At:

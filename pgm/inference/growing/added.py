@@ -1,4 +1,4 @@
-"""What is added to a growing map: checked, and with the factors that it has."""
+"""CPDs and evidence that are added to a growing map: checked, with their factors."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from pgm.variables import Variable
 
 
 class Contents(NamedTuple):
-    """What has been added so far, in stores that are shared with the maps before."""
+    """The CPDs and evidence of a map, in stores that are shared with the maps before."""
 
     numbers: Register[Variable, int]
     names: Register[str, Variable]
@@ -38,7 +38,7 @@ class Contents(NamedTuple):
 
     @classmethod
     def empty(cls) -> Contents:
-        """Those of a map without anything."""
+        """The contents of a map without variables."""
         made: list[Register[Any, Any]] = [Register() for _ in range(6)]
         return cls(*made, Vector(), Vector())  # type: ignore[call-arg, arg-type]
 
@@ -68,7 +68,7 @@ class Added(NamedTuple):
     def checked(
         cls, contents: Contents, cpds: CPD | Iterable[CPD], evidence: Mapping[Any, Any]
     ) -> Added:
-        """What is added to a map; what does not fit is refused."""
+        """The CPDs to add, checked against those of a map; one that does not fit is refused."""
         found = checks.as_cpds(cpds, "what is added to a growing map")
         checks.one_cpd_each(found)
         checks.no_step_before(found)
@@ -155,7 +155,7 @@ class Added(NamedTuple):
         return found
 
     def contents(self, before: Contents, new: Mapping[Variable, int]) -> Contents:
-        """What the map then contains."""
+        """The contents of the map with these CPDs."""
         scope = dict.fromkeys(v for cpd in self.cpds for v in cpd.scope)
         names = {v.name: v for v in scope if v.name not in before.names}
         plates = {g.key: g for g in reversed(self.given) if g.key not in before.plates}

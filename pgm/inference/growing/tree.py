@@ -122,7 +122,7 @@ class Tree:
 
 @dataclass(frozen=True)
 class Change:
-    """What an update has made: the tree, and what it touched.
+    """An update of a map: the tree that it made, and the cliques that it touched.
 
     Attributes
     ----------

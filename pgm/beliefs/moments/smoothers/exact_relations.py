@@ -148,7 +148,7 @@ def _relations(plan: ChainPlan) -> Iterator[Relation]:
 
 
 def _of_linear(family: Family, noise: Array) -> Array | None:
-    """What is `left_open` of a covariance; None of a regular one, and of a nonlinear CPD."""
+    """The projection on directions without noise; None of a regular one, or a nonlinear CPD."""
     return left_open(noise) if family.exact else None
 
 
