@@ -1,7 +1,7 @@
 """SciPy on a linear Gaussian network: a sparse factor of its precision, which gives means alone.
 
 SuperLU is told that the matrix is symmetric and needs no pivots, and by which order to eliminate:
-on grids that takes a half of what its defaults take.
+on grids that takes half to two thirds of what its defaults take.
 """
 
 from __future__ import annotations

@@ -81,13 +81,13 @@ class GaussianCPD(AffineCPD):
     cov : array_like
         (..., d, d), positive semidefinite; or (d,), the variance of each component; or one
         variance for all of them. Zero where the value is known exactly. In the prior of a
-        `DynamicBayesianNetwork`, and in a `BayesianNetwork` that is compiled to a tree, variances
-        may be infinite, of a component or, ``cov=np.inf``, of all: nothing is known of them but
-        what measurements say, exactly (de Jong, The diffuse Kalman filter, 1991). As long as these
-        do not determine a component of a chain, its variance is infinite and its mean has no
-        meaning; a network without time that leaves a direction open is refused, naming it. The
-        log-evidence is the limit of ln p + ½ ln κ, a variance κ of each flat component that is
-        determined growing without bound.
+        `DynamicBayesianNetwork`, and in a `BayesianNetwork`, variances may be infinite, of a
+        component or, ``cov=np.inf``, of all: nothing is known of them but what measurements say,
+        exactly (de Jong, The diffuse Kalman filter, 1991). As long as these do not determine a
+        component of a chain, its variance is infinite and its mean has no meaning; in a network
+        without time a direction that is left open is refused, naming it, and messages round loops
+        do not settle. The log-evidence is the limit of ln p + ½ ln κ, a variance κ of each flat
+        component that is determined growing without bound.
 
     Examples
     --------

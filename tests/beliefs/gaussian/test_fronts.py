@@ -380,3 +380,23 @@ def test_machine_code_is_of_trees_of_gaussians():
     with pytest.raises(pgm.GraphError, match="solved in rounds by NumPy"):
         pgm.compile(loop, method=pgm.Bethe(), compiled=True)
     assert not pgm.infer(pgm.compile(loop, compiled=False), {}).status.compilation
+
+
+def test_flat_priors_of_a_graph_with_loops():
+    """Means are the tree's where messages settle, which they do where all is measured."""
+    x = pgm.variables("x0 x1 x2 x3")
+    cpds, evidence = [pgm.GaussianCPD(v, 0.0, np.inf) for v in x], {}
+    for k, v in enumerate(x):
+        own, apart = pgm.variables(f"r{k} z{k}")
+        cpds.append(pgm.LinearGaussianCPD(own, {v: 1.0}, cov=1.0))
+        cpds.append(pgm.LinearGaussianCPD(apart, {v: 1.0, x[(k + 1) % 4]: -1.0}, cov=1.0))
+        evidence |= {own: float(k), apart: 0.5 * k}
+    network = pgm.BayesianNetwork(cpds)
+    graph, often = pgm.compile(network, method=pgm.Bethe()), pgm.Flooding(iterations=300)
+    due = pgm.infer(pgm.compile(network), evidence)
+    found = pgm.infer(graph, evidence, schedule=often)
+    assert found.status.converged.all()
+    assert_allclose(found.means(x), due.means(x), atol=1e-8)
+    apart = {v: value for v, value in evidence.items() if v.name.startswith("z")}
+    with pytest.warns(pgm.ConvergenceWarning):
+        pgm.infer(graph, apart, schedule=often)
