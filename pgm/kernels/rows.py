@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pgm.kernels import roots
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, transpose
 
 # A singular value or a pivot below this part of its column is rounding.
@@ -111,6 +112,36 @@ def largest_first(correlation: Array) -> Integers:
         pivot = np.take_along_axis(pivots, first, axis=-1)[..., None]
         left = left - column * (transpose(column) / np.where(pivot > NEGLIGIBLE, pivot, np.inf))
     return order
+
+
+class Pivoted(NamedTuple):
+    """A covariance as deviations and a root L of its correlations, those first that vary most.
+
+    So no row of L⁻¹ takes up the rounding of another.
+
+    deviation: (..., n, 1); one where there is no variance.
+    order: The indices of components in pivot order, (..., n, 1).
+    correlation: The correlations in this order, (..., n, n).
+    lower: L (..., n, n), with zero pivots where components are determined, NaN where the covariance
+        is indefinite; see `roots.root`.
+    """
+
+    deviation: Array
+    order: Integers
+    correlation: Array
+    lower: Array
+
+
+def pivoted(cov: Array) -> Pivoted:
+    """The deviations of covariances (..., n, n), and the roots of their correlations."""
+    variance = np.diagonal(cov, axis1=-2, axis2=-1)
+    deviation = np.sqrt(np.where(variance > 0.0, variance, 1.0))[..., None]
+    correlation = cov / (deviation * transpose(deviation))
+    order = largest_first(correlation)[..., None]
+    correlation = np.take_along_axis(correlation, order, axis=-2)
+    correlation = np.take_along_axis(correlation, order.swapaxes(-1, -2), axis=-1)
+    lower = roots.root(correlation, negligible=NEGLIGIBLE)
+    return Pivoted(deviation, order, correlation, lower)
 
 
 def _eliminate_proper(matrix: Array, right: Array, count: int) -> Eliminated:

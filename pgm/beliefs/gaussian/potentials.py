@@ -35,8 +35,8 @@ from pgm.beliefs.gaussian.layout import Layout
 from pgm.beliefs.gaussian.model import Model
 from pgm.beliefs.gaussian.refusals import indefinite_noise
 from pgm.kernels import roots, solving
-from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, apply, independent, transpose
-from pgm.kernels.rows import NEGLIGIBLE, largest_first
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, apply, independent
+from pgm.kernels.rows import pivoted
 from pgm.schedules.iteration import Anchor
 
 # A residual with summands of size s costs as many digits as an entry of this times s.
@@ -223,14 +223,7 @@ class _Noise(NamedTuple):
 
     @classmethod
     def _of(cls, model: Model, groups: list[int], noise: Array) -> _Noise:
-        # As correlations, those first that vary most: then no row takes up the rounding of another.
-        variance = np.diagonal(noise, axis1=-2, axis2=-1)
-        deviation = np.sqrt(np.where(variance > 0.0, variance, 1.0))[..., None]
-        correlation = noise / (deviation * transpose(deviation))
-        order = largest_first(correlation)[..., None]
-        correlation = np.take_along_axis(correlation, order, axis=-2)
-        correlation = np.take_along_axis(correlation, order.swapaxes(-1, -2), axis=-1)
-        lower = roots.root(correlation, negligible=NEGLIGIBLE)
+        deviation, order, correlation, lower = pivoted(noise)
         if not roots.is_proper(lower):
             bad = np.isnan(lower).any(axis=(0, 2, 3))
             cpds = [cpd for g in groups for cpd in model.layout.groups[g].cpds]

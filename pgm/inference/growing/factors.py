@@ -20,7 +20,7 @@ from pgm.factors.scope import Scope
 from pgm.kernels import roots, solving
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, Mask, apply, independent, transpose
-from pgm.kernels.rows import NEGLIGIBLE, largest_first
+from pgm.kernels.rows import pivoted
 from pgm.linearisation.family import Family
 from pgm.linearisers import BoundFunction, Lineariser
 from pgm.linearisers.function import Source
@@ -132,13 +132,7 @@ def _roots(given: Sequence[Given], noise: Array) -> Array:
             return np.asarray(np.linalg.inv(lower))
     except np.linalg.LinAlgError:
         pass
-    deviation = np.sqrt(variance)[..., None]
-    unit = np.where(deviation > 0.0, deviation, 1.0)
-    correlation = noise / (unit * transpose(unit))
-    order = largest_first(correlation)[..., None]
-    correlation = np.take_along_axis(correlation, order, axis=-2)
-    correlation = np.take_along_axis(correlation, order.swapaxes(-1, -2), axis=-1)
-    lower = roots.root(correlation, negligible=NEGLIGIBLE)
+    unit, order, _, lower = pivoted(noise)
     for row, own in enumerate(lower):
         cpd = given[row].cpd
         if not roots.is_proper(own):
