@@ -2,8 +2,8 @@
 
 The *rows* of a front are those of its clusters' CPDs and those that its children leave: of a factor
 exp(−½ ‖A ξ − r‖²) over its components ξ, the rows of A, with r. Fronts of one level of the tree and
-one shape make a stack. In large trees shapes are rounded up, so that there are few: a front then
-has columns that stand for no component, with a unit row each where they are pivots.
+one shape make a stack. In large trees fronts are padded to a shape that more of them share: a front
+then has columns that stand for no component, with a unit row each where they are pivots.
 """
 
 from __future__ import annotations
@@ -13,12 +13,13 @@ from functools import cached_property
 
 import numpy as np
 
+from pgm.beliefs.gaussian.front_shapes import Shapes, alike, joined
 from pgm.beliefs.gaussian.fronts import Fronts, ranges
 from pgm.beliefs.gaussian.layout import Layout
 from pgm.beliefs.gaussian.rounds import Stack
 from pgm.kernels.arrays import Integers
 
-# Trees of so many fronts have their shapes rounded up, each size by a sixth in the mean.
+# Trees of so many fronts have fronts padded; smaller ones are often inferred for many runs at once.
 MANY = 100
 
 
@@ -33,15 +34,26 @@ class FrontStacks:
     layout: Layout
     fronts: Fronts
 
-    @cached_property
+    @property
     def pivots(self) -> Integers:
-        """The number of pivots of each front, rounded up, (fronts,)."""
-        return self._rounded(self.fronts.pivots)
+        """The number of pivots of each front, padded, (fronts,)."""
+        return self._shapes.pivots
+
+    @property
+    def separators(self) -> Integers:
+        """The number of separators of each front, padded, (fronts,)."""
+        return self._shapes.separators
 
     @cached_property
-    def separators(self) -> Integers:
-        """The number of separators of each front, rounded up, (fronts,)."""
-        return self._rounded(self.fronts.separators)
+    def _shapes(self) -> Shapes:
+        fronts = self.fronts
+        left = np.where(fronts.parent >= 0, fronts.separators, 0)
+        rows = np.bincount(np.maximum(fronts.parent, 0), left, len(fronts)).astype(np.intp)
+        for group in self.layout.factors:
+            own = self.of_cluster[group.clusters]
+            rows += np.bincount(own, minlength=len(fronts)) * group.height
+        shaped = joined if len(fronts) >= MANY else alike
+        return shaped(fronts.levels, fronts.pivots, fronts.separators, rows)
 
     @cached_property
     def entry_starts(self) -> Integers:
@@ -64,49 +76,15 @@ class FrontStacks:
         """The front of each cluster, (clusters,), which has the log-scale of its CPDs."""
         return self.fronts.of_cluster
 
-    def _rounded(self, sizes: Integers) -> Integers:
-        if len(self.fronts) < MANY:
-            return sizes
-        known = np.unique(np.round(1.3 ** np.arange(60)).astype(np.intp))
-        known = np.concatenate([[0], known, 3 * known])
-        known.sort()
-        return np.asarray(known[np.searchsorted(known, sizes)])
-
     @cached_property
     def levels(self) -> list[list[Stack]]:
         """The stacks of each level of the tree, from the fronts without children on."""
-        fronts, widths = self.fronts, self.pivots + self.separators
-        spare = self.pivots - fronts.pivots
-        children = np.maximum(fronts.parent, 0)
-        left = np.where(fronts.parent >= 0, fronts.separators, 0)
-        rows = np.bincount(children, left, len(fronts)).astype(np.intp) + spare
-        heights = [
-            np.bincount(self.of_cluster[g.clusters], minlength=len(fronts)) * g.height
-            for g in self.layout.factors
-        ]
-        for height in heights:
-            rows += height
-        # Stacks are padded with zero rows: few shapes, at most twice the rows.
-        rooms = np.maximum(np.maximum(widths, self._powers(rows)), 1)
-        stacks: list[list[Integers]] = []
-        for level in fronts.levels:
-            shapes = np.stack([self.pivots, self.separators, rooms])[:, level]
-            _, alike = np.unique(shapes, axis=1, return_inverse=True)
-            order = np.argsort(alike.ravel(), kind="stable")
-            bounds = np.cumsum(np.bincount(alike.ravel()))[:-1]
-            stacks.append(np.split(level[order], bounds))
-        for members in (members for level in stacks for members in level):
-            most = np.maximum(rows[members].max(initial=0), widths[members].max(initial=0))
-            rooms[members] = max(int(most), 1)
-        entries, right = self._filled(rooms, widths, spare)
+        rooms, widths = self._shapes.rows, self.pivots + self.separators
+        entries, right = self._filled(rooms, widths, self.pivots - self.fronts.pivots)
         return [
-            [self._stack(members, rooms, entries, right) for members in level] for level in stacks
+            [self._stack(members, rooms, entries, right) for members in level]
+            for level in self._shapes.stacks
         ]
-
-    @staticmethod
-    def _powers(rows: Integers) -> Integers:
-        """Powers of two, of which each is the least that so many rows do not exceed."""
-        return np.asarray(1 << np.ceil(np.log2(np.maximum(rows, 1))).astype(np.intp))
 
     def _filled(
         self, rooms: Integers, widths: Integers, spare: Integers
@@ -158,7 +136,7 @@ class FrontStacks:
         return np.append(fronts.above, -1)[np.where(columns < 0, -1, index)]
 
     def padded(self, fronts: Integers, columns: Integers) -> Integers:
-        """The columns (B, n) in matrices of fronts (B,) whose pivots are rounded up."""
+        """The columns (B, n) in matrices of fronts (B,) whose pivots are padded."""
         own = self.fronts.pivots[fronts][:, None]
         return np.where(columns >= own, columns + self.pivots[fronts][:, None] - own, columns)
 

@@ -145,7 +145,10 @@ class Buffer(Generic[Standing]):
         unit = np.log(scale[stack.components[:, : stack.drop]]).sum(axis=1)
         unit = unit - 0.5 * LOG_2PI * stack.padded
         known = self.log_scale[:, stack.logs].sum(axis=2)
-        return done, known + done.log_scale + unit[:, None]
+        # A row that is left over no component is of the residual.
+        nothing = (stack.components[:, stack.drop :] == len(scale) - 1)[..., None]
+        residual = np.square(np.where(nothing, done.rest.right, 0.0)).sum(axis=-2)
+        return done, known + done.log_scale + unit[:, None] - 0.5 * residual
 
     def out(self, messages: Integers, size: int) -> tuple[Integers, Integers]:
         """The indices at which the buffer has the rows of some messages, by their numbers (B,).

@@ -16,13 +16,13 @@ from pgm.beliefs.gaussian.fronts import Fronts
 from pgm.beliefs.gaussian.layout import Layout
 
 
-@pytest.fixture(params=["stacks", "rounded", "machine"])
+@pytest.fixture(params=["stacks", "padded", "machine"])
 def way(request, monkeypatch):
     """Each way in which fronts are solved, of networks of any size."""
     if request.param == "machine":
         pytest.importorskip("llvmlite")
     monkeypatch.setattr(solving, "MANY", 1 if request.param == "machine" else 10**9)
-    monkeypatch.setattr(front_stacks, "MANY", 1 if request.param == "rounded" else 10**9)
+    monkeypatch.setattr(front_stacks, "MANY", 1 if request.param == "padded" else 10**9)
     return request.param
 
 
@@ -68,6 +68,34 @@ def test_moments_of_a_network(way, seed, reach):
     graph, dense, rng = pgm.compile(drawn.network()), drawn.dense(), np.random.default_rng(seed)
     evidence, hidden = drawn.observe(rng, 0.3)
     assert_dense(pgm.infer(graph, evidence), dense, evidence, hidden, rng)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_log_evidence_of_a_field(compiled):
+    if compiled:
+        pytest.importorskip("llvmlite")
+    side, rng = 40, np.random.default_rng(0)
+    x = [pgm.Variable(f"x{k}") for k in range(side * side)]
+    cpds, precise, evidence = [pgm.GaussianCPD(x[0], 0.0, 1.0)], np.zeros((len(x), len(x))), {}
+    precise[0, 0] = 1.0
+    for k in range(1, len(x)):
+        before = [k - side] * (k >= side) + [k - 1] * (k % side > 0)
+        given = dict.fromkeys([x[j] for j in before], 0.49)
+        cpds.append(pgm.LinearGaussianCPD(x[k], given=given, cov=1.0))
+        row = np.zeros(len(x))
+        row[k], row[before] = 1.0, -0.49
+        precise += np.outer(row, row)
+    read = np.arange(0, len(x), 7)
+    for k in read.tolist():
+        z = pgm.Variable(f"z{k}")
+        cpds.append(pgm.LinearGaussianCPD(z, given={x[k]: 1.0}, cov=0.01))
+        evidence[z] = rng.normal()
+    posterior = pgm.infer(pgm.compile(pgm.BayesianNetwork(cpds), compiled=compiled), evidence)
+    cov = np.linalg.inv(precise)[np.ix_(read, read)] + 0.01 * np.eye(len(read))
+    values = np.array(list(evidence.values()))
+    square = values @ np.linalg.solve(cov, values)
+    due = -0.5 * (square + np.linalg.slogdet(2.0 * np.pi * cov)[1])
+    assert_log(posterior.log_evidence, due)
 
 
 def test_runs_that_share_matrices_and_runs_that_do_not(way):
