@@ -90,10 +90,9 @@ class FrontSquares:
         """For each group of factors the indices of their columns."""
         stacks, blocks = self.stacks, self.stacks.fronts.blocks
         found = []
-        for group in stacks.layout.factors:
-            front = stacks.of_cluster[group.clusters]
-            places = np.concatenate([group.child, group.parents], axis=1)
-            columns = stacks.padded(front, blocks.columns(front, places))
+        for factors in stacks.assembly.factors:
+            front = stacks.of_cluster[factors.clusters]
+            columns = stacks.padded(front, blocks.columns(front, factors.places))
             found.append(self._indices(front, columns))
         return found
 
@@ -134,18 +133,13 @@ class FrontSquares:
 
     def _summed(self, potentials: Potentials) -> tuple[Array, Array]:
         """The information (V, entries) and vectors (V, rows, N) of all factors."""
-        layout, (*_, end, last) = self.stacks.layout, self._starts
+        assembly, (*_, end, last) = self.stacks.assembly, self._starts
         matrix, right = potentials.proper
         stacked, _, sides = right.shape
         vectors = np.zeros((stacked, last + 1, sides))
         squares, where = [np.zeros((stacked, 0))], [np.zeros(0, dtype=np.intp)]
-        for k, (group, (entries, rows)) in enumerate(
-            zip(layout.factors, self._factors, strict=True)
-        ):
-            own = matrix[:, layout.entry_starts[k] : layout.entry_starts[k + 1]]
-            own = own.reshape(stacked, len(group.clusters), group.height, group.width)
-            side = right[:, layout.row_starts[k] : layout.row_starts[k + 1]]
-            side = side.reshape(*own.shape[:3], sides)
+        for k, (entries, rows) in enumerate(self._factors):
+            own, side = assembly.matrices(k, matrix), assembly.sides(k, right)
             squares.append((transpose(own) @ own).reshape(stacked, -1))
             where.append(entries.ravel())
             for total, part in zip(vectors, transpose(own) @ side, strict=True):

@@ -13,9 +13,9 @@ from functools import cached_property
 
 import numpy as np
 
+from pgm.beliefs.gaussian.assembly import Assembly
 from pgm.beliefs.gaussian.front_shapes import Shapes, alike, joined
 from pgm.beliefs.gaussian.fronts import Fronts, ranges
-from pgm.beliefs.gaussian.layout import Layout
 from pgm.beliefs.gaussian.rounds import Stack
 from pgm.kernels.arrays import Integers
 
@@ -31,7 +31,7 @@ class FrontStacks:
     then a zero, and the entry of unit rows.
     """
 
-    layout: Layout
+    assembly: Assembly
     fronts: Fronts
 
     @property
@@ -49,9 +49,9 @@ class FrontStacks:
         fronts = self.fronts
         left = np.where(fronts.parent >= 0, fronts.separators, 0)
         rows = np.bincount(np.maximum(fronts.parent, 0), left, len(fronts)).astype(np.intp)
-        for group in self.layout.factors:
-            own = self.of_cluster[group.clusters]
-            rows += np.bincount(own, minlength=len(fronts)) * group.height
+        for factors in self.assembly.factors:
+            own = self.of_cluster[factors.clusters]
+            rows += np.bincount(own, minlength=len(fronts)) * factors.height
         shaped = joined if len(fronts) >= MANY else alike
         return shaped(fronts.levels, fronts.pivots, fronts.separators, rows)
 
@@ -59,12 +59,12 @@ class FrontStacks:
     def entry_starts(self) -> Integers:
         """The index of the first entry that each front leaves, and of the zero, (fronts + 1,)."""
         sizes = self.separators**2
-        return int(self.layout.entry_starts[-1]) + np.concatenate([[0], np.cumsum(sizes)])
+        return int(self.assembly.entry_starts[-1]) + np.concatenate([[0], np.cumsum(sizes)])
 
     @cached_property
     def row_starts(self) -> Integers:
         """The index of the first row that each front leaves, and of the zero, (fronts + 1,)."""
-        return int(self.layout.row_starts[-1]) + np.concatenate([[0], np.cumsum(self.separators)])
+        return int(self.assembly.row_starts[-1]) + np.concatenate([[0], np.cumsum(self.separators)])
 
     @property
     def logs(self) -> int:
@@ -94,21 +94,18 @@ class FrontStacks:
         zero, zero_row = int(self.entry_starts[-1]), int(self.row_starts[-1])
         entries = _Ragged.of(rooms * widths, zero)
         right = _Ragged.of(rooms, zero_row)
-        used = np.zeros(len(fronts), dtype=np.intp)
-
-        for k, group in enumerate(self.layout.factors):
-            front = self.of_cluster[group.clusters]
-            places = np.concatenate([group.child, group.parents], axis=1)
-            columns = self.padded(front, blocks.columns(front, places))
-            slots = _slots(front, np.full(front.size, group.height), used)
-            at, inside = slots[:, None] + np.arange(group.height), np.arange(group.width)
+        used, assembly = np.zeros(len(fronts), dtype=np.intp), self.assembly
+        for k, factors in enumerate(assembly.factors):
+            height, width = factors.height, factors.places.shape[1]
+            front = self.of_cluster[factors.clusters]
+            columns = self.padded(front, blocks.columns(front, factors.places))
+            slots = _slots(front, np.full(front.size, height), used)
+            at, inside = slots[:, None] + np.arange(height), np.arange(width)
             count = np.arange(front.size)[:, None]
-            row = count * group.height + np.arange(group.height)
+            row = count * height + np.arange(height)
             where = (at * widths[front][:, None])[..., None] + columns[:, None, :]
-            entries.put(
-                front, where, self.layout.entry_starts[k] + (row * group.width)[..., None] + inside
-            )
-            right.put(front, at, self.layout.row_starts[k] + row)
+            entries.put(front, where, assembly.entry_starts[k] + (row * width)[..., None] + inside)
+            right.put(front, at, assembly.row_starts[k] + row)
         begin = np.cumsum(fronts.separators) - fronts.separators
         sent = np.flatnonzero((fronts.parent >= 0) & (fronts.separators > 0))
         slots = np.zeros(len(fronts), dtype=np.intp)
@@ -156,7 +153,7 @@ class FrontStacks:
             members,
             members,
             drop,
-            np.where(there, place, self.layout.size),
+            np.where(there, place, self.assembly.size),
             np.where(there, column, -1),
             entries.part(members, room * width).reshape(len(members), room, width),
             right.part(members, room),

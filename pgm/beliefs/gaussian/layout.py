@@ -4,8 +4,6 @@ The components of all hidden variables make one vector, (size,), and the *place*
 its index there; its *column* is its index in the scope of a cluster. A *group* is made of the CPDs
 of one plate (`pgm.cpds.plates`), or of copies of one at the steps of an unrolled chain, that have
 evidence for the same of their variables.
-The *factor* of a CPD is exp(−½ ‖A x − r‖²): the matrix A has a row for each component of the child,
-and a column for each hidden component x of child and parents.
 """
 
 from __future__ import annotations
@@ -14,10 +12,11 @@ from collections.abc import Callable, Collection, Hashable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import accumulate, groupby
-from typing import Any, ClassVar, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
+from pgm.beliefs.gaussian.assembly import Assembly, Given
 from pgm.beliefs.gaussian.blocks import Blocks
 from pgm.clustergraph import ClusterGraph
 from pgm.cpds import CPD, ConditionalGaussian
@@ -125,6 +124,11 @@ class Group:
     families: dict[tuple[int, ...], Family] = field(default_factory=dict, repr=False)
 
     @property
+    def places(self) -> Integers:
+        """The places of the columns of each CPD's matrix A: of the child's, then the parents'."""
+        return np.concatenate([self.child, self.parents], axis=1)
+
+    @property
     def height(self) -> int:
         """The number of rows of the matrix A of each CPD: the components of its child."""
         return self.cpds[0].child.dimension
@@ -140,30 +144,6 @@ class Group:
     def shape(self) -> tuple[bool, int, int]:
         """The triple `observed`, `height` and `width`, equal for groups whose factors stack."""
         return self.observed, self.height, self.width
-
-
-@dataclass(frozen=True, eq=False)
-class Unary:
-    """Factors of one row each, over one component: a measurement of each hidden component.
-
-    A component's factor belongs to the smallest cluster that holds it. `parents` (size, 1) are the
-    components' places, `child` is (size, 0), `clusters` (size,).
-    """
-
-    parents: Integers
-    clusters: Integers
-
-    @property
-    def child(self) -> Integers:
-        """No places, (size, 0): what is measured has a value."""
-        return self.parents[:, :0]
-
-    height: ClassVar[int] = 1
-    width: ClassVar[int] = 1
-
-
-# Factors of one shape: where their rows, over the components of children and parents, belong.
-Factors = Group | Unary
 
 
 @dataclass(frozen=True, eq=False)
@@ -319,28 +299,10 @@ class Layout:
         )
 
     @cached_property
-    def factors(self) -> list[Factors]:
-        """The factors of all groups, and those of an anchor after them, in the order of rows."""
-        return [*self.groups, self.anchors] if self.anchored else list(self.groups)
-
-    @cached_property
-    def anchors(self) -> Unary:
-        """The factors of an anchor, in the order of places."""
-        return Unary(np.arange(self.size)[:, None], self.blocks.homes[0])
-
-    @cached_property
-    def entry_starts(self) -> Integers:
-        """Where the entries of each group's rows begin, one group's after another's, then the end.
-
-        (factors + 1,): all rows of a CPD stand together, those of one CPD after another's, and
-        those of an anchor after the groups'.
-        """
-        return np.cumsum([0, *(len(g.clusters) * g.height * g.width for g in self.factors)])
-
-    @cached_property
-    def row_starts(self) -> Integers:
-        """Where each group's rows begin, as `entry_starts`, then where all end, (factors + 1,)."""
-        return np.cumsum([0, *(len(g.clusters) * g.height for g in self.factors)])
+    def assembly(self) -> Assembly:
+        """The factors of all groups, and those of an anchor after them: one for each place."""
+        anchors = Given(np.arange(self.size)[:, None], self.blocks.homes[0])
+        return Assembly(self.size, [*self.groups, anchors] if self.anchored else self.groups)
 
     @cached_property
     def shapes(self) -> list[list[int]]:

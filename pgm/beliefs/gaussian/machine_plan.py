@@ -4,28 +4,28 @@ from __future__ import annotations
 
 import numpy as np
 
+from pgm.beliefs.gaussian.assembly import Assembly
 from pgm.beliefs.gaussian.fronts import Fronts
-from pgm.beliefs.gaussian.layout import Layout
 from pgm.kernels.arrays import Integers
 from pgm.kernels.machine.fronts.plan import Plan
 
 
-def told(layout: Layout, fronts: Fronts) -> Plan:
-    """The plan of a layout's fronts, with the rows of all CPDs as `Potentials` has them."""
+def told(assembly: Assembly, fronts: Fronts) -> Plan:
+    """The plan of fronts, with the rows of all factors as `Potentials` has them."""
     count, blocks = len(fronts), fronts.blocks
     hanging = np.flatnonzero(fronts.parent >= 0)
     hanging = hanging[np.argsort(fronts.parent[hanging], kind="stable")]
     owners, factors, columns = [], [], []
     begin = 0
-    for k, group in enumerate(layout.factors):
+    for k, group in enumerate(assembly.factors):
         front = fronts.of_cluster[group.clusters]
-        found = blocks.columns(front, np.concatenate([group.child, group.parents], axis=1))
-        height, width, row = group.height, group.width, np.arange(front.size)
+        found = blocks.columns(front, group.places)
+        height, width, row = group.height, group.places.shape[1], np.arange(front.size)
         parts = np.broadcast_arrays(
             height,
             width,
-            layout.entry_starts[k] + row * (height * width),
-            layout.row_starts[k] + row * height,
+            assembly.entry_starts[k] + row * (height * width),
+            assembly.row_starts[k] + row * height,
             begin + row * width,
         )
         owners.append(front)

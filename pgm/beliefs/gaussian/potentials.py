@@ -30,8 +30,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.beliefs.gaussian.anchors import anchor_rows
+from pgm.beliefs.gaussian.assembly import Assembly
 from pgm.beliefs.gaussian.beliefs import Flat, by_run
-from pgm.beliefs.gaussian.layout import Layout
 from pgm.beliefs.gaussian.model import Model
 from pgm.beliefs.gaussian.refusals import indefinite_noise
 from pgm.kernels import roots, solving
@@ -45,49 +45,42 @@ COARSE = 1e-1
 
 @dataclass(frozen=True, eq=False)
 class Potentials:
-    """The rows of all CPDs, one after another in the order of the groups, then those of an anchor.
+    """The rows of factors, one after another as `assembly` has them: of CPDs, then of an anchor.
 
     Rows are kept flat: A (V, entries), with the entries of all matrices, and r (V, rows, N).
     `proper` has the rows with noise, and zeros in place of the exact rows; `exact` has the exact
     rows, and zeros in place of the rows with noise. It is None if no row is exact. `log_scale` (V,
     CPDs, N) are the logarithms of the scales of the CPDs' factors. `coarse` measures the digits
-    that rounding of residuals costs, in the worst row.
+    that rounding of residuals costs, in the worst row, and `coarse_exact` in the worst of the CPDs
+    that have exact rows.
     """
 
+    assembly: Assembly
     proper: Flat
     exact: Flat | None
     log_scale: Array
     coarse: float
+    coarse_exact: float = 0.0
 
+    def column_squares(self) -> Array:
+        """The squares of the columns of all rows with noise, (V, size), by components' places."""
+        found = np.zeros((len(self.proper.matrix), self.assembly.size))
+        for k, factors in enumerate(self.assembly.factors):
+            rows = self.assembly.matrices(k, self.proper.matrix)
+            squares = np.einsum("vchw,vchw->vcw", rows, rows)
+            for one, own in zip(found, squares, strict=True):
+                one += np.bincount(factors.places.ravel(), own.ravel(), self.assembly.size)
+        return found
 
-def column_squares(layout: Layout, matrix: Array) -> Array:
-    """The squares of the columns of all rows, (V, size), by components' places.
-
-    `matrix` (V, entries) are the rows as `Potentials.proper` has them.
-    """
-    found = np.zeros((matrix.shape[0], layout.size))
-    for k, group in enumerate(layout.groups):
-        rows = matrix[:, layout.entry_starts[k] : layout.entry_starts[k + 1]]
-        rows = rows.reshape(len(found), len(group.cpds), group.height, group.width)
-        squares = np.einsum("vchw,vchw->vcw", rows, rows)
-        places = np.concatenate([group.child, group.parents], axis=1).ravel()
-        for one, own in zip(found, squares, strict=True):
-            one += np.bincount(places, own.ravel(), layout.size)
-    return found
-
-
-def largest_residual(layout: Layout, proper: Flat, mean: Array) -> float:
-    """The largest |A ξ − r| of a row, in deviations of its noise, at means ξ (V, size, N)."""
-    worst = 0.0
-    for k, group in enumerate(layout.groups):
-        rows = proper.matrix[:, layout.entry_starts[k] : layout.entry_starts[k + 1]]
-        rows = rows.reshape(len(rows), len(group.cpds), group.height, group.width)
-        right = proper.right[:, layout.row_starts[k] : layout.row_starts[k + 1]]
-        right = right.reshape(*rows.shape[:3], right.shape[-1])
-        places = np.concatenate([group.child, group.parents], axis=1)
-        away = np.abs(rows @ mean[:, places] - right)
-        worst = float(np.maximum(worst, away.max(initial=0.0)))  # NaN stays
-    return worst
+    def largest_residual(self, mean: Array) -> float:
+        """The largest |A ξ − r| of a row with noise, in its deviations, at means ξ (V, size, N)."""
+        worst = 0.0
+        for k, factors in enumerate(self.assembly.factors):
+            rows = self.assembly.matrices(k, self.proper.matrix)
+            right = self.assembly.sides(k, self.proper.right)
+            away = np.abs(rows @ mean[:, factors.places] - right)
+            worst = float(np.maximum(worst, away.max(initial=0.0)))  # NaN stays
+        return worst
 
 
 def make_potentials(model: Model, anchor: Anchor | None = None) -> Potentials:
@@ -100,7 +93,8 @@ def make_potentials(model: Model, anchor: Anchor | None = None) -> Potentials:
     if not model.layout.shapes:
         stacked, sides = (1, model.runs) if model.shared else (model.runs, 1)
         empty = np.zeros((stacked, 0, sides))
-        return Potentials(Flat(np.zeros((stacked, 0)), empty), None, empty, 0.0)
+        none = Flat(np.zeros((stacked, 0)), empty)
+        return Potentials(model.layout.assembly, none, None, empty, 0.0)
     parts = [_factor(model, groups) for groups in model.layout.shapes]
     proper = Flat.of([part.matrix for part in parts], [part.right for part in parts])
     exact = None
@@ -110,10 +104,12 @@ def make_potentials(model: Model, anchor: Anchor | None = None) -> Potentials:
         proper = proper.before(anchor_rows(model, anchor))
         exact = None if exact is None else exact.before(anchor_rows(model, None))
     return Potentials(
+        model.layout.assembly,
         proper,
         exact,
         np.concatenate([part.log_scale for part in parts], axis=1),
         max(part.coarse for part in parts),
+        max((part.coarse for part in parts if part.fixed), default=0.0),
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pgm.beliefs.gaussian.assembly import Assembly
 from pgm.beliefs.gaussian.model import Model
 from pgm.cpds import CPD
 from pgm.errors import NumericalError
@@ -30,7 +31,7 @@ def contradiction(model: Model, cluster: int, run: int) -> NumericalError:
     )
 
 
-def improper(model: Model, cluster: int, rows: Array) -> NumericalError:
+def improper(model: Model, assembly: Assembly, cluster: int, rows: Array) -> NumericalError:
     """The error that a cluster, by its number, has no proper belief, or the evidence no density.
 
     `rows` (V, entries) are those of all CPDs, group by group, as linearised now.
@@ -43,7 +44,7 @@ def improper(model: Model, cluster: int, rows: Array) -> NumericalError:
             cluster=cluster,
         )
     what = f"cluster {cluster} has no proper belief over {names(scope)}"
-    if model.flat and (told := _open(model, rows)):
+    if model.flat and (told := _open(model, assembly, rows)):
         return NumericalError(
             f"{what}: priors are flat, and measurements leave the direction {told} open, but for "
             "rounding; give one of its variables a prior of finite variance, a measurement or "
@@ -59,7 +60,7 @@ def improper(model: Model, cluster: int, rows: Array) -> NumericalError:
     )
 
 
-def _open(model: Model, rows: Array) -> str:
+def _open(model: Model, assembly: Assembly, rows: Array) -> str:
     """A direction that no row has a share in, in words; empty if none is found.
 
     It is looked for in the first run where there is one, and not in networks of very many
@@ -69,13 +70,11 @@ def _open(model: Model, rows: Array) -> str:
     if layout.size > MOST:
         return ""
     for own in rows:
-        matrix = np.zeros((int(layout.row_starts[-1]), layout.size))
-        for k, group in enumerate(layout.groups):
-            first = np.arange(len(group.cpds))[:, None] * group.height + np.arange(group.height)
-            places = np.concatenate([group.child, group.parents], axis=1)
-            block = own[layout.entry_starts[k] : layout.entry_starts[k + 1]]
-            at = (layout.row_starts[k] + first)[..., None], places[:, None]
-            matrix[at] = block.reshape(*first.shape, group.width)
+        matrix = np.zeros((int(assembly.row_starts[-1]), layout.size))
+        for k, group in enumerate(assembly.factors):
+            first = np.arange(len(group.clusters))[:, None] * group.height + np.arange(group.height)
+            at = (assembly.row_starts[k] + first)[..., None], group.places[:, None]
+            matrix[at] = assembly.matrices(k, own[None])[0]
         length = np.sqrt((matrix**2).sum(axis=0))
         unit = np.where(length > 0.0, length, 1.0)
         if not np.isfinite(matrix).all():

@@ -21,6 +21,7 @@ from functools import cached_property
 
 import numpy as np
 
+from pgm.beliefs.gaussian.assembly import Assembly
 from pgm.beliefs.gaussian.layout import Layout
 from pgm.factors.scope import dimension
 from pgm.kernels.arrays import Integers
@@ -72,6 +73,11 @@ class Rounds:
 
     layout: Layout
 
+    @property
+    def assembly(self) -> Assembly:
+        """The factors of the layout."""
+        return self.layout.assembly
+
     @cached_property
     def sizes(self) -> Integers:
         """The number of components of each message's sepset, (messages,)."""
@@ -81,12 +87,12 @@ class Rounds:
     @cached_property
     def entry_starts(self) -> Integers:
         """The index of each message's first entry, and of the zero, (messages + 1,)."""
-        return int(self.layout.entry_starts[-1]) + np.cumsum([0, *(self.sizes**2)])
+        return int(self.assembly.entry_starts[-1]) + np.cumsum([0, *(self.sizes**2)])
 
     @cached_property
     def row_starts(self) -> Integers:
         """The index of each message's first row, and of the zero, (messages + 1,)."""
-        return int(self.layout.row_starts[-1]) + np.cumsum([0, *self.sizes])
+        return int(self.assembly.row_starts[-1]) + np.cumsum([0, *self.sizes])
 
     @property
     def logs(self) -> int:
@@ -113,12 +119,13 @@ class Rounds:
         The second, (k,), are those of the right sides.
         """
         found: list[list[tuple[Integers, Integers]]] = [[] for _ in self.layout.scopes]
-        starts = self.layout.entry_starts.tolist(), self.layout.row_starts.tolist()
-        for group, entry, first in zip(self.layout.factors, *starts, strict=False):
-            height = group.height
-            scope = np.concatenate([group.child, group.parents], axis=1)
-            for row, cluster in enumerate(group.clusters.tolist()):
-                block = self._block(cluster, scope[row], entry + row * height * group.width, height)
+        assembly = self.assembly
+        starts = assembly.entry_starts[:-1].tolist(), assembly.row_starts[:-1].tolist()
+        for factors, entry, first in zip(assembly.factors, *starts, strict=True):
+            height, scope = factors.height, factors.places
+            size = height * scope.shape[1]
+            for row, cluster in enumerate(factors.clusters.tolist()):
+                block = self._block(cluster, scope[row], entry + row * size, height)
                 found[cluster].append((block, first + row * height + np.arange(height)))
         return found
 

@@ -17,8 +17,8 @@ from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
+from pgm.beliefs.gaussian.assembly import Assembly
 from pgm.beliefs.gaussian.beliefs import Flat
-from pgm.beliefs.gaussian.layout import Layout
 from pgm.beliefs.gaussian.model import Model
 from pgm.beliefs.gaussian.potentials import Potentials, make_potentials
 from pgm.beliefs.gaussian.refusals import contradiction, improper
@@ -34,8 +34,8 @@ class Places(Protocol):
     """
 
     @property
-    def layout(self) -> Layout:
-        """The layout of the components."""
+    def assembly(self) -> Assembly:
+        """The factors, whose rows come first."""
 
     @property
     def entry_starts(self) -> Integers:
@@ -102,9 +102,8 @@ class Buffer(Generic[Standing]):
             self.exact = Flat(np.zeros_like(self.proper.matrix), np.zeros_like(self.proper.right))
         if self.exact is not None:
             self.exact.put(*there, *(potentials.exact or ()))
-        layout = self.rounds.layout
-        none = np.zeros(0, dtype=np.intp)
-        clusters = np.concatenate([none, *(group.clusters for group in layout.groups)])
+        # An anchor, which comes last, has no scales.
+        clusters = self.rounds.assembly.clusters[: potentials.log_scale.shape[1]]
         logs = self.rounds.of_cluster
         self.log_scale[:, logs] = 0.0
         np.add.at(
@@ -179,7 +178,7 @@ class Buffer(Generic[Standing]):
             self.exact.put(entries, rows)
             self.exact.put(entries[:, :count], rows[:, :count], rest.exact, rest.exact_right)
         if log_scale is not None:
-            self.log_scale[:, len(self.rounds.layout.scopes) + stack.members] = log_scale
+            self.log_scale[:, len(self.rounds.of_cluster) + stack.members] = log_scale
 
     def require_finite(self, done: Array, clusters: Iterable[int]) -> None:
         """Refuse log-scales that are not finite, by a NumericalError naming the first cluster.
@@ -191,4 +190,4 @@ class Buffer(Generic[Standing]):
             return
         bad = ~np.isfinite(done).all(axis=(0, *range(2, done.ndim)))
         cluster = list(clusters)[int(np.flatnonzero(bad)[0])]
-        raise improper(self.model, cluster, self.proper.matrix)
+        raise improper(self.model, self.rounds.assembly, cluster, self.proper.matrix)

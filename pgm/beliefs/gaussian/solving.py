@@ -17,12 +17,7 @@ import numpy as np
 from pgm.beliefs.gaussian.beliefs import Beliefs, Calibrated, Sizes
 from pgm.beliefs.gaussian.front_stacks import FrontStacks
 from pgm.beliefs.gaussian.model import Model
-from pgm.beliefs.gaussian.potentials import (
-    Potentials,
-    column_squares,
-    largest_residual,
-    make_potentials,
-)
+from pgm.beliefs.gaussian.potentials import Potentials, make_potentials
 from pgm.beliefs.gaussian.refusals import improper
 from pgm.beliefs.gaussian.row_buffer import Buffer
 from pgm.beliefs.gaussian.tree import TreeBeliefs, TreePlan, calibrate, calibrate_by_squares
@@ -128,15 +123,17 @@ class TreeSolver:
             if not (to_move and self.squares):
                 residual, fault = solver.rows(matrix[v], right[v], room, NEGLIGIBLE)
             if fault >= 0:
-                raise improper(self.model, int(plan.fronts.tops[fault]), matrix)
+                raise improper(
+                    self.model, potentials.assembly, int(plan.fronts.tops[fault]), matrix
+                )
             magnified = max(magnified, solver.back(room, found.mean[v], found.cov[v]))
             total[v] += unit - solver.log_pivots(room) - 0.5 * residual
             kept.append(room)
         gains = _Gains(plan, sides, kept)
         beliefs = TreeBeliefs(found.places, found.frame, found.mean, found.cov, gains)
-        information = column_squares(plan.layout, matrix)
-        largest = largest_residual(plan.layout, potentials.proper, beliefs.in_frame()[0])
-        sizes = Sizes(self._largest, self._coarse, information, magnified, largest)
+        worst = potentials.largest_residual(beliefs.in_frame()[0])
+        information = potentials.column_squares()
+        sizes = Sizes(self._largest, self._coarse, information, magnified, worst)
         return Calibrated(beliefs, frozen(total), sizes)
 
 

@@ -27,7 +27,7 @@ from pgm.beliefs.gaussian.front_stacks import FrontStacks
 from pgm.beliefs.gaussian.fronts import Fronts
 from pgm.beliefs.gaussian.layout import Layout
 from pgm.beliefs.gaussian.machine_plan import told
-from pgm.beliefs.gaussian.potentials import Potentials, column_squares, largest_residual
+from pgm.beliefs.gaussian.potentials import Potentials
 from pgm.beliefs.gaussian.prior import Frame
 from pgm.beliefs.gaussian.rounds import Rounds, Stack
 from pgm.beliefs.gaussian.row_buffer import Buffer
@@ -56,7 +56,7 @@ class TreePlan:
     @cached_property
     def stacks(self) -> FrontStacks:
         """The stacks of fronts, and where their rows stand in a buffer."""
-        return FrontStacks(self.layout, self.fronts)
+        return FrontStacks(self.layout.assembly, self.fronts)
 
     @cached_property
     def places(self) -> Places:
@@ -84,7 +84,7 @@ class TreePlan:
     @cached_property
     def machine(self) -> Plan:
         """The fronts as machine code is told of them."""
-        return told(self.layout, self.fronts)
+        return told(self.layout.assembly, self.fronts)
 
     @cached_property
     def rounds(self) -> Rounds:
@@ -170,8 +170,8 @@ def calibrate(plan: TreePlan, buffer: Buffer[FrontStacks], potentials: Potential
     beliefs, magnified = _back(plan, buffer.model.frame, kept, exact=exact, measured=not exact)
     sizes = Sizes(buffer.largest, buffer.coarse)
     if not exact:
-        information = column_squares(plan.layout, potentials.proper.matrix)
-        residual = largest_residual(plan.layout, potentials.proper, beliefs.in_frame()[0])
+        information = potentials.column_squares()
+        residual = potentials.largest_residual(beliefs.in_frame()[0])
         sizes = Sizes(buffer.largest, buffer.coarse, information, magnified, residual)
     return Calibrated(beliefs, frozen(total), sizes)
 
