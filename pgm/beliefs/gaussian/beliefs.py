@@ -16,7 +16,8 @@ is kept as k *rows*: its matrix A (k, n) and its right sides r (k, N).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -53,12 +54,14 @@ class Places:
 
     Each is a block of components. The means of block k begin at blocks.starts[k], in the order of
     its columns; its covariance, row by row, at block_starts[k]. `of_cluster` (clusters,) tells the
-    block of each cluster.
+    block of each cluster, and `of_group` those of the CPDs (CPDs,) of a group, by its number, where
+    they are others.
     """
 
     layout: Layout
     blocks: Blocks
     of_cluster: Integers
+    of_group: Mapping[int, Integers] = field(default_factory=dict)
 
     @cached_property
     def block_starts(self) -> Integers:
@@ -109,10 +112,13 @@ class Places:
         """For each group of CPDs a pair: flat indices of the moments of the CPDs' hidden parents.
 
         Those of means are (CPDs, n), those of covariances (CPDs, n, n), for n components of the
-        parents; the moments are those of the block of the cluster that each CPD is assigned to.
+        parents; the moments are those of the CPD's own block, or of its cluster's.
         """
-        groups = self.layout.groups
-        return [self.of(self.of_cluster[group.clusters], group.parents) for group in groups]
+        found = []
+        for g, group in enumerate(self.layout.groups):
+            blocks = self.of_group.get(g, self.of_cluster[group.clusters])
+            found.append(self.of(blocks, group.parents))
+        return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ from pgm.beliefs.gaussian.rounds import Stack
 from pgm.kernels.arrays import Array, Integers, transpose
 
 
-class Conditional(NamedTuple):
+class Regression(NamedTuple):
     """The pivots x of a stack's fronts given separators s: x = gain s + offset + v, cov v = noise.
 
     gain: (V, B, p, s).
@@ -118,10 +118,10 @@ class FrontSquares:
             (np.arange(stack.drop) >= own)[..., None] * np.eye(stack.drop),
         )
 
-    def eliminate(self, potentials: Potentials, share: float) -> list[list[Conditional]] | None:
+    def eliminate(self, potentials: Potentials, share: float) -> list[list[Regression]] | None:
         """Eliminate the pivots of all stacks; None where a pivot is cancelled to this share."""
         information, vectors = self._summed(potentials)
-        found: list[list[Conditional]] = []
+        found: list[list[Regression]] = []
         for level, places in zip(self.stacks.levels, self._places, strict=True):
             found.append([])
             for stack, place in zip(level, places, strict=True):
@@ -150,7 +150,7 @@ class FrontSquares:
 
     def _eliminated(
         self, stack: Stack, place: _Place, information: Array, vectors: Array, share: float
-    ) -> Conditional | None:
+    ) -> Regression | None:
         count, width, drop = *stack.components.shape, stack.drop
         stacked, _, sides = vectors.shape
         front = information[:, place.entries].reshape(stacked, count, width, width)
@@ -173,4 +173,4 @@ class FrontSquares:
                 np.add.at(information[v], place.to, rest[v])
                 np.add.at(vectors[v], place.to_rows, side[v])
             information[:, -1] = vectors[:, -1] = 0.0  # where what stands for nothing was added
-        return Conditional(-transpose(across @ inverse), turned @ known, turned @ inverse)
+        return Regression(-transpose(across @ inverse), turned @ known, turned @ inverse)

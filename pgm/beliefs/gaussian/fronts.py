@@ -23,7 +23,7 @@ import numpy as np
 from pgm.beliefs.gaussian.blocks import Blocks
 from pgm.beliefs.gaussian.layout import Layout
 from pgm.clustergraph.structure import Forest
-from pgm.kernels.arrays import Integers
+from pgm.kernels.arrays import Integers, Mask
 
 # Clusters are joined while no more than this share of the joined columns' entries are zeros,
 ZEROS = 0.3
@@ -59,9 +59,9 @@ class Fronts:
     blocks: Blocks
 
     @classmethod
-    def of(cls, layout: Layout) -> Fronts:
-        """The fronts of the layout's graph, a tree or several."""
-        scopes, forest = _Scopes.of(layout), Forest.of(layout.graph)
+    def of(cls, layout: Layout, without: Mask | None = None) -> Fronts:
+        """The fronts of the layout's graph, a tree or several, `without` some components."""
+        scopes, forest = _Scopes.of(layout, without), Forest.of(layout.graph)
         home, pivots, sizes = scopes.homes(forest)
         parent = np.where((sizes > pivots) | (sizes == 0), forest.parent, -1)
         joined = _joined(forest, parent, pivots, sizes)
@@ -135,17 +135,20 @@ class _Scopes:
     first: Integers
 
     @classmethod
-    def of(cls, layout: Layout) -> _Scopes:
+    def of(cls, layout: Layout, without: Mask | None) -> _Scopes:
         graph = layout.graph
         number = np.full(len(graph.network.variables), -1)
-        hidden = [graph.network._places[v] for v in layout.hidden]
+        first = np.array([layout.starts[v] for v in layout.hidden], dtype=np.intp)
+        dims = np.array([v.dimension for v in layout.hidden], dtype=np.intp)
+        hidden = np.array([graph.network._places[v] for v in layout.hidden], dtype=np.intp)
+        if without is not None:
+            first, dims, hidden = (part[~without[first]] for part in (first, dims, hidden))
         number[hidden] = np.arange(len(hidden))
         lengths = np.fromiter(map(len, graph._members), np.intp, len(graph))
         every = np.fromiter(chain.from_iterable(graph._members), np.intp, int(lengths.sum()))
         variable, cluster = number[every], np.repeat(np.arange(len(graph)), lengths)
         kept = variable >= 0
-        dims = np.array([v.dimension for v in layout.hidden], dtype=np.intp)
-        return cls(len(graph), cluster[kept], variable[kept], dims, np.cumsum(dims) - dims)
+        return cls(len(graph), cluster[kept], variable[kept], dims, first)
 
     def homes(self, forest: Forest) -> tuple[Integers, Integers, Integers]:
         """The highest cluster that holds each variable, and each cluster's pivots and components.

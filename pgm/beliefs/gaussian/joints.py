@@ -13,8 +13,7 @@ import numpy as np
 from pgm.beliefs.gaussian.beliefs import Beliefs
 from pgm.beliefs.gaussian.blocks import Blocks
 from pgm.beliefs.gaussian.careful import DenseBeliefs
-from pgm.beliefs.gaussian.fronts import Fronts
-from pgm.beliefs.gaussian.tree import TreeBeliefs, TreePlan
+from pgm.beliefs.gaussian.tree import Hanging, TreeBeliefs, TreePlan
 from pgm.clustergraph.structure import Forest
 from pgm.kernels.arrays import Array, Integers, transpose
 from pgm.kernels.solving import regression
@@ -35,7 +34,7 @@ def joint_moments(plan: TreePlan, beliefs: Beliefs, wanted: Integers) -> tuple[A
     if isinstance(beliefs, DenseBeliefs):
         return beliefs.moments(wanted, wanted, wanted)
     places, blocks = beliefs.places, beliefs.places.blocks
-    tree = plan.fronts if isinstance(beliefs, TreeBeliefs) else plan.forest
+    tree = plan.hanging if isinstance(beliefs, TreeBeliefs) else plan.forest
     walk = _walk(tree, blocks, wanted)
     held = {k: blocks.components[blocks.starts[k] : blocks.starts[k + 1]].tolist() for k in walk}
     last = {place: at for at, k in enumerate(walk) for place in held[k]}
@@ -63,7 +62,7 @@ def joint_moments(plan: TreePlan, beliefs: Beliefs, wanted: Integers) -> tuple[A
     return mean[:, wanted], cov[:, order][:, :, order] * (scale[:, None] * scale)
 
 
-def _walk(tree: Fronts | Forest, blocks: Blocks, wanted: Integers) -> list[int]:
+def _walk(tree: Hanging | Forest, blocks: Blocks, wanted: Integers) -> list[int]:
     """The blocks that connect the components at places `wanted` (n,), parents before children.
 
     For each component a block is taken that holds it: the one of fewest components. The result is

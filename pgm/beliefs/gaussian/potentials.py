@@ -50,7 +50,7 @@ class Potentials:
     Rows are kept flat: A (V, entries), with the entries of all matrices, and r (V, rows, N).
     `proper` has the rows with noise, and zeros in place of the exact rows; `exact` has the exact
     rows, and zeros in place of the rows with noise. It is None if no row is exact. `log_scale` (V,
-    CPDs, N) are the logarithms of the scales of the CPDs' factors. `coarse` measures the digits
+    factors, N) are the logarithms of the factors' scales. `coarse` measures the digits
     that rounding of residuals costs, in the worst row, and `coarse_exact` in the worst of the CPDs
     that have exact rows.
     """
@@ -100,14 +100,17 @@ def make_potentials(model: Model, anchor: Anchor | None = None) -> Potentials:
     exact = None
     if any(part.fixed for part in parts):
         exact = Flat.of([part.exact for part in parts], [part.exact_right for part in parts])
+    scales = [part.log_scale for part in parts]
     if model.layout.anchored:
+        stacked, _, sides = scales[0].shape
+        scales.append(np.zeros((stacked, model.layout.size, sides)))
         proper = proper.before(anchor_rows(model, anchor))
         exact = None if exact is None else exact.before(anchor_rows(model, None))
     return Potentials(
         model.layout.assembly,
         proper,
         exact,
-        np.concatenate([part.log_scale for part in parts], axis=1),
+        np.concatenate(scales, axis=1),
         max(part.coarse for part in parts),
         max((part.coarse for part in parts if part.fixed), default=0.0),
     )

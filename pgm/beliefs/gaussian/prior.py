@@ -18,7 +18,7 @@ from pgm.kernels import moments
 from pgm.kernels.arrays import Array, Integers, Mask, apply, transpose
 from pgm.linearisation.family import Family
 
-# Components from which on units are those of the CPDs' own noise, if that is nowhere zero.
+# Components from which on units are those of the CPDs' own noise, and of hidden noise variables.
 LARGE = 1000
 # The unit of a variable is at least this share of its value: small parts of it are still digits.
 SHARE = 1e-6
@@ -46,7 +46,13 @@ Predictive = Callable[..., Frame]
 
 
 def prior_predictive(
-    layout: Layout, families: list[Family], runs: int, *, shared: bool, start: Array | None
+    layout: Layout,
+    families: list[Family],
+    runs: int,
+    *,
+    shared: bool,
+    start: Array | None,
+    own_units: bool = True,
 ) -> Frame:
     """The frame of the prior predictive moments, pushed through the CPDs, parents before children.
 
@@ -54,14 +60,20 @@ def prior_predictive(
     covariances, which are then computed once. Without a `start` nonlinear CPDs are linearised here,
     at the moments of their parents. With a start, (runs, size), they have to be linearised already,
     and the start is the frame's mean; where it is NaN the mean follows from the parents. In large
-    networks the scale is that of the CPDs' own noise where that will do. The scale of a component
+    networks the scale is that of the CPDs' own noise where that will do, and if `own_units` may be
+    taken. The scale of a component
     is at least a millionth of the numbers that its mean is a sum of.
     """
     mean = np.empty((runs, layout.size)) if start is None else start.copy()
     variance = np.zeros((1 if shared else runs, layout.size))
     size = np.abs(mean).max(axis=0, initial=0.0) if start is not None else np.zeros(layout.size)
-    # Where no relation is exact, units need not be the prior's, which cost most in large networks.
-    own_units = layout.size > LARGE and _are_proper(layout, families, linearised=start is not None)
+    last = 1 if shared else runs
+    # Units need not be the prior's, which cost most in large networks, where CPDs have some noise.
+    own = None
+    linear = start is not None or all(family.exact for family in families)
+    if own_units and linear and layout.size > LARGE:
+        own = _own_variances(layout, families, last)
+    own_units = own is not None
     frontier = _Frontier(0 if own_units else variance.shape[0])
     # What was measured has no moments of its own, and asks for its parents' to be linearised alone.
     asking = [
@@ -74,7 +86,6 @@ def prior_predictive(
         if asks
         for place in group.parents.ravel().tolist()
     )
-    last = 1 if shared else runs
     # Priors need no moments of others; those that nobody asks for are told all at once.
     alone = [
         group.parents.shape[1] == 0 and not group.observed and family.exact
@@ -85,9 +96,9 @@ def prior_predictive(
             noise = np.diagonal(family.noise[:, :last], axis1=-2, axis2=-1).swapaxes(0, 1)
             variance[:, group.child] = np.where(np.isinf(noise), 1.0, noise)
             offset, given = family.offset.swapaxes(0, 1), mean[:, group.child]
-            own = offset if start is None else np.where(np.isnan(given), offset, given)
-            mean[:, group.child] = own
-            size[group.child] = np.abs(own).max(axis=0, initial=0.0)
+            value = offset if start is None else np.where(np.isnan(given), offset, given)
+            mean[:, group.child] = value
+            size[group.child] = np.abs(value).max(axis=0, initial=0.0)
     rest = any(asks and not free for asks, free in zip(asking, alone, strict=True))
     for g, row in layout.order if rest else ():
         if not asking[g] or (alone[g] and not left[int(layout.groups[g].child[row, 0])]):
@@ -103,14 +114,16 @@ def prior_predictive(
             child = group.child[row]
             matrix = family.matrix[row, :last]
             noise = family.noise[row, :last]
-            if not own_units:
+            if own is None:
                 noise = moments.predict(inside, matrix, np.where(np.isinf(noise), 1.0, noise))
+                variance[:, child] = np.diagonal(noise, axis1=-2, axis2=-1)
+            else:
+                variance[:, child] = own[g][row]
             if start is None or np.isnan(mean[0, child[0]]):
                 at = mean[:, parents]
                 mean[:, child] = apply(family.matrix[row], at) + family.offset[row]
                 summands = apply(np.abs(family.matrix[row]), np.abs(at))
                 size[child] = (summands + np.abs(family.offset[row])).max(axis=0)
-            variance[:, child] = np.diagonal(noise, axis1=-2, axis2=-1)
             if left[int(child[0])] and not own_units:
                 frontier.add(child, matrix @ across, noise)
         if own_units:
@@ -124,13 +137,31 @@ def prior_predictive(
     return Frame(mean, np.where(scale > 0.0, scale, 1.0), certain)
 
 
-def _are_proper(layout: Layout, families: list[Family], *, linearised: bool) -> bool:
-    """Whether no hidden child has a variance of zero, and all CPDs are affine, or `linearised`."""
-    return all(
-        (family.exact or linearised)
-        and (group.observed or (np.diagonal(family.noise, axis1=-2, axis2=-1) > 0.0).all())
-        for group, family in zip(layout.groups, families, strict=True)
-    )
+def _own_variances(layout: Layout, families: list[Family], last: int) -> list[Array] | None:
+    """The variances (CPDs, V, d) of each group's children by their CPDs' own noise.
+
+    Where that is zero it is the noise that parents make which have no other child, and no hidden
+    parents themselves.
+    The result is None where some hidden component has neither; CPDs have to be linearised.
+    """
+    found, groups = [], layout.groups
+    parents = np.concatenate([group.parents.ravel() for group in groups])
+    shared = np.bincount(parents, minlength=layout.size) > 1
+    above = np.zeros((last, layout.size))
+    for group, family in zip(groups, families, strict=True):
+        own = np.diagonal(family.noise[:, :last], axis1=-2, axis2=-1)
+        found.append(np.where(np.isinf(own), 1.0, own))
+        if not group.observed and not group.parents.shape[1]:
+            above[:, group.child] = found[-1].swapaxes(0, 1)
+    above[:, shared] = 0.0
+    for g, (group, family) in enumerate(zip(groups, families, strict=True)):
+        if group.observed or (found[g] > 0.0).all():
+            continue
+        made = above[:, group.parents].swapaxes(0, 1)
+        found[g] = np.where(found[g] > 0.0, found[g], apply(family.matrix[:, :last] ** 2, made))
+        if not (found[g] > 0.0).all():
+            return None
+    return found
 
 
 class _Frontier:

@@ -102,8 +102,7 @@ class Buffer(Generic[Standing]):
             self.exact = Flat(np.zeros_like(self.proper.matrix), np.zeros_like(self.proper.right))
         if self.exact is not None:
             self.exact.put(*there, *(potentials.exact or ()))
-        # An anchor, which comes last, has no scales.
-        clusters = self.rounds.assembly.clusters[: potentials.log_scale.shape[1]]
+        clusters = self.rounds.assembly.clusters
         logs = self.rounds.of_cluster
         self.log_scale[:, logs] = 0.0
         np.add.at(

@@ -7,7 +7,10 @@ the axes of runs flattened to one.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -105,33 +108,68 @@ def _solved(
     components, (runs, size); None to start from the prior. Where nonlinear functions were traced,
     `judge` compares what the traces gave with the functions, when this call is done.
     """
+    make = partial(Model.make, plan.layout, bound, lineariser, at, judge=judge)
     loopy = isinstance(schedule, Loopy)
     try:
-        model = Model.make(plan.layout, bound, lineariser, at, judge=judge)
+        model = make()
         again = again and not model.flat  # decimals need a joint of all variables
         if isinstance(schedule, Loopy):
             found = _sent(plan, Buffer.make(plan.rounds, model), schedule)
         else:
-            solver = TreeSolver(plan, model)
-            done, status = iterated(model, solver, schedule, started=at is not None)
-            status = status.with_compilation(solver.compilation)
-            found = GaussianOutcome(graph, status, plan, model, done)
-        digits = kept_digits(model, found._done)
-        few = are_few(digits, found._done)
+            found = _calibrated(graph, plan, model, make, schedule, started=at is not None)
+        digits, few = _digits(found)
         enough = not few or (loopy and not found.status.converged.all())
         if not (few and again):
             lost = None if enough else np.full(bound.runs, 10.0**-digits)
-            status = _told(found.status, model, found._done.beliefs, lost)
+            status = _told(found.status, found._model, found._done.beliefs, lost)
             return replace(found, status=status)
     except NumericalError:
         if not again:
             raise
-    model = Model.make(plan.layout, bound, lineariser, at, careful.predictive, judge=judge)
+    model = make(careful.predictive)
     solution = _InDigits(plan, model)
     done, status = iterated(model, solution, schedule, started=at is not None)
     assert done.digits is not None
     status = _told(status, model, done.beliefs, 10.0**-done.digits)
     return GaussianOutcome(graph, status, plan, model, done)
+
+
+def _digits(found: GaussianOutcome) -> tuple[float, bool]:
+    """The digits that a solution in float64 keeps, and whether they are few."""
+    digits = kept_digits(found._model, found._done)
+    return digits, are_few(digits, found._done)
+
+
+def _calibrated(
+    graph: ClusterGraph,
+    plan: TreePlan,
+    model: Model,
+    make: Callable[..., Model],
+    schedule: Schedule | None,
+    *,
+    started: bool,
+) -> GaussianOutcome:
+    """The posterior by calibrating a tree, in which hidden noise was integrated out or not.
+
+    It stays in the tree where that keeps more digits: if it is much sharper than all else is known.
+    `make` makes the model anew.
+    """
+    solver = TreeSolver.of(plan, model)
+    if solver.plan is not plan:
+        with suppress(NumericalError):
+            found = _iterated(graph, solver, schedule, started=started)
+            if not _digits(found)[1]:
+                return found
+        solver = TreeSolver(plan, make(own_units=False))
+    return _iterated(graph, solver, schedule, started=started)
+
+
+def _iterated(
+    graph: ClusterGraph, solver: TreeSolver, schedule: Schedule | None, *, started: bool
+) -> GaussianOutcome:
+    done, status = iterated(solver.model, solver, schedule, started=started)
+    status = status.with_compilation(solver.compilation)
+    return GaussianOutcome(graph, status, solver.plan, solver.model, done)
 
 
 def _told(status: Status, model: Model, beliefs: Beliefs, lost: Array | None) -> Status:

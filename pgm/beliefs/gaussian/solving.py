@@ -16,11 +16,18 @@ import numpy as np
 
 from pgm.beliefs.gaussian.beliefs import Beliefs, Calibrated, Sizes
 from pgm.beliefs.gaussian.front_stacks import FrontStacks
+from pgm.beliefs.gaussian.hidden_noise import Candidates
 from pgm.beliefs.gaussian.model import Model
 from pgm.beliefs.gaussian.potentials import Potentials, make_potentials
 from pgm.beliefs.gaussian.refusals import improper
 from pgm.beliefs.gaussian.row_buffer import Buffer
-from pgm.beliefs.gaussian.tree import TreeBeliefs, TreePlan, calibrate, calibrate_by_squares
+from pgm.beliefs.gaussian.tree import (
+    TreeBeliefs,
+    TreePlan,
+    calibrate,
+    calibrate_by_squares,
+    read_back,
+)
 from pgm.compile.machine import COMPILED
 from pgm.kernels.arrays import LOG_2PI, Array, frozen
 from pgm.kernels.rows import NEGLIGIBLE
@@ -56,6 +63,14 @@ class TreeSolver:
     _largest: float = field(default=0.0, init=False)
     _coarse: float = field(default=0.0, init=False)
 
+    @classmethod
+    def of(cls, plan: TreePlan, model: Model) -> TreeSolver:
+        """The solver of a model, which integrates hidden noise out before if the tree is large."""
+        if plan.layout.graph.compiled or _is_large(plan, model):
+            candidates = Candidates.of(model)
+            plan = plan if candidates is None else plan.without_noise(candidates)
+        return cls(plan, model)
+
     def solve(self, anchor: Anchor | None = None, *, to_move: bool = False) -> Calibrated:
         """The beliefs, and ln p(evidence); of one `to_move` by, ln p is not asked for.
 
@@ -63,15 +78,22 @@ class TreeSolver:
         the sizes of its numbers are not those of the network.
         """
         if anchor is None:
-            return self._solved(make_potentials(self.model), to_move)
+            return self._with_noise(make_potentials(self.model), to_move)
         buffer: Buffer[FrontStacks] | None = self.__dict__.get("_buffer")
         own = self._largest, self._coarse
         its = (0.0, 0.0) if buffer is None else (buffer.largest, buffer.coarse)
-        done = self._solved(make_potentials(self.model, anchor), to_move)
+        done = self._with_noise(make_potentials(self.model, anchor), to_move)
         self._largest, self._coarse = own
         if buffer is not None:
             buffer.largest, buffer.coarse = its
         return done
+
+    def _with_noise(self, potentials: Potentials, to_move: bool) -> Calibrated:
+        noise = self.plan.noise
+        if noise is None:
+            return self._solved(potentials, to_move)
+        left, given = noise.integrated(self.model, potentials)
+        return read_back(self.plan, noise, self._solved(left, to_move), given)
 
     def _solved(self, potentials: Potentials, to_move: bool) -> Calibrated:
         if self._pays:
@@ -91,9 +113,7 @@ class TreeSolver:
         choice = self.plan.layout.graph.compiled
         if choice is not None:
             return bool(choice)
-        stacked = 1 if self.model.shared else self.model.runs
-        many = len(self.plan.fronts) * stacked >= MANY
-        return many and find_spec("llvmlite") is not None
+        return _is_large(self.plan, self.model) and find_spec("llvmlite") is not None
 
     @cached_property
     def _buffer(self) -> Buffer[FrontStacks]:
@@ -113,7 +133,8 @@ class TreeSolver:
         stacked, _, sides = right.shape
         found = Beliefs.empty(plan.places, frame, stacked, sides)
         total: Array = potentials.log_scale.sum(axis=1)
-        unit = float(np.log(frame.scale).sum()) + 0.5 * LOG_2PI * plan.layout.size
+        units = frame.scale[plan.fronts.order]
+        unit = float(np.log(units).sum()) + 0.5 * LOG_2PI * units.size
         kept, magnified = list[Array](), 1.0
         for v in range(stacked):
             room, residual, fault = solver.room(), np.zeros(sides), 0
@@ -135,6 +156,10 @@ class TreeSolver:
         information = potentials.column_squares()
         sizes = Sizes(self._largest, self._coarse, information, magnified, worst)
         return Calibrated(beliefs, frozen(total), sizes)
+
+
+def _is_large(plan: TreePlan, model: Model) -> bool:
+    return len(plan.fronts) * (1 if model.shared else model.runs) >= MANY
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,16 +15,21 @@ else the number of runs.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
 
+from pgm.beliefs.gaussian.assembly import Assembly
 from pgm.beliefs.gaussian.beliefs import Beliefs, Calibrated, Places, Sizes
-from pgm.beliefs.gaussian.front_squares import Conditional, FrontSquares
+from pgm.beliefs.gaussian.blocks import Blocks
+from pgm.beliefs.gaussian.downward import Conditional, certain, magnified, moments
+from pgm.beliefs.gaussian.front_squares import FrontSquares
 from pgm.beliefs.gaussian.front_stacks import FrontStacks
 from pgm.beliefs.gaussian.fronts import Fronts
+from pgm.beliefs.gaussian.hidden_noise import Candidates, HiddenNoise
 from pgm.beliefs.gaussian.layout import Layout
 from pgm.beliefs.gaussian.machine_plan import told
 from pgm.beliefs.gaussian.potentials import Potentials
@@ -32,36 +37,77 @@ from pgm.beliefs.gaussian.prior import Frame
 from pgm.beliefs.gaussian.rounds import Rounds, Stack
 from pgm.beliefs.gaussian.row_buffer import Buffer
 from pgm.clustergraph.structure import Forest
-from pgm.kernels import dense, step
-from pgm.kernels.arrays import Array, Integers, apply, deviation, frozen, transpose
+from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.kernels.machine.fronts.plan import Plan
 from pgm.kernels.rows import Eliminated
 from pgm.progress import counted
 
-# Variances below this, in units of the prior's, are rounding of what exact relations determine.
-CERTAIN = 1e-28
-
 
 @dataclass(frozen=True, eq=False)
 class TreePlan:
-    """The plan of the passes over a tree, and of its messages: where rows and moments stand."""
+    """The plan of the passes over a tree, and of its messages: where rows and moments stand.
+
+    Hidden `noise`, if there is some, is integrated out before, and read back.
+    """
 
     layout: Layout
+    noise: HiddenNoise | None = None
+
+    def without_noise(self, candidates: Candidates) -> TreePlan:
+        """The plan in which noise variables among candidates are integrated out; it is kept."""
+
+        def make() -> TreePlan:
+            noise = HiddenNoise.of(self.layout, candidates)
+            return TreePlan(self.layout, noise) if noise.pairs else self
+
+        return self.layout.derived("without noise", make, candidates)
+
+    @property
+    def assembly(self) -> Assembly:
+        """The factors of the fronts."""
+        return self.layout.assembly if self.noise is None else self.noise.assembly
 
     @cached_property
     def fronts(self) -> Fronts:
         """The fronts of the tree."""
-        return Fronts.of(self.layout)
+        return Fronts.of(self.layout, None if self.noise is None else self.noise.places)
+
+    @cached_property
+    def blocks(self) -> Blocks:
+        """The components of each front, then those of each noise variable's block."""
+        own = self.fronts.blocks
+        if self.noise is None:
+            return own
+        more = self.noise.blocks
+        sizes = np.concatenate([own.sizes, more.sizes])
+        return Blocks(own.count, sizes, np.concatenate([own.components, more.components]))
+
+    @cached_property
+    def hanging(self) -> Hanging:
+        """The tree of the blocks."""
+        parent, depth = self.fronts.parent, self.fronts.depth
+        if self.noise is not None:
+            above = self.fronts.of_cluster[self.noise.clusters]
+            parent = np.concatenate([parent, above])
+            depth = np.concatenate([depth, depth[above] + 1])
+        return Hanging(parent, depth)
 
     @cached_property
     def stacks(self) -> FrontStacks:
         """The stacks of fronts, and where their rows stand in a buffer."""
-        return FrontStacks(self.layout.assembly, self.fronts)
+        return FrontStacks(self.assembly, self.fronts)
 
     @cached_property
     def places(self) -> Places:
-        """Where the moments of fronts stand in `Beliefs`."""
-        return Places(self.layout, self.fronts.blocks, self.fronts.of_cluster)
+        """Where the moments of fronts, and of noise variables, stand in `Beliefs`."""
+        of_cluster, first = self.fronts.of_cluster, len(self.fronts)
+        own = dict[int, Integers]()
+        for pairs in () if self.noise is None else self.noise.pairs:
+            group = self.layout.groups[pairs.child]
+            blocks = own.setdefault(pairs.child, of_cluster[group.clusters])
+            blocks[pairs.child_rows] = first + np.arange(len(pairs.child_rows))
+            first += len(pairs.child_rows)
+        return Places(self.layout, self.blocks, of_cluster, own)
 
     @cached_property
     def separators(self) -> list[list[tuple[Integers, Integers]]]:
@@ -84,7 +130,7 @@ class TreePlan:
     @cached_property
     def machine(self) -> Plan:
         """The fronts as machine code is told of them."""
-        return told(self.layout.assembly, self.fronts)
+        return told(self.assembly, self.fronts)
 
     @cached_property
     def rounds(self) -> Rounds:
@@ -112,6 +158,13 @@ class TreePlan:
         down = [upward[level] for level in self.forest.levels[1:]]
         both = [*reversed(down), *(messages ^ 1 for messages in down)]
         return [self.rounds.messages(messages.tolist()) for messages in both]
+
+
+class Hanging(NamedTuple):
+    """The block above each, −1 of a root, and how many are above it, (blocks,) each."""
+
+    parent: Integers
+    depth: Integers
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,6 +199,41 @@ class _Gains:
         }
 
 
+def read_back(
+    plan: TreePlan, noise: HiddenNoise, done: Calibrated, given: Sequence[Eliminated]
+) -> Calibrated:
+    """The solution with the moments of noise variables, put where the plan has room for them.
+
+    `given` are the conditionals of noise variables, as `HiddenNoise.integrated` returns them.
+    """
+    beliefs, places, first = done.beliefs, plan.places, len(plan.fronts)
+    assert isinstance(beliefs, TreeBeliefs)
+    sizes, gains = done.sizes, []
+    for pairs, own in zip(noise.pairs, given, strict=True):
+        blocks = first + np.arange(len(pairs.clusters))
+        above = plan.fronts.of_cluster[pairs.clusters]
+        where, entries = places.of(above, pairs.others)
+        spread = beliefs.cov[:, entries]
+        exact = sizes is not None and sizes.information is None
+        found = moments(own, beliefs.mean[:, where], spread, exact=exact)
+        columns = np.broadcast_to(np.arange(found.mean.shape[2]), found.mean.shape[1:3])
+        beliefs.mean[:, places.means(blocks, columns)] = found.mean
+        beliefs.cov[:, places.covs(blocks, columns)] = found.cov
+        if sizes is not None and not exact:
+            worst = max(sizes.magnified, magnified(own, spread, found.cov))
+            sizes = sizes._replace(magnified=worst)
+        gains.append((blocks, own.gain))
+        first += len(blocks)
+
+    def gain(block: int) -> Array:
+        for blocks, regressions in gains:
+            if blocks[0] <= block <= blocks[-1]:
+                return np.asarray(regressions[:, block - blocks[0]])
+        return beliefs.gain(block)
+
+    return replace(done, beliefs=replace(beliefs, gain=gain), sizes=sizes)
+
+
 def calibrate(plan: TreePlan, buffer: Buffer[FrontStacks], potentials: Potentials) -> Calibrated:
     """The beliefs of a tree, and ln p(evidence): both passes, with the CPDs as linearised now.
 
@@ -167,12 +255,12 @@ def calibrate(plan: TreePlan, buffer: Buffer[FrontStacks], potentials: Potential
             if stack.kept:
                 buffer.store(stack, done.rest, None)
     exact = buffer.exact is not None
-    beliefs, magnified = _back(plan, buffer.model.frame, kept, exact=exact, measured=not exact)
+    beliefs, worst = _back(plan, buffer.model.frame, kept, exact=exact, measured=not exact)
     sizes = Sizes(buffer.largest, buffer.coarse)
     if not exact:
         information = potentials.column_squares()
         residual = potentials.largest_residual(beliefs.in_frame()[0])
-        sizes = Sizes(buffer.largest, buffer.coarse, information, magnified, residual)
+        sizes = Sizes(buffer.largest, buffer.coarse, information, worst, residual)
     return Calibrated(beliefs, frozen(total), sizes)
 
 
@@ -194,7 +282,7 @@ def calibrate_by_squares(
 def _back(
     plan: TreePlan,
     frame: Frame,
-    kept: Sequence[Sequence[Eliminated | Conditional]],
+    kept: Sequence[Sequence[Conditional]],
     *,
     exact: bool,
     measured: bool,
@@ -209,39 +297,16 @@ def _back(
     blank = Beliefs.empty(plan.places, frame, stacked, sides)
     gains = _Gains(plan.fronts, [(stack, done.gain) for stack, done in every])
     beliefs = TreeBeliefs(blank.places, frame, blank.mean, blank.cov, gains)
-    magnified = 1.0
+    worst = 1.0
     below = list(zip(plan.stacks.levels, plan.separators, kept, strict=True))
     for level, separators, results in reversed(below):
         for stack, (where, entries), done in zip(level, separators, results, strict=True):
             if not stack.kept:
-                beliefs.put(stack, done.offset, _certain(done.noise) if exact else done.noise)
+                beliefs.put(stack, done.offset, certain(done.noise) if exact else done.noise)
                 continue
-            at, spread = beliefs.mean[:, where], beliefs.cov[:, entries]
-            parts = dense.Stack(spread, True), dense.Stack(done.gain), dense.Stack(done.noise)
-            cross, own = (each.array for each in step.crossed(*parts))
-            if exact:
-                own = _certain(own)
-                cross = np.where(
-                    (np.diagonal(own, axis1=-2, axis2=-1) > 0.0)[..., None], cross, 0.0
-                )
+            spread = beliefs.cov[:, entries]
+            found = moments(done, beliefs.mean[:, where], spread, exact=exact)
             if measured:
-                summands = apply(np.abs(done.gain), deviation(spread))
-                magnified = max(magnified, float((summands / deviation(own)).max()) ** 2)
-            mean = np.concatenate([done.gain @ at + done.offset, at], axis=2)
-            cov = np.empty((*mean.shape[:3], mean.shape[2]))
-            drop = stack.drop
-            cov[..., :drop, :drop], cov[..., drop:, drop:] = own, spread
-            cov[..., :drop, drop:], cov[..., drop:, :drop] = cross, transpose(cross)
-            beliefs.put(stack, mean, cov)
-    return beliefs, magnified
-
-
-def _certain(cov: Array) -> Array:
-    """Covariances (..., n, n) in which variances of at most 10⁻²⁸, mere rounding, are set to zero.
-
-    Variances are in units of the prior's. The covariances of such a component are set to zero, too.
-    """
-    open_ = np.diagonal(cov, axis1=-2, axis2=-1) > CERTAIN
-    if open_.all():
-        return cov
-    return np.where(open_[..., None] & open_[..., None, :], cov, 0.0)
+                worst = max(worst, magnified(done, spread, found.cov))
+            beliefs.put(stack, *found)
+    return beliefs, worst

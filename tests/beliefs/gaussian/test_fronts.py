@@ -382,11 +382,12 @@ def test_machine_code_is_chosen_and_told():
     for v in drawn.variables:
         assert_allclose(compiled[v].mean, plain[v].mean, atol=1e-12)
         assert_allclose(compiled[v].cov, plain[v].cov, atol=1e-12)
-    x, y = pgm.variables("x y")
-    same = pgm.BayesianNetwork(
-        [pgm.GaussianCPD(x, 0.0, 1.0), pgm.LinearGaussianCPD(y, {x: 1.0}, cov=0.0)]
-    )
-    told = pgm.infer(pgm.compile(same, compiled=True), {}).status.compilation
+    x, y, z = pgm.variables("x y z")
+    cpds = [pgm.GaussianCPD(x, 0.0, 1.0), pgm.LinearGaussianCPD(y, {x: 1.0}, cov=0.0)]
+    noise = pgm.compile(pgm.BayesianNetwork(cpds), compiled=True)
+    assert pgm.infer(noise, {}).status.compilation == "compiled"
+    twice = [*cpds, pgm.LinearGaussianCPD(z, {x: 1.0}, cov=0.0)]
+    told = pgm.infer(pgm.compile(pgm.BayesianNetwork(twice), compiled=True), {}).status.compilation
     assert told == "not compiled: CPDs without noise are left to NumPy"
 
 
