@@ -86,11 +86,10 @@ def test_networks_with_noise_variables(way, read_back, seed, extra):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_noise_of_fewer_components_stays(way, read_back, seed):
+def test_noise_of_fewer_components_leaves_relations(way, seed):
     drawn, _ = noisy(regular(seed, 10, 3), seed, -1)
     posterior, rng = pgm.infer(pgm.compile(drawn.network()), {}), np.random.default_rng(seed)
     assert_dense(posterior, drawn.dense(), {}, drawn.variables, rng)
-    assert read_back == []
 
 
 def test_variables_that_are_no_noise_stay(way, read_back):
