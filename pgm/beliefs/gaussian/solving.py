@@ -7,7 +7,7 @@ what squares lose shows when the last solution is made by rows.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
@@ -91,9 +91,18 @@ class TreeSolver:
     def _with_noise(self, potentials: Potentials, to_move: bool) -> Calibrated:
         noise = self.plan.noise
         if noise is None:
-            return self._solved(potentials, to_move)
-        left, given = noise.integrated(self.model, potentials)
-        return read_back(self.plan, noise, self._solved(left, to_move), given)
+            done = self._solved(potentials, to_move)
+        else:
+            potentials, given = noise.integrated(self.model, potentials)
+            exact = potentials.exact is not None
+            done = self._solved(potentials, to_move)
+            done = read_back(self.plan, noise, done, given, exact=exact)
+        sizes = done.sizes
+        if to_move or sizes is None or potentials.exact is not None:
+            return done
+        residual = potentials.largest_residual(done.beliefs.in_frame()[0])
+        information = potentials.column_squares()
+        return replace(done, sizes=sizes._replace(information=information, residual=residual))
 
     def _solved(self, potentials: Potentials, to_move: bool) -> Calibrated:
         if self._pays:
@@ -131,7 +140,7 @@ class TreeSolver:
         self._coarse = float(np.maximum(self._coarse, potentials.coarse))
         self._largest = float(np.maximum(self._largest, np.abs(matrix).max(initial=0.0)))
         stacked, _, sides = right.shape
-        found = Beliefs.empty(plan.places, frame, stacked, sides)
+        found = Beliefs.empty(plan.of_fronts, frame, stacked, sides)
         total: Array = potentials.log_scale.sum(axis=1)
         units = frame.scale[plan.fronts.order]
         unit = float(np.log(units).sum()) + 0.5 * LOG_2PI * units.size
@@ -152,9 +161,7 @@ class TreeSolver:
             kept.append(room)
         gains = _Gains(plan, sides, kept)
         beliefs = TreeBeliefs(found.places, found.frame, found.mean, found.cov, gains)
-        worst = potentials.largest_residual(beliefs.in_frame()[0])
-        information = potentials.column_squares()
-        sizes = Sizes(self._largest, self._coarse, information, magnified, worst)
+        sizes = Sizes(self._largest, self._coarse, magnified=magnified)
         return Calibrated(beliefs, frozen(total), sizes)
 
 

@@ -98,16 +98,22 @@ class TreePlan:
         return FrontStacks(self.assembly, self.fronts)
 
     @cached_property
+    def of_fronts(self) -> Places:
+        """Where the moments of fronts stand in the `Beliefs` of a solution without noise."""
+        return Places(self.layout, self.fronts.blocks, self.fronts.of_cluster)
+
+    @cached_property
     def places(self) -> Places:
-        """Where the moments of fronts, and of noise variables, stand in `Beliefs`."""
-        of_cluster, first = self.fronts.of_cluster, len(self.fronts)
-        own = dict[int, Integers]()
-        for pairs in () if self.noise is None else self.noise.pairs:
+        """Where the moments of fronts, and then of noise variables' blocks, stand in `Beliefs`."""
+        if self.noise is None:
+            return self.of_fronts
+        first, own = len(self.fronts), dict[int, Integers]()
+        for pairs in self.noise.pairs:
             group = self.layout.groups[pairs.child]
-            blocks = own.setdefault(pairs.child, of_cluster[group.clusters])
+            blocks = own.setdefault(pairs.child, self.fronts.of_cluster[group.clusters])
             blocks[pairs.child_rows] = first + np.arange(len(pairs.child_rows))
             first += len(pairs.child_rows)
-        return Places(self.layout, self.blocks, of_cluster, own)
+        return Places(self.layout, self.blocks, self.fronts.of_cluster, own)
 
     @cached_property
     def separators(self) -> list[list[tuple[Integers, Integers]]]:
@@ -120,7 +126,7 @@ class TreePlan:
 
     def _above(self, stack: Stack) -> tuple[Integers, Integers]:
         at = np.maximum(self.fronts.parent[stack.members], 0), self.stacks.above(stack)
-        return self.places.means(*at), self.places.covs(*at)
+        return self.of_fronts.means(*at), self.of_fronts.covs(*at)
 
     @cached_property
     def squares(self) -> FrontSquares:
@@ -200,38 +206,56 @@ class _Gains:
 
 
 def read_back(
-    plan: TreePlan, noise: HiddenNoise, done: Calibrated, given: Sequence[Eliminated]
+    plan: TreePlan,
+    noise: HiddenNoise,
+    done: Calibrated,
+    given: Sequence[Eliminated],
+    *,
+    exact: bool,
 ) -> Calibrated:
-    """The solution with the moments of noise variables, put where the plan has room for them.
+    """The solution with the moments of noise variables, from those of the fronts.
 
-    `given` are the conditionals of noise variables, as `HiddenNoise.integrated` returns them.
+    `given` are the conditionals of noise variables, as `HiddenNoise.integrated` returns them;
+    `exact` says whether relations without noise are left.
     """
-    beliefs, places, first = done.beliefs, plan.places, len(plan.fronts)
+    beliefs, sizes = done.beliefs, done.sizes
     assert isinstance(beliefs, TreeBeliefs)
-    sizes, gains = done.sizes, []
+    means, covs, worst = [beliefs.mean[:, :-1]], [beliefs.cov[:, :-1]], 1.0
     for pairs, own in zip(noise.pairs, given, strict=True):
-        blocks = first + np.arange(len(pairs.clusters))
         above = plan.fronts.of_cluster[pairs.clusters]
-        where, entries = places.of(above, pairs.others)
+        where, entries = plan.of_fronts.of(above, pairs.others)
         spread = beliefs.cov[:, entries]
-        exact = sizes is not None and sizes.information is None
         found = moments(own, beliefs.mean[:, where], spread, exact=exact)
-        columns = np.broadcast_to(np.arange(found.mean.shape[2]), found.mean.shape[1:3])
-        beliefs.mean[:, places.means(blocks, columns)] = found.mean
-        beliefs.cov[:, places.covs(blocks, columns)] = found.cov
-        if sizes is not None and not exact:
-            worst = max(sizes.magnified, magnified(own, spread, found.cov))
-            sizes = sizes._replace(magnified=worst)
-        gains.append((blocks, own.gain))
-        first += len(blocks)
+        means.append(found.mean.reshape(len(found.mean), -1, found.mean.shape[-1]))
+        covs.append(found.cov.reshape(len(found.cov), -1))
+        worst = max(worst, magnified(own, spread, found.cov))
+    if sizes is not None:
+        sizes = sizes._replace(magnified=max(sizes.magnified, worst))
+    mean, cov = (
+        np.concatenate([*parts, np.zeros_like(parts[0][:, :1])], axis=1) for parts in (means, covs)
+    )
+    gain = _NoiseGains(beliefs.gain, len(plan.fronts), [own.gain for own in given])
+    whole = TreeBeliefs(plan.places, beliefs.frame, mean, cov, gain)
+    return replace(done, beliefs=whole, sizes=sizes)
 
-    def gain(block: int) -> Array:
-        for blocks, regressions in gains:
-            if blocks[0] <= block <= blocks[-1]:
-                return np.asarray(regressions[:, block - blocks[0]])
-        return beliefs.gain(block)
 
-    return replace(done, beliefs=replace(beliefs, gain=gain), sizes=sizes)
+@dataclass(frozen=True, eq=False)
+class _NoiseGains:
+    """The regressions of fronts, and those of noise variables, whose blocks begin at `first`."""
+
+    of_fronts: Callable[[int], Array]
+    first: int
+    noises: list[Array]
+
+    def __call__(self, block: int) -> Array:
+        row = block - self.first
+        if row < 0:
+            return self.of_fronts(block)
+        for gains in self.noises:
+            if row < gains.shape[1]:
+                break
+            row -= gains.shape[1]
+        return gains[:, row]
 
 
 def calibrate(plan: TreePlan, buffer: Buffer[FrontStacks], potentials: Potentials) -> Calibrated:
@@ -254,13 +278,9 @@ def calibrate(plan: TreePlan, buffer: Buffer[FrontStacks], potentials: Potential
             total += log_scale.sum(axis=1)
             if stack.kept:
                 buffer.store(stack, done.rest, None)
-    exact = buffer.exact is not None
+    exact = potentials.exact is not None
     beliefs, worst = _back(plan, buffer.model.frame, kept, exact=exact, measured=not exact)
-    sizes = Sizes(buffer.largest, buffer.coarse)
-    if not exact:
-        information = potentials.column_squares()
-        residual = potentials.largest_residual(beliefs.in_frame()[0])
-        sizes = Sizes(buffer.largest, buffer.coarse, information, worst, residual)
+    sizes = Sizes(buffer.largest, buffer.coarse, magnified=worst)
     return Calibrated(beliefs, frozen(total), sizes)
 
 
@@ -294,7 +314,7 @@ def _back(
     """
     every = list(zip(chain(*plan.stacks.levels), chain(*kept), strict=True))
     stacked, sides = (1, 1) if not every else (every[0][1].offset.shape[k] for k in (0, -1))
-    blank = Beliefs.empty(plan.places, frame, stacked, sides)
+    blank = Beliefs.empty(plan.of_fronts, frame, stacked, sides)
     gains = _Gains(plan.fronts, [(stack, done.gain) for stack, done in every])
     beliefs = TreeBeliefs(blank.places, frame, blank.mean, blank.cov, gains)
     worst = 1.0

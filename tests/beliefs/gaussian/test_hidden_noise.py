@@ -30,9 +30,9 @@ def read_back(monkeypatch):
     """How many noise variables are read back, in each solution."""
     counts, own = [], tree.read_back
 
-    def counted(plan, noise, done, given):
+    def counted(plan, noise, done, given, *, exact):
         counts.append(sum(len(pairs.clusters) for pairs in noise.pairs))
-        return own(plan, noise, done, given)
+        return own(plan, noise, done, given, exact=exact)
 
     monkeypatch.setattr(solving, "read_back", counted)
     return counts
