@@ -6,7 +6,7 @@ The steps from one linearisation to the next are controlled as those of chains a
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -67,10 +67,11 @@ def iterated(
     if model.settled or (asked.iterations == 1 and (begin is None or not is_controlled(asked))):
         return solver.solve(), Status.of([], nothing, model.lead)
     kind = _Controlled if is_controlled(asked) else _Tree
-    tree = kind(model, solver, to_move=True, at=begin)
+    tree = kind(model, solver, asked.tolerance, at=begin)
     found = iterate(tree, tree.solve(), asked, nothing, begin)
-    tree = replace(tree, to_move=False)
-    done, residuals, converged = tree.solve(), found.residuals, found.converged
+    tree.to_move = False
+    done = found.solution if found.solution is tree.given else tree.solve()
+    residuals, converged = found.residuals, found.converged
     mean = _reported(found, done)
     # The means of a solution that was one to move by may be wrong where it lost digits.
     off = moments.moved(done.means, found.solution.means, done.point.std)
@@ -98,14 +99,19 @@ def _reported(found: Iterated[Calibrated], done: Calibrated) -> Array:
 class _Tree:
     """A tree as a `Problem` of `pgm.schedules.iteration`: linearised at any point, and solved.
 
-    `solver` solves it with the CPDs of `model` as they are linearised now; it may be told that a
-    solution is one `to_move` by, not to be given. `at` is the point where it was linearised last.
+    `solver` solves it with the CPDs of `model` as they are linearised now; it is told that a
+    solution is one `to_move` by, not to be given, unless the last two steps let expect that the
+    next is within the `tolerance`. `at` is the point where it was linearised last, `given` the
+    last solution that may be given.
     """
 
     model: Model
     solver: Solver
-    to_move: bool
+    tolerance: float
     at: TreePoint | None
+    to_move: bool = True
+    given: Calibrated | None = None
+    _steps: list[float] = field(default_factory=list)
 
     def linearise(self, at: TreePoint, active: Mask) -> None:
         """Linearise each nonlinear CPD, and weigh robust readings, at a point, in active runs.
@@ -117,6 +123,7 @@ class _Tree:
         reweigh(self.model, at, active)
         if self.at is not None:
             at = at._replace(mean=np.where(active[:, None], at.mean, self.at.mean))
+            self._steps.append(float(moments.moved(at.mean, self.at.mean, at.std).max()))
         self.at = at
 
     def settled(self) -> Mask | bool:
@@ -125,7 +132,22 @@ class _Tree:
 
     def solve(self, anchor: Anchor | None = None) -> Calibrated:
         """The tree with the CPDs as they are linearised now, and an anchor's measurement."""
-        return self.solver.solve(anchor, to_move=self.to_move)
+        to_move = self.to_move and (anchor is not None or not self._arrives)
+        done = self._feasible(self.solver.solve(anchor, to_move=to_move))
+        if not to_move:
+            self.given = done
+        return done
+
+    @property
+    def _arrives(self) -> bool:
+        """Whether the next step is within the tolerance, if steps go on to shrink as they do."""
+        if len(self._steps) < 2:
+            return False
+        before, last = self._steps[-2:]
+        return last**2 <= self.tolerance * before
+
+    def _feasible(self, done: Calibrated) -> Calibrated:
+        return done
 
 
 class _Controlled(_Tree):
@@ -138,11 +160,13 @@ class _Controlled(_Tree):
 
     def solve(self, anchor: Anchor | None = None) -> Calibrated:
         """The solution, with means that obey nonlinear relations themselves, not their lines."""
-        relations = self.relations  # which are refused before the work
-        done = _Tree.solve(self, anchor)
-        if not relations.nonlinear:
+        _ = self.relations  # which are refused before the work
+        return super().solve(anchor)
+
+    def _feasible(self, done: Calibrated) -> Calibrated:
+        if not self.relations.nonlinear:
             return done
-        return replace(done, moved=relations.retracted(done.means[0]))
+        return replace(done, moved=self.relations.retracted(done.means[0]))
 
     def cost(self, at: TreePoint) -> Array:
         """The cost of a point's means, (runs,); infinite where no retraction was found for them."""

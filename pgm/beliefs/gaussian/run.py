@@ -255,6 +255,9 @@ def _start(layout: Layout, bound: BoundValues, start: Start) -> Array:
                     f"start lacks {variable!r}; it takes means of all hidden parents",
                     variable=variable,
                 )
+    if complete and len(complete) == len(layout.hidden):
+        mean[:] = np.concatenate([complete[variable] for variable in layout.hidden], axis=1)
+        return mean
     for variable in layout.hidden:
         if variable in complete:
             mean[:, layout.places[variable]] = complete[variable]
