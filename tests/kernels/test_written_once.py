@@ -371,7 +371,7 @@ SOLUTIONS = listed(
     {"consistency/errors.py": "nees_and_dof", "consistency/ranking.py": "_by_sighting"},
     {"beliefs/particles/guided_proposal.py": "_whitened steered"},
     {"inference/audit/corrected.py": "_from_gaussian"},
-    {"beliefs/moments/association/joint_compatibility.py": "__init__"},
+    {"kernels/joint_compatibility.py": "__init__"},
     # Information: canonical forms, rows of square roots, elements of a scan.
     {"kernels/canonical.py": "_backward_indefinite _invertible_root _split backward combine"},
     {"kernels/canonical.py": "from_affine from_moments marginalise to_moments"},

@@ -22,7 +22,7 @@ are numbered from 0, and `NOTHING`, −1, stands in place of one where a sightin
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -51,6 +51,10 @@ class Pairs(NamedTuple):
     size: Integers
     compatible: Mask
     log_weight: Array
+
+    def at(self, place: tuple[Any, ...]) -> tuple[Array, Array, Array]:
+        """H, ν and R of the pairs at a place along the leading axes."""
+        return self.matrix[place], self.residual[place], self.noise[place]
 
 
 class TooManyError(Exception):
@@ -90,9 +94,9 @@ def _within(pairs: Pairs, chosen: Integers, cov: Array, limits: Array, runs: Int
     for k, own in enumerate(chosen[:, runs]):
         seen = own != NOTHING
         place = k, runs, np.where(seen, own, 0)
-        H = pairs.matrix[place] * seen[:, None, None]
-        left = pairs.residual[place] * seen[:, None]
-        known = _paired(H, left, pairs.noise[place], spread, shift)
+        matrix, residual, noise = pairs.at(place)
+        H, left = matrix * seen[:, None, None], residual * seen[:, None]
+        known = _paired(H, left, noise, spread, shift)
         spread, shift, square = known.cov, known.shift, square + known.square
         dof += np.where(seen, pairs.size[k, runs], 0)
     within: Mask = square <= limits[dof]
@@ -100,31 +104,40 @@ def _within(pairs: Pairs, chosen: Integers, cov: Array, limits: Array, runs: Int
 
 
 class _Paired(NamedTuple):
-    """Beliefs given one pairing more, with the pairing's Mahalanobis square and log-density.
+    """Beliefs given one pairing more: `shift` (..., n), the mean less the predicted one, and `cov`.
 
-    `shift` (..., n) is the mean less the predicted one, `cov` (..., n, n) the covariance. `square`
-    (...) is νᵀS⁻¹ν and `density` (...) is ln N(ν; 0, S) + ½ d ln 2π, both of this pairing alone,
-    with its innovation ν given the pairings before it.
+    `square` (...) is νᵀS⁻¹ν of this pairing alone, its innovation ν given the pairings before it.
     """
 
     shift: Array
     cov: Array
     square: Array
-    density: Array
+
+
+def _measured(
+    matrix: Array, residual: Array, noise: Array, cov: Array, shift: Array
+) -> tuple[Stack, ...]:
+    """P, H, ν and R of one pairing each by beliefs N(shift, cov), counted from the predicted mean.
+
+    `shift` is (..., n), `cov` (..., n, n). `matrix` is H (..., d, n), `residual` (..., d) the
+    innovation at the predicted mean and `noise` R (..., d, d); ν = `residual` − H · `shift`.
+    """
+    left = residual - apply(matrix, shift)
+    return Stack(cov, True), Stack(matrix), Stack.column(left), Stack(noise, True)
 
 
 def _paired(matrix: Array, residual: Array, noise: Array, cov: Array, shift: Array) -> _Paired:
-    """Condition beliefs N(shift, cov), counted from the predicted mean, on one pairing each.
+    """Condition beliefs on one pairing each; see `_measured`."""
+    found = step.update(Stack.column(shift), *_measured(matrix, residual, noise, cov, shift))
+    return _Paired(found.mean.vector, found.cov.array, found.square)
 
-    `shift` is (..., n), `cov` (..., n, n). `matrix` is H (..., d, n), `residual` (..., d) the
-    innovation at the predicted mean and `noise` R (..., d, d). With ν = `residual` − H · `shift`
-    and S = H · `cov` · Hᵀ + R, the square is νᵀ S⁻¹ ν and the density −½ (νᵀ S⁻¹ ν + ln |S|).
-    """
-    left = residual - apply(matrix, shift)
-    parts = Stack(cov, True), Stack(matrix), Stack.column(left), Stack(noise, True)
-    found = step.update(Stack.column(shift), *parts)
-    density = -0.5 * found.square - found.volume
-    return _Paired(found.mean.vector, found.cov.array, found.square, density)
+
+def _likelihood(
+    matrix: Array, residual: Array, noise: Array, cov: Array, shift: Array
+) -> step.Innovation:
+    """How likely one pairing each is by beliefs that do not take it in; see `_measured`."""
+    belief, slope, left, error = _measured(matrix, residual, noise, cov, shift)
+    return step.innovation(left, step.predict(belief, slope, error))
 
 
 class _Search:
@@ -176,8 +189,9 @@ class _Search:
         better hypothesis within its gate becomes `best`.
 
         `chosen` has for each depth before this one the sighting's candidate, or `NOTHING`;
-        N(shift, cov) is the belief given these pairings, counted from the predicted mean, and
-        `square`, `dof`, `score` are their νᵀS⁻¹ν, components measured, and Σ ln w + ln N(ν; 0, S).
+        `square`, `dof`, `score` are these pairings' νᵀS⁻¹ν, components measured, and Σ ln w +
+        ln N(ν; 0, S). N(shift, cov) is the belief given all of them but the last one, counted from
+        the predicted mean: an abandoned branch needs no other.
         """
         self.nodes += 1
         if self.nodes > NODES:
@@ -193,15 +207,17 @@ class _Search:
             return
         k, count, pairs = self.order[depth], self.counts[depth], self.pairs
         some = np.array([c for c in self.choices[depth].tolist() if c not in chosen], dtype=np.intp)
+        if depth and chosen[-1] != NOTHING:
+            last = self.order[depth - 1], self.run, chosen[-1]
+            shift, cov, _ = _paired(*pairs.at(last), cov, shift)
         if some.size:
             own = k, self.run, some
-            known = _paired(pairs.matrix[own], pairs.residual[own], pairs.noise[own], cov, shift)
-            weight = known.density + pairs.log_weight[some] - 0.5 * count * LOG_2PI
+            found = _likelihood(*pairs.at(own), cov, shift)
+            density = -0.5 * (found.square + count * LOG_2PI) - found.volume
+            weight = density + pairs.log_weight[some]
             for c in np.argsort(-weight, kind="stable").tolist():
-                further = square + float(known.square[c])
+                further = square + float(found.square[c])
                 if further <= self.limits[dof + self.ahead[depth]]:
-                    here = known.shift[c], known.cov[c], further, dof + count
-                    self._descend(
-                        depth + 1, *here, score + float(weight[c]), [*chosen, int(some[c])]
-                    )
+                    known = further, dof + count, score + float(weight[c])
+                    self._descend(depth + 1, shift, cov, *known, [*chosen, int(some[c])])
         self._descend(depth + 1, shift, cov, square, dof, score, [*chosen, NOTHING])
