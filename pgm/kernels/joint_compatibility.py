@@ -96,48 +96,52 @@ def _within(pairs: Pairs, chosen: Integers, cov: Array, limits: Array, runs: Int
         place = k, runs, np.where(seen, own, 0)
         matrix, residual, noise = pairs.at(place)
         H, left = matrix * seen[:, None, None], residual * seen[:, None]
-        known = _paired(H, left, noise, spread, shift)
-        spread, shift, square = known.cov, known.shift, square + known.square
+        known = _Paired.of((H, left, noise), shift, spread)
+        (shift, spread), square = known.after(shift, spread), square + known.square
         dof += np.where(seen, pairs.size[k, runs], 0)
     within: Mask = square <= limits[dof]
     return within
 
 
 class _Paired(NamedTuple):
-    """Beliefs given one pairing more: `shift` (..., n), the mean less the predicted one, and `cov`.
+    """One pairing each by beliefs that have not taken it in, (..., n).
 
-    `square` (...) is νᵀS⁻¹ν of this pairing alone, its innovation ν given the pairings before it.
+    `square` (...) is νᵀS⁻¹ν and `density` (...) ln N(ν; 0, S) + ½ d ln 2π, with the innovation ν
+    given the pairings before; `matrix` H, `left` ν, `noise` R and `gain` P Hᵀ S⁻¹ are what
+    `after` takes.
     """
 
-    shift: Array
-    cov: Array
     square: Array
+    density: Array
+    matrix: Array
+    left: Array
+    noise: Array
+    gain: Array
 
+    @classmethod
+    def of(cls, parts: tuple[Array, Array, Array], shift: Array, cov: Array) -> _Paired:
+        """The pairings of H (..., d, n), ν at the predicted mean (..., d), and R (..., d, d).
 
-def _measured(
-    matrix: Array, residual: Array, noise: Array, cov: Array, shift: Array
-) -> tuple[Stack, ...]:
-    """P, H, ν and R of one pairing each by beliefs N(shift, cov), counted from the predicted mean.
+        Beliefs are N(shift, cov), counted from the predicted mean: `shift` is (..., n), `cov`
+        (..., n, n).
+        """
+        matrix, residual, noise = parts
+        left = residual - apply(matrix, shift)
+        cross, spread = step.crossed(Stack(cov, True), Stack(matrix), Stack(noise, True))
+        root = spread.root()
+        found = step.innovation_by(Stack.column(left), root)
+        gain: Array = step.gain(root, cross).array
+        return cls(found.square, -0.5 * found.square - found.volume, matrix, left, noise, gain)
 
-    `shift` is (..., n), `cov` (..., n, n). `matrix` is H (..., d, n), `residual` (..., d) the
-    innovation at the predicted mean and `noise` R (..., d, d); ν = `residual` − H · `shift`.
-    """
-    left = residual - apply(matrix, shift)
-    return Stack(cov, True), Stack(matrix), Stack.column(left), Stack(noise, True)
+    def of_one(self, place: int) -> _Paired:
+        """One of the pairings."""
+        return _Paired(*(part[place] for part in self))
 
-
-def _paired(matrix: Array, residual: Array, noise: Array, cov: Array, shift: Array) -> _Paired:
-    """Condition beliefs on one pairing each; see `_measured`."""
-    found = step.update(Stack.column(shift), *_measured(matrix, residual, noise, cov, shift))
-    return _Paired(found.mean.vector, found.cov.array, found.square)
-
-
-def _likelihood(
-    matrix: Array, residual: Array, noise: Array, cov: Array, shift: Array
-) -> step.Innovation:
-    """How likely one pairing each is by beliefs that do not take it in; see `_measured`."""
-    belief, slope, left, error = _measured(matrix, residual, noise, cov, shift)
-    return step.innovation(left, step.predict(belief, slope, error))
+    def after(self, shift: Array, cov: Array) -> tuple[Array, Array]:
+        """The beliefs that have taken the pairings in."""
+        known = shift + apply(self.gain, self.left)
+        parts = Stack(cov, True), Stack(self.gain), Stack(self.matrix), Stack(self.noise, True)
+        return known, step.squares(*parts).array
 
 
 class _Search:
@@ -169,13 +173,14 @@ class _Search:
         self.most = [sum(likeliest[k:]) for k in range(len(counts) + 1)]
         self.found: tuple[int, float] = (-1, -np.inf)
         self.best = np.full(len(compatible), NOTHING)
-        self._descend(0, np.zeros(len(cov)), cov, 0.0, 0, 0.0, [])
+        self._descend(0, np.zeros(len(cov)), cov, None, 0.0, 0, 0.0, [])
 
     def _descend(
         self,
         depth: int,
         shift: Array,
         cov: Array,
+        last: _Paired | None,
         square: float,
         dof: int,
         score: float,
@@ -190,8 +195,8 @@ class _Search:
 
         `chosen` has for each depth before this one the sighting's candidate, or `NOTHING`;
         `square`, `dof`, `score` are these pairings' νᵀS⁻¹ν, components measured, and Σ ln w +
-        ln N(ν; 0, S). N(shift, cov) is the belief given all of them but the last one, counted from
-        the predicted mean: an abandoned branch needs no other.
+        ln N(ν; 0, S). N(shift, cov) is the belief given all of them but `last`, counted from the
+        predicted mean: branches that are abandoned need no other.
         """
         self.nodes += 1
         if self.nodes > NODES:
@@ -207,17 +212,15 @@ class _Search:
             return
         k, count, pairs = self.order[depth], self.counts[depth], self.pairs
         some = np.array([c for c in self.choices[depth].tolist() if c not in chosen], dtype=np.intp)
-        if depth and chosen[-1] != NOTHING:
-            last = self.order[depth - 1], self.run, chosen[-1]
-            shift, cov, _ = _paired(*pairs.at(last), cov, shift)
+        if last is not None:
+            shift, cov = last.after(shift, cov)
         if some.size:
-            own = k, self.run, some
-            found = _likelihood(*pairs.at(own), cov, shift)
-            density = -0.5 * (found.square + count * LOG_2PI) - found.volume
-            weight = density + pairs.log_weight[some]
+            known = _Paired.of(pairs.at((k, self.run, some)), shift, cov)
+            weight = known.density + pairs.log_weight[some] - 0.5 * count * LOG_2PI
             for c in np.argsort(-weight, kind="stable").tolist():
-                further = square + float(found.square[c])
+                further = square + float(known.square[c])
                 if further <= self.limits[dof + self.ahead[depth]]:
-                    known = further, dof + count, score + float(weight[c])
-                    self._descend(depth + 1, shift, cov, *known, [*chosen, int(some[c])])
-        self._descend(depth + 1, shift, cov, square, dof, score, [*chosen, NOTHING])
+                    so_far = further, dof + count, score + float(weight[c])
+                    with_it = [*chosen, int(some[c])]
+                    self._descend(depth + 1, shift, cov, known.of_one(c), *so_far, with_it)
+        self._descend(depth + 1, shift, cov, None, square, dof, score, [*chosen, NOTHING])
