@@ -17,6 +17,7 @@ name              what it is                           what returns it
 `Associations`    probabilities of what was sighted    ``posterior.associations[z]``
 `Lost`            steps of beliefs probably wrong      ``posterior.lost``
 `OnlineBelief`    the belief at one step of a loop     `OnlineFilter`'s ``predict``, ``update``
+`Association`     the landmark that one was taken for  ``grown.associations[z]``
 `Growth`          how large a growing map is           ``grown.status``
 `MostProbable`    the likeliest assignment             `pgm.most_probable`
 `Audit`           a smoother against the exact answer  `pgm.audit`
@@ -41,6 +42,7 @@ from pgm.clustergraph import Cluster
 from pgm.compile import Compilation
 from pgm.cpds import Derivatives
 from pgm.inference import (
+    Association,
     Associations,
     Audit,
     GridBelief,
@@ -83,6 +85,7 @@ def __dir__() -> list[str]:
 
 
 __all__ = [
+    "Association",
     "Associations",
     "Audit",
     "Cluster",

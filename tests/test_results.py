@@ -33,8 +33,17 @@ def online():
     return robot.predict(robot.initial())
 
 
+def sighted():
+    """A map of one landmark, which is sighted without its name."""
+    sees = pgm.LinearGaussianCPD(z, {M: 1.0}, cov=1.0)
+    there = pgm.Variable("there")
+    grown = pgm.GrowingMap().add(pgm.GaussianCPD(there, 0.0, 1.0))
+    return grown.add(sees, {z: 1.0, M: pgm.unknown([there])})
+
+
 # What the table of the module says, as calls.
 CALLS = {
+    "Association": lambda: sighted().associations[z],
     "Associations": lambda: pgm.filter(
         SEES,
         {z: pgm.sightings([[1.0]], step=[1], given={M: pgm.unknown([[0.0], [5.0]])})},
@@ -70,7 +79,7 @@ CALLS = {
 OLD = sorted(
     set(results.__all__)
     - {"Compilation", "ControlReport", "Derivatives", "GridFigures", "Innovations"}
-    - {"Growth", "ParticleFigures", "ReadingReport", "Row", "Sample"}
+    - {"Association", "Growth", "ParticleFigures", "ReadingReport", "Row", "Sample"}
 )
 # What posteriors, statuses and filters are of, by the name of their class before.
 POSTERIORS = {

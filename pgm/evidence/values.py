@@ -429,7 +429,7 @@ def variables_left_open(
     )
 
 
-def require_whole(cpd: CPD, unknown: tuple[Variable, Unknown] | None, taken: Mask) -> None:
+def require_whole(cpd: CPD, unknown: tuple[Variable, OneOf] | None, taken: Mask) -> None:
     """Refuse open sightings that are measured in part, where some may be of no candidate."""
     if unknown is None or unknown[1].volume is None:
         return

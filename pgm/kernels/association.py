@@ -43,6 +43,10 @@ class Pairs(NamedTuple):
     noise: Array
     share: Array
 
+    def of(self, some: Integers) -> Pairs:
+        """The pairs with some of the candidates."""
+        return Pairs._make(part[:, :, some] for part in self)
+
 
 def paired(matrix: Array, residual: Array, noise: Array, spread: Array, size: Integers) -> Pairs:
     """The pairs of H, ν, R and S = `spread` (..., d, d), with their densities."""

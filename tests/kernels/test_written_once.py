@@ -381,7 +381,7 @@ SOLUTIONS = listed(
     {"beliefs/gaussian/relations.py": "_solved_for", "beliefs/gaussian/solving.py": "__call__"},
     {"beliefs/gaussian/refusals.py": "_open", "beliefs/gaussian/front_squares.py": "_eliminated"},
     {"inference/growing/tree.py": "cliques", "inference/growing/factors.py": "_roots"},
-    {"inference/growing/covariances.py": "_across _made"},
+    {"inference/growing/covariances.py": "_made across"},
     {"beliefs/moments/passes/likelihoods.py": "of"},
     {"beliefs/moments/passes/messages.py": "likelihoods"},
     # Unknown directions, exact relations, bounds of rounding, and whether messages settle.
