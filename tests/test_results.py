@@ -50,6 +50,7 @@ CALLS = {
         steps=1,
     ).associations[z],
     "Audit": lambda: pgm.audit(pgm.smooth(squares, {z: [[4.0]]}), samples=20, rng=0),
+    "CliqueTree": lambda: sighted().cliques,
     "Cluster": lambda: pgm.compile(rainy).clusters[0],
     "Comparison": lambda: pgm.compare(walk, GIVEN),
     "Compilation": lambda: pgm.compile(walk, 3).compilation,
@@ -79,7 +80,7 @@ CALLS = {
 OLD = sorted(
     set(results.__all__)
     - {"Compilation", "ControlReport", "Derivatives", "GridFigures", "Innovations"}
-    - {"Association", "Growth", "ParticleFigures", "ReadingReport", "Row", "Sample"}
+    - {"Association", "CliqueTree", "Growth", "ParticleFigures", "ReadingReport", "Row", "Sample"}
 )
 # What posteriors, statuses and filters are of, by the name of their class before.
 POSTERIORS = {

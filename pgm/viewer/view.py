@@ -15,9 +15,9 @@ import numpy as np
 from pgm.arguments import public
 from pgm.compile import DynamicGraph
 from pgm.errors import GraphError
-from pgm.inference import Posterior
+from pgm.inference import GrowingMap, Posterior
 from pgm.posteriors.outcome import CHAIN, MARGINALS, SLICES
-from pgm.viewer import chain, graph
+from pgm.viewer import chain, graph, growing
 from pgm.viewer.numbers import CELL, FILE, Limits, Numbers, Run, chosen_runs, chosen_steps
 from pgm.viewer.scripts import script
 
@@ -27,7 +27,7 @@ _OVER_TIME = (CHAIN, SLICES, MARGINALS)
 
 @public
 def view(
-    posterior: Posterior[Any],
+    posterior: Posterior[Any] | GrowingMap,
     path: str | PathLike[str],
     *,
     run: int | Sequence[int] | Sequence[Run] | None = None,
@@ -42,8 +42,9 @@ def view(
 
     Parameters
     ----------
-    posterior : Posterior
-        Grids and particles have beliefs and no messages.
+    posterior : Posterior or GrowingMap
+        Grids and particles have beliefs and no messages. Of a growing map it is the tree of cliques
+        as it is now, with those marked that the last addition touched.
     path : str or path-like
         The file's path, like ``"run.html"``; an old one is replaced.
     run : int, tuple of int, or sequence of these tuples, optional
@@ -91,10 +92,12 @@ def html(posterior: Posterior[Any]) -> str:
 def _content(
     posterior: Any, run: Any, steps: tuple[int, int] | None, limits: Limits
 ) -> tuple[dict[str, Any], Numbers]:
+    if isinstance(posterior, GrowingMap):
+        return _of_map(posterior, run, steps, limits)
     if not isinstance(posterior, Posterior):
         raise GraphError(
-            f"view shows a posterior, as pgm.infer, filter and smooth return, not "
-            f"{type(posterior).__name__}"
+            f"view shows a posterior, as pgm.infer, filter and smooth return, or a growing map, "
+            f"not {type(posterior).__name__}"
         )
     outcome = posterior._outcome
     lead = np.asarray(posterior.log_evidence).shape
@@ -111,6 +114,21 @@ def _content(
     found["notes"] = [note for note in (few, cut) if note]
     found["evidence"] = str(posterior.log_evidence_kind)
     found["graph"] = _named(posterior)
+    return found, numbers
+
+
+def _of_map(
+    grown: GrowingMap, run: Any, steps: Any, limits: Limits
+) -> tuple[dict[str, Any], Numbers]:
+    for name, value in (("run", run), ("steps", steps)):
+        if value is not None:
+            raise GraphError(f"{name}={value!r}: a growing map has no {name}; leave it out")
+    if not len(grown.cliques):
+        raise GraphError("view: the growing map has no hidden variable yet; add some CPDs first")
+    numbers = Numbers()
+    found = growing.page(grown, numbers, limits)
+    found["notes"] = [found["cut"]] if found["cut"] else []
+    found["graph"] = "growing map"
     return found, numbers
 
 

@@ -191,6 +191,7 @@ def filtered():
         "online lag": lagged,
         "growing map": grown,
         "growth": grown.status,
+        "cliques": sighted.cliques,
         "association": sighted.associations[Z],
         "by sighting": sighted.associations,
         "chain": pgm.compile(model, STEPS),

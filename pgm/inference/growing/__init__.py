@@ -8,7 +8,8 @@ others keep their triangles, and what they left.
 """
 
 from pgm.inference.growing.association import Association
+from pgm.inference.growing.clique_tree import CliqueTree
 from pgm.inference.growing.growing_map import GrowingMap
 from pgm.inference.growing.growth import Growth
 
-__all__ = ["Association", "GrowingMap", "Growth"]
+__all__ = ["Association", "CliqueTree", "GrowingMap", "Growth"]

@@ -22,6 +22,7 @@ from pgm.factors.scope import Scope, as_scope, listed, unknown_name
 from pgm.immutable import Immutable
 from pgm.inference.growing.added import Added, Contents
 from pgm.inference.growing.association import Association, BySighting
+from pgm.inference.growing.clique_tree import CliqueTree
 from pgm.inference.growing.covariances import Covariances
 from pgm.inference.growing.factors import Factor, linearised
 from pgm.inference.growing.growth import Growth
@@ -427,6 +428,11 @@ class GrowingMap(Shown, Immutable):
     def _covariances(self) -> Covariances:
         return Covariances(self._tree)
 
+    @cached_property
+    def cliques(self) -> CliqueTree:
+        """The tree of cliques: their variables and CPDs, potentials, messages and beliefs."""
+        return CliqueTree(self._covariances, self._contents, self.touched)
+
     @property
     def network(self) -> BayesianNetwork:
         """All CPDs so far as a network, to be handed to `compile` and `infer`."""
@@ -451,7 +457,8 @@ class GrowingMap(Shown, Immutable):
         return Summary(self._title, [self.status._last] if self.status.cpds else [])
 
     def __getstate__(self) -> dict[str, Any]:
-        return {k: v for k, v in super().__getstate__().items() if k != "_covariances"}
+        found = super().__getstate__().items()
+        return {k: v for k, v in found if k not in ("_covariances", "cliques")}
 
 
 def _not_hidden(contents: Contents, variable: Any) -> EvidenceError:
