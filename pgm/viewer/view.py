@@ -1,4 +1,4 @@
-"""The page of a posterior, which asks nothing of a network: a file, or in a notebook's cell."""
+"""The page of a posterior or map, which asks nothing of a network: a file, or in a cell."""
 
 import base64
 import hashlib
@@ -33,7 +33,7 @@ def view(
     run: int | Sequence[int] | Sequence[Run] | None = None,
     steps: tuple[int, int] | None = None,
 ) -> Path:
-    """Write a page on which a posterior's cluster graph is looked at in a browser.
+    """Write a page on which a posterior's cluster graph, or a map's, is looked at in a browser.
 
     It is one file that needs no network: pan and zoom the graph, find a variable, click a cluster
     for its potential, its belief and the messages it received, or an edge for both messages. A
@@ -60,7 +60,8 @@ def view(
     Raises
     ------
     GraphError
-        If it is no posterior, there is no such run or step, or a page would not hold them.
+        If it is neither posterior nor map, there is no such run or step, or a page would not hold
+        them.
     OSError
         If the file cannot be written.
 
@@ -79,8 +80,8 @@ def view(
 
 
 @public
-def html(posterior: Posterior[Any]) -> str:
-    """The page of a posterior in a frame, for notebooks: small, and says so where it is cut."""
+def html(posterior: Posterior[Any] | GrowingMap) -> str:
+    """The page of a posterior or map in a frame, for notebooks: small, and tells where it is cut."""
     whole = assembled(*_content(posterior, None, None, CELL))
     return (
         f'<iframe srcdoc="{escape(whole, quote=True)}" sandbox="allow-scripts" '

@@ -1,5 +1,8 @@
 """The page of a growing map: its cliques, what was touched, and the numbers of its factors."""
 
+import html
+import re
+
 import numpy as np
 import pytest
 from viewer import posteriors
@@ -90,6 +93,15 @@ def test_large_maps_show_what_was_touched_and_then_the_nearest():
     assert sum(len(c["cut"]) for c in page["clusters"]) > 0
     whole = growing.page(grown, Numbers(), CELL)
     assert whole["cut"] is None or len(whole["clusters"]) == CELL.clusters
+
+
+def test_frames_of_notebooks_hold_fewer():
+    grown = chain(1500)
+    frame = pgm.viewer.html(grown)
+    page = html.unescape(re.search(r'srcdoc="(.*?)" sandbox="allow-scripts"', frame, re.S)[1])
+    data = data_of(page)
+    assert len(data["clusters"]) == CELL.clusters < len(grown.cliques)
+    assert data["notes"][0].startswith(f"{CELL.clusters} of {len(grown.cliques):,} cliques are")
 
 
 def test_what_users_wrote_is_escaped(tmp_path):

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from pgm.inference.growing.cliques import Clique
+from pgm.inference.growing.cliques import Clique, columns
 from pgm.inference.growing.tree import Tree
 from pgm.kernels import dense, step
 from pgm.kernels.arrays import Array, Integers
@@ -22,6 +22,8 @@ class Covariances:
     def __init__(self, tree: Tree) -> None:
         self.tree = tree
         self._found: dict[int, Array] = {}
+        # By lead, the columns at which the variables of a clique begin.
+        self._columns: dict[int, dict[int, int]] = {}
 
     def of(self, variable: int) -> Array:
         """The covariance of one variable, (d, d)."""
@@ -43,13 +45,11 @@ class Covariances:
         return np.asarray(0.5 * (found + found.T))
 
     def _places(self, clique: Clique, variables: Iterable[int]) -> Integers:
-        size = self.tree.size
-        begin, column = {}, 0
-        for variable in (*clique.pivots, *clique.separators):
-            begin[variable] = column
-            column += size(variable)
-        found = [np.arange(begin[v], begin[v] + size(v)) for v in variables]
-        return np.concatenate(found)
+        found, size = self._columns.get(clique.lead), self.tree.size
+        if found is None:
+            sizes = {v: size(v) for v in (*clique.pivots, *clique.separators)}
+            found = self._columns[clique.lead] = columns(clique.pivots, clique.separators, sizes)
+        return np.concatenate([np.arange(found[v], found[v] + size(v)) for v in variables])
 
     def _of_clique(self, clique: Clique) -> Array:
         tree, path = self.tree, [clique]
@@ -75,22 +75,22 @@ class Covariances:
         cross, cov = (each.array for each in step.crossed(*parts))
         return np.block([[cov, cross], [cross.T, spread]])
 
-    def across(self, rows: Sequence[int], columns: Sequence[int]) -> Array:
-        """The covariances of some variables with others, (rows, columns), in one pass.
+    def across(self, rows: Sequence[int], others: Sequence[int]) -> Array:
+        """The covariances of some variables with others, (rows, others), in one pass.
 
-        Columns of the identity go up from the cliques that eliminate the `columns` by Rᵀ, and down
+        Columns of the identity go up from the cliques that eliminate the `others` by Rᵀ, and down
         to those that eliminate the `rows` by R.
         """
         from scipy.linalg import solve_triangular  # here, since it is slow to import
 
         tree, size = self.tree, self.tree.size
-        homes = [tree.homes[v] for v in columns]
+        homes = [tree.homes[v] for v in others]
         below, up = tree.upwards(tree.homes[v] for v in rows), tree.upwards(homes)
         path = below | up
         order = _children_first(tree, path)
-        total = sum(size(v) for v in columns)
+        total = sum(size(v) for v in others)
         asked, column = {lead: np.zeros((_size(path[lead]), total)) for lead in order}, 0
-        for variable, clique in zip(columns, homes, strict=True):
+        for variable, clique in zip(others, homes, strict=True):
             for place in self._places(clique, [variable]).tolist():
                 asked[clique.lead][place, column] = 1.0
                 column += 1

@@ -212,7 +212,9 @@ class GrowingMap(Shown, Immutable):
         joint covariance of all of them. Sightings are added with m replaced by their landmark, as
         if it had been named; m itself is no variable of the map. A sighting of no candidate is not
         added, so that it may be, with a landmark of its own. `associations` tells of each.
-        Several open parents are decided one after the other, as their order in `evidence` is.
+        Several open parents are decided one after the other, as their order in `evidence` is. P is
+        of CPDs linearised at their points: with a smaller `threshold`, and ``every=1``, candidates
+        are judged better.
 
         Raises
         ------
