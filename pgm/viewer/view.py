@@ -81,7 +81,7 @@ def view(
 
 @public
 def html(posterior: Posterior[Any] | GrowingMap) -> str:
-    """The page of a posterior or map in a frame, for notebooks: small, and tells where it is cut."""
+    """The page of a posterior or map in a frame, for notebooks: small, and cut where it says so."""
     whole = assembled(*_content(posterior, None, None, CELL))
     return (
         f'<iframe srcdoc="{escape(whole, quote=True)}" sandbox="allow-scripts" '
