@@ -17,7 +17,9 @@ name              what it is                           what returns it
 `Associations`    probabilities of what was sighted    ``posterior.associations[z]``
 `Lost`            steps of beliefs probably wrong      ``posterior.lost``
 `OnlineBelief`    the belief at one step of a loop     `OnlineFilter`'s ``predict``, ``update``
+`Association`     the landmark that one was taken for  ``grown.associations[z]``
 `Growth`          how large a growing map is           ``grown.status``
+`CliqueTree`      a map's cliques, their messages     ``grown.cliques``
 `MostProbable`    the likeliest assignment             `pgm.most_probable`
 `Audit`           a smoother against the exact answer  `pgm.audit`
 `Comparison`      linearisers side by side             `pgm.compare`
@@ -41,8 +43,10 @@ from pgm.clustergraph import Cluster
 from pgm.compile import Compilation
 from pgm.cpds import Derivatives
 from pgm.inference import (
+    Association,
     Associations,
     Audit,
+    CliqueTree,
     GridBelief,
     GridFigures,
     Growth,
@@ -83,8 +87,10 @@ def __dir__() -> list[str]:
 
 
 __all__ = [
+    "Association",
     "Associations",
     "Audit",
+    "CliqueTree",
     "Cluster",
     "Comparison",
     "Compilation",

@@ -33,14 +33,24 @@ def online():
     return robot.predict(robot.initial())
 
 
+def sighted():
+    """A map of one landmark, which is sighted without its name."""
+    sees = pgm.LinearGaussianCPD(z, {M: 1.0}, cov=1.0)
+    there = pgm.Variable("there")
+    grown = pgm.GrowingMap().add(pgm.GaussianCPD(there, 0.0, 1.0))
+    return grown.add(sees, {z: 1.0, M: pgm.unknown([there])})
+
+
 # What the table of the module says, as calls.
 CALLS = {
+    "Association": lambda: sighted().associations[z],
     "Associations": lambda: pgm.filter(
         SEES,
         {z: pgm.sightings([[1.0]], step=[1], given={M: pgm.unknown([[0.0], [5.0]])})},
         steps=1,
     ).associations[z],
     "Audit": lambda: pgm.audit(pgm.smooth(squares, {z: [[4.0]]}), samples=20, rng=0),
+    "CliqueTree": lambda: sighted().cliques,
     "Cluster": lambda: pgm.compile(rainy).clusters[0],
     "Comparison": lambda: pgm.compare(walk, GIVEN),
     "Compilation": lambda: pgm.compile(walk, 3).compilation,
@@ -70,7 +80,7 @@ CALLS = {
 OLD = sorted(
     set(results.__all__)
     - {"Compilation", "ControlReport", "Derivatives", "GridFigures", "Innovations"}
-    - {"Growth", "ParticleFigures", "ReadingReport", "Row", "Sample"}
+    - {"Association", "CliqueTree", "Growth", "ParticleFigures", "ReadingReport", "Row", "Sample"}
 )
 # What posteriors, statuses and filters are of, by the name of their class before.
 POSTERIORS = {

@@ -18,7 +18,7 @@ from pgm.cpds.gaussian import AffineCPD, GaussianCPD, LinearGaussianCPD, Nonline
 from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.factors.arrays import Shape, as_covariance, covariance_fault, diagonal, symmetrised
-from pgm.factors.scope import as_value, described, listed, namesake
+from pgm.factors.scope import as_value, described, is_alike, listed, namesake
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, frozen
 from pgm.resources import uncollected
@@ -180,24 +180,7 @@ def _require_alike(
     cpd: ConditionalGaussian, variable: Variable, column: Sequence[Variable]
 ) -> None:
     """Refuse variables of other components or angles than those of the CPD's variable."""
-    components, angles = variable.components, variable.angles
-    if len(components) == 1:  # whatever it is called
-        plain = not angles
-        odd = [
-            other
-            for other in column
-            if not isinstance(other, Variable)
-            or len(other.components) != 1
-            or (not other.angles) != plain
-        ]
-    else:
-        odd = [
-            other
-            for other in column
-            if not isinstance(other, Variable)
-            or other.components != components
-            or other.angles != angles
-        ]
+    odd = [v for v in column if not isinstance(v, Variable) or not is_alike(v, variable)]
     if not odd:
         return
     first = odd[0]

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from pgm.boundary import as_floats, as_wholes
 from pgm.errors import EvidenceError
-from pgm.evidence.values import Constant, Soft
+from pgm.evidence.values import Constant, Soft, UnknownVariable, variables_left_open
 from pgm.factors.axes import MISSING, as_indices
 from pgm.factors.scope import Place, in_row, in_run, listed, unknown_name
 from pgm.kernels.arrays import Array, Integers, Mask, is_finite
@@ -27,6 +27,8 @@ def as_rows(variable: Variable, value: Any, axis: str | None) -> Array:
             f"LinearGaussianCPD(reading, given={{{variable.name}: 1.0}}, cov=...)",
             variable=variable,
         )
+    if isinstance(value, UnknownVariable):
+        raise variables_left_open(variable, value, "evidence")
     array = as_floats(
         value,
         f"evidence for {variable!r}",

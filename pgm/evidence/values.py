@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.arguments import public, public_in_loops, unfit
-from pgm.boundary import as_floats, is_number
+from pgm.boundary import as_floats, as_tuple, is_number
 from pgm.cpds import CPD
 from pgm.display import InCode, Shown, Summary, as_numbers, brief, table
 from pgm.errors import EvidenceError
-from pgm.factors.scope import listed
+from pgm.factors.scope import Scope, as_scope, described, is_alike, listed, require_order
 from pgm.immutable import Immutable, unlocked
 from pgm.kernels.arrays import Array, Mask
 from pgm.variables import Discrete, Variable
@@ -176,14 +176,14 @@ def sightings(
 LIKELIHOOD, SUM, JOINT = "likelihood", "sum", "joint"
 
 
-class Unknown(InCode, Immutable):
-    """The candidates (k, d) for an unknown parent of sightings, as `unknown` makes them.
+class OneOf(InCode, Immutable):
+    """One of some candidates for an unknown parent, or none; made by `unknown`.
 
-    `log_shares` (k + 2,) are the logarithms of the prior probabilities of each, of a spurious
-    sighting, and of a new thing.
+    `count` is k, the number of candidates; `log_shares` (k + 2,) are the logarithms of the prior
+    probabilities of each, of a spurious sighting, and of a new thing.
     """
 
-    candidates: Array
+    count: int
     log_shares: Array
     volume: float | None
     gate: float | None
@@ -191,7 +191,7 @@ class Unknown(InCode, Immutable):
 
     def __init__(
         self,
-        candidates: Any,
+        count: int,
         weights: Any,
         spurious: float,
         new: float,
@@ -199,23 +199,13 @@ class Unknown(InCode, Immutable):
         gate: float | None,
         association: str,
     ) -> None:
-        values = np.array(as_floats(candidates, "unknown: candidates", EvidenceError))
-        if values.ndim != 2 or not len(values) or not np.isfinite(values).all():
-            raise EvidenceError(
-                "unknown: candidates are one or more rows of finite numbers, (k, d); found "
-                + (
-                    "some that are not finite"
-                    if values.ndim == 2 and len(values)
-                    else f"shape {values.shape}"
-                )
-            )
-        shares = np.ones(len(values))
+        shares = np.ones(count)
         if weights is not None:
             shares = np.array(as_floats(weights, "unknown: weights", EvidenceError))
-            fine = shares.shape == (len(values),) and np.isfinite(shares).all()
+            fine = shares.shape == (count,) and np.isfinite(shares).all()
             if not fine or (shares < 0.0).any() or not shares.any():
                 raise EvidenceError(
-                    f"unknown: weights are {len(values)} numbers, one for each candidate, not "
+                    f"unknown: weights are {count} numbers, one for each candidate, not "
                     f"negative and not all zero; found {weights!r}"
                 )
         for name, share in (("spurious", spurious), ("new", new)):
@@ -249,9 +239,8 @@ class Unknown(InCode, Immutable):
         with np.errstate(divide="ignore"):
             known = np.log(shares / shares.sum()) + np.log1p(-(spurious + new))
             others = np.log([spurious, new])
-        values.flags.writeable = False
         self._set(
-            candidates=values,
+            count=count,
             log_shares=np.concatenate([known, others]),
             volume=None if volume is None else float(volume),
             gate=None if gate is None else float(gate),
@@ -266,7 +255,51 @@ class Unknown(InCode, Immutable):
         return found
 
     def __repr__(self) -> str:
-        return f"unknown(one of {len(self.candidates):,}, by {self.association})"
+        return f"unknown(one of {self.count:,}, by {self.association})"
+
+
+class Unknown(OneOf):
+    """Candidates that are values of the parent, (k, d)."""
+
+    candidates: Array
+
+    def __init__(self, candidates: Any, *shares: Any) -> None:
+        values = np.array(as_floats(candidates, "unknown: candidates", EvidenceError))
+        if values.ndim != 2 or not len(values) or not np.isfinite(values).all():
+            raise EvidenceError(
+                "unknown: candidates are one or more rows of finite numbers, (k, d); found "
+                + (
+                    "some that are not finite"
+                    if values.ndim == 2 and len(values)
+                    else f"shape {values.shape}"
+                )
+            )
+        super().__init__(len(values), *shares)
+        values.flags.writeable = False
+        self._set(candidates=values)
+
+
+class UnknownVariable(OneOf):
+    """Candidates that are hidden variables, of which the parent is one: landmarks of a map."""
+
+    candidates: Scope
+
+    def __init__(self, candidates: Scope, *shares: Any) -> None:
+        for variable in candidates:
+            first = candidates[0]
+            if isinstance(variable, Discrete):
+                raise EvidenceError(
+                    f"unknown: {variable!r} is discrete; candidates are continuous variables",
+                    variable=variable,
+                )
+            if not is_alike(variable, first):
+                raise EvidenceError(
+                    f"unknown: candidates are variables of one kind; {first!r} has "
+                    f"{described(first)}, {variable!r} has {described(variable)}",
+                    variable=variable,
+                )
+        super().__init__(len(candidates), *shares)
+        self._set(candidates=candidates)
 
 
 @public
@@ -279,7 +312,7 @@ def unknown(
     volume: float | None = None,
     gate: float | None = None,
     association: str = LIKELIHOOD,
-) -> Unknown:
+) -> OneOf:
     r"""A sighting's parent that is not known: one of some candidates, or none.
 
     ``pgm.sightings(values, step=..., given={m: pgm.unknown(landmarks)})``. The density of each
@@ -303,8 +336,9 @@ def unknown(
 
     Parameters
     ----------
-    candidates : array_like
-        (k, d): the values that the parent may have.
+    candidates : array_like, or sequence of Variable
+        (k, d): the values that the parent may have. In a `GrowingMap` hidden variables of it, as
+        landmarks are, one of which stands where the parent does: see `GrowingMap.add`.
     weights : array_like, optional
         w_k, (k,), relative to each other; equal, if not given.
     spurious, new : float
@@ -333,13 +367,36 @@ def unknown(
     >>> unknown([[0.0, 1.0], [5.0, 1.0]], spurious=0.1, volume=60.0, gate=0.999)
     unknown(one of 2, by likelihood)
     """
-    return Unknown(candidates, weights, spurious, new, volume, gate, association)
+    shares = weights, spurious, new, volume, gate, association
+    if isinstance(candidates, Variable):
+        raise EvidenceError(
+            f"unknown: candidates are several variables, [{candidates!r}, ...]; found one alone, "
+            f"{candidates!r}: give it as the parent, or in a list",
+            variable=candidates,
+        )
+    if isinstance(candidates, np.ndarray) and candidates.dtype != object:
+        return Unknown(candidates, *shares)
+    several = as_tuple(candidates)
+    if several is None or not any(isinstance(each, Variable) for each in several):
+        return Unknown(candidates if several is None else several, *shares)
+    odd = [each for each in several if not isinstance(each, Variable)]
+    if odd:
+        raise EvidenceError(
+            "unknown: candidates are variables, or values of the parent (k, d), and not both; "
+            f"found {odd[0]!r} beside variables"
+        )
+    what = "unknown: the list of candidates"
+    require_order(candidates, what)
+    return UnknownVariable(as_scope(several, what), *shares)
 
 
 def opened(
     cpd: CPD, given: Mapping[Variable, Any], allowed: bool
 ) -> tuple[Mapping[Variable, Any], tuple[Variable, Unknown] | None]:
     """The given parents of sightings, and the parent with candidates."""
+    for variable, each in given.items():
+        if isinstance(each, UnknownVariable):
+            raise variables_left_open(variable, each, f"sightings of {cpd.child!r}", cpd=cpd)
     found = [(v, value) for v, value in given.items() if isinstance(value, Unknown)]
     if not found:
         return given, None
@@ -359,7 +416,20 @@ def opened(
     return {v: each for v, each in given.items() if v != variable}, found[0]
 
 
-def require_whole(cpd: CPD, unknown: tuple[Variable, Unknown] | None, taken: Mask) -> None:
+def variables_left_open(
+    variable: Variable, value: UnknownVariable, where: str, **about: Any
+) -> EvidenceError:
+    """The error of candidates that are variables, where beliefs are of no growing map."""
+    return EvidenceError(
+        f"{where}: {variable!r} is left open among variables ({listed(value.candidates)}), which "
+        "pgm.GrowingMap associates with what it has mapped; give the values that the parent may "
+        f"have, pgm.unknown(values) of shape (k, {variable.dimension})",
+        variable=variable,
+        **about,
+    )
+
+
+def require_whole(cpd: CPD, unknown: tuple[Variable, OneOf] | None, taken: Mask) -> None:
     """Refuse open sightings that are measured in part, where some may be of no candidate."""
     if unknown is None or unknown[1].volume is None:
         return

@@ -93,6 +93,13 @@ def namesake(variable: object, known: Iterable[Variable]) -> str:
     return ""
 
 
+def is_alike(one: Variable, other: Variable) -> bool:
+    """Whether variables have the same components and angles; a single one has any name."""
+    if len(one.components) == len(other.components) == 1:
+        return bool(one.angles) == bool(other.angles)
+    return one.components == other.components and one.angles == other.angles
+
+
 def described(variable: Variable) -> str:
     """A variable's kind in words."""
     if isinstance(variable, Discrete):

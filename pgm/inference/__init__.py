@@ -24,7 +24,7 @@ from pgm.beliefs.points.particle_belief import ParticleBelief
 from pgm.inference.audit import Audit, audit
 from pgm.inference.dynamic import filter, smooth
 from pgm.inference.engine import infer
-from pgm.inference.growing import GrowingMap, Growth
+from pgm.inference.growing import Association, CliqueTree, GrowingMap, Growth
 from pgm.inference.online import OnlineFilter
 from pgm.inference.prepared import Prepared, prepare
 from pgm.inference.query import query
@@ -61,11 +61,13 @@ if not TYPE_CHECKING:  # to type checkers it would say that every name exists
 
 
 __all__ = [
+    "Association",
     "Associations",
     "Audit",
     "BeliefFamily",
     "Calibration",
     "CellProposal",
+    "CliqueTree",
     "Filtering",
     "FixedLag",
     "Flooding",

@@ -89,7 +89,11 @@ class Innovation(NamedTuple):
 
 def innovation(residual: AnyMatrix, spread: AnyMatrix) -> Innovation:
     """How likely a measurement of this residual is, S being `spread`; no belief takes it in."""
-    root = spread.root()
+    return innovation_by(residual, spread.root())
+
+
+def innovation_by(residual: AnyMatrix, root: Any) -> Innovation:
+    """The `innovation` by the root of S."""
     white = root.solve(residual)
     return Innovation((white.T @ white)[0, 0], root.volume, root.share)
 

@@ -21,11 +21,19 @@ from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Reading, Unknown
 from pgm.evidence.values import JOINT, SUM
 from pgm.immutable import Immutable
+from pgm.kernels import association
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Variable
 
 # Values of `candidate` for a sighting of none.
 SPURIOUS, NEW = -1, -2
+
+
+def as_candidate(probability: Array) -> Integers:
+    """The index of the likeliest of probabilities (..., k + 2), as of `Associations`."""
+    likeliest, count = association.likeliest(probability), probability.shape[-1] - 2
+    found = np.where(likeliest < count, likeliest, count - 1 - likeliest)
+    return np.where(np.isnan(probability).any(axis=-1), SPURIOUS, found)
 
 
 class Associations(Shown, Immutable):
@@ -69,10 +77,7 @@ class Associations(Shown, Immutable):
     outliers: float
 
     def __init__(self, step: Integers, probability: Array, outliers: float = 0.0) -> None:
-        likeliest = np.argmax(np.nan_to_num(probability, nan=-1.0), axis=-1)
-        count = probability.shape[-1] - 2
-        candidate = np.where(likeliest < count, likeliest, count - 1 - likeliest)
-        candidate = np.where(np.isnan(probability).any(axis=-1), SPURIOUS, candidate)
+        candidate = as_candidate(probability)
         for array in (step, probability, candidate):
             array.flags.writeable = False
         self._set(step=step, probability=probability, candidate=candidate, outliers=outliers)

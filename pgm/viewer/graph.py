@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from pgm.compile import BalancedGraph
 from pgm.errors import GraphError, NumericalError
 from pgm.factors import CanonicalForm, Gaussian, Table
 from pgm.factors.scope import Scope
+from pgm.inference import CliqueTree
 from pgm.variables import Variable
 from pgm.viewer.numbers import (
     SHOWN,
@@ -36,28 +37,11 @@ def page(posterior: Any, numbers: Numbers, runs: list[Run], limits: Limits) -> d
     """The structure of the page, its numbers added."""
     graph, writer = posterior.graph, Writer(posterior, numbers, runs, limits)
     shown, note = _shown(graph, limits)
-    within = set(shown)
     log_evidence = np.asarray(posterior.log_evidence)
     flat = [int(np.ravel_multi_index(run, log_evidence.shape)) if run else 0 for run in runs]
-    values = [
-        {variable: _told(value) for variable, value in posterior.entered(at).items()} for at in flat
-    ]
-    clusters = []
-    for k in shown:
-        cut = [j for j in graph.neighbours(k) if j not in within]
-        clusters.append(_cluster(writer, graph.clusters[k], values) | {"cut": cut})
-    edges = [(i, j) for i in shown for j in graph.neighbours(i) if i < j and j in within]
-    joined = [_edge(writer, edge) for edge in edges]
-    letters: dict[Any, int] = {c["index"]: _letters(writer, c["scope"]) for c in clusters}
-    letters |= {
-        edge: _letters(writer, each["scope"]) for edge, each in zip(edges, joined, strict=True)
-    }
-    return {
-        "kind": "graph",
-        "variables": writer.variables,
-        "clusters": clusters,
-        "edges": joined,
-        "places": place(shown, edges, letters, graph),
+    found = drawn(writer, graph, shown, [posterior.entered(at) for at in flat])
+    edges = [tuple(edge["ends"]) for edge in found["edges"]]
+    return found | {
         "cut": note,
         "runs": [
             {
@@ -68,6 +52,37 @@ def page(posterior: Any, numbers: Numbers, runs: list[Run], limits: Limits) -> d
             }
             for run, at in zip(runs, flat, strict=True)
         ],
+    }
+
+
+def drawn(
+    writer: Writer,
+    graph: ClusterGraph | CliqueTree,
+    shown: Sequence[int],
+    entered: Sequence[Mapping[Variable, Any]],
+) -> dict[str, Any]:
+    """The clusters that are shown, the edges between them, and where they stand.
+
+    `entered` has the evidence of each run.
+    """
+    within = set(shown)
+    values = [{variable: _told(value) for variable, value in each.items()} for each in entered]
+    clusters = []
+    for k in shown:
+        cut = [j for j in graph.neighbours(k) if j not in within]
+        clusters.append(_cluster(writer, graph.clusters[k], values) | {"cut": cut})
+    edges = [(i, j) for i in shown for j in graph.neighbours(i) if i < j and j in within]
+    joined = [_edge(writer, graph.sepsets[edge], edge) for edge in edges]
+    letters: dict[Any, int] = {c["index"]: _letters(writer, c["scope"]) for c in clusters}
+    letters |= {
+        edge: _letters(writer, each["scope"]) for edge, each in zip(edges, joined, strict=True)
+    }
+    return {
+        "kind": "graph",
+        "variables": writer.variables,
+        "clusters": clusters,
+        "edges": joined,
+        "places": place(shown, edges, letters, graph),
     }
 
 
@@ -90,10 +105,9 @@ def _cluster(writer: Writer, cluster: Cluster, values: list[dict[Variable, str]]
     }
 
 
-def _edge(writer: Writer, edge: Edge) -> dict[str, Any]:
+def _edge(writer: Writer, sepset: Scope, edge: Edge) -> dict[str, Any]:
     i, j = edge
     message = writer.posterior.message
-    sepset = writer.posterior.graph.sepsets[edge]
     scope = tuple(v for v in sepset if v in writer.scopes[i])
     return {
         "ends": [i, j],

@@ -9,6 +9,7 @@ from scipy.sparse.csgraph import connected_components, shortest_path
 
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import BalancedGraph
+from pgm.inference import CliqueTree
 from pgm.kernels.arrays import Array
 
 # In pixels, at the size at which labels are read: what a letter, a cluster, a sepset take.
@@ -21,7 +22,10 @@ Edge = tuple[int, int]
 
 
 def place(
-    clusters: Sequence[int], edges: Sequence[Edge], letters: Mapping[Any, int], graph: ClusterGraph
+    clusters: Sequence[int],
+    edges: Sequence[Edge],
+    letters: Mapping[Any, int],
+    graph: ClusterGraph | CliqueTree,
 ) -> dict[str, list[Any]]:
     """Place clusters so that none lies on another, in about the shape of a screen.
 
@@ -66,12 +70,12 @@ def _tree(
     nodes: Sequence[int],
     neighbours: Mapping[int, Sequence[int]],
     width: Mapping[Any, float],
-    graph: ClusterGraph,
+    graph: ClusterGraph | CliqueTree,
     towards: dict[int, int],
 ) -> Array:
     """A tree from its root to the right, or from its centre to both sides, in columns."""
-    balanced = isinstance(graph, BalancedGraph) and graph.root in nodes
-    root = graph.root if balanced else _centre(nodes, neighbours)  # type: ignore[attr-defined]
+    rooted = _roots(graph).intersection(nodes)
+    root = min(rooted) if rooted else _centre(nodes, neighbours)
     parent, sequence = {root: root}, [root]
     for k in sequence:
         below = [j for j in neighbours[k] if j not in parent]
@@ -80,14 +84,14 @@ def _tree(
     children: dict[int, list[int]] = {k: [] for k in sequence}
     for k in sequence[1:]:
         children[parent[k]].append(k)
-    if balanced:
-        children = {k: sorted(found, key=graph.segment) for k, found in children.items()}  # type: ignore[attr-defined]
+    if isinstance(graph, BalancedGraph):
+        children = {k: sorted(found, key=graph.segment) for k, found in children.items()}
     size = dict.fromkeys(sequence, 1)
     for k in reversed(sequence[1:]):
         size[parent[k]] += size[k]
     # About half of the tree stands on either side of its centre.
     left: list[int] = []
-    if not balanced:
+    if not rooted:
         for k in sorted(children[root], key=lambda k: (-size[k], k)):
             if sum(size[j] for j in left) + size[k] <= len(nodes) // 2:
                 left.append(k)
@@ -102,6 +106,13 @@ def _tree(
     if span[1] > 0.0:  # wide trees have room between their rows
         found[:, 1] *= np.clip(span[0] / _SHAPE / span[1], 1.0, _STRETCH)
     return found
+
+
+def _roots(graph: ClusterGraph | CliqueTree) -> frozenset[int]:
+    """The roots of a graph that has some."""
+    if isinstance(graph, CliqueTree):
+        return graph.roots
+    return frozenset([graph.root]) if isinstance(graph, BalancedGraph) else frozenset()
 
 
 def _centre(nodes: Sequence[int], neighbours: Mapping[int, Sequence[int]]) -> int:

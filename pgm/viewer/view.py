@@ -1,4 +1,4 @@
-"""The page of a posterior, which asks nothing of a network: a file, or in a notebook's cell."""
+"""The page of a posterior or map, which asks nothing of a network: a file, or in a cell."""
 
 import base64
 import hashlib
@@ -15,9 +15,9 @@ import numpy as np
 from pgm.arguments import public
 from pgm.compile import DynamicGraph
 from pgm.errors import GraphError
-from pgm.inference import Posterior
+from pgm.inference import GrowingMap, Posterior
 from pgm.posteriors.outcome import CHAIN, MARGINALS, SLICES
-from pgm.viewer import chain, graph
+from pgm.viewer import chain, graph, growing
 from pgm.viewer.numbers import CELL, FILE, Limits, Numbers, Run, chosen_runs, chosen_steps
 from pgm.viewer.scripts import script
 
@@ -27,13 +27,13 @@ _OVER_TIME = (CHAIN, SLICES, MARGINALS)
 
 @public
 def view(
-    posterior: Posterior[Any],
+    posterior: Posterior[Any] | GrowingMap,
     path: str | PathLike[str],
     *,
     run: int | Sequence[int] | Sequence[Run] | None = None,
     steps: tuple[int, int] | None = None,
 ) -> Path:
-    """Write a page on which a posterior's cluster graph is looked at in a browser.
+    """Write a page on which a posterior's cluster graph, or a map's, is looked at in a browser.
 
     It is one file that needs no network: pan and zoom the graph, find a variable, click a cluster
     for its potential, its belief and the messages it received, or an edge for both messages. A
@@ -42,8 +42,9 @@ def view(
 
     Parameters
     ----------
-    posterior : Posterior
-        Grids and particles have beliefs and no messages.
+    posterior : Posterior or GrowingMap
+        Grids and particles have beliefs and no messages. Of a growing map it is the tree of cliques
+        as it is now, with those marked that the last addition touched.
     path : str or path-like
         The file's path, like ``"run.html"``; an old one is replaced.
     run : int, tuple of int, or sequence of these tuples, optional
@@ -59,7 +60,8 @@ def view(
     Raises
     ------
     GraphError
-        If it is no posterior, there is no such run or step, or a page would not hold them.
+        If it is neither posterior nor map, there is no such run or step, or a page would not hold
+        them.
     OSError
         If the file cannot be written.
 
@@ -78,8 +80,8 @@ def view(
 
 
 @public
-def html(posterior: Posterior[Any]) -> str:
-    """The page of a posterior in a frame, for notebooks: small, and says so where it is cut."""
+def html(posterior: Posterior[Any] | GrowingMap) -> str:
+    """The page of a posterior or map in a frame, for notebooks: small, and cut where it says so."""
     whole = assembled(*_content(posterior, None, None, CELL))
     return (
         f'<iframe srcdoc="{escape(whole, quote=True)}" sandbox="allow-scripts" '
@@ -91,10 +93,12 @@ def html(posterior: Posterior[Any]) -> str:
 def _content(
     posterior: Any, run: Any, steps: tuple[int, int] | None, limits: Limits
 ) -> tuple[dict[str, Any], Numbers]:
+    if isinstance(posterior, GrowingMap):
+        return _of_map(posterior, run, steps, limits)
     if not isinstance(posterior, Posterior):
         raise GraphError(
-            f"view shows a posterior, as pgm.infer, filter and smooth return, not "
-            f"{type(posterior).__name__}"
+            f"view shows a posterior, as pgm.infer, filter and smooth return, or a growing map, "
+            f"not {type(posterior).__name__}"
         )
     outcome = posterior._outcome
     lead = np.asarray(posterior.log_evidence).shape
@@ -111,6 +115,21 @@ def _content(
     found["notes"] = [note for note in (few, cut) if note]
     found["evidence"] = str(posterior.log_evidence_kind)
     found["graph"] = _named(posterior)
+    return found, numbers
+
+
+def _of_map(
+    grown: GrowingMap, run: Any, steps: Any, limits: Limits
+) -> tuple[dict[str, Any], Numbers]:
+    for name, value in (("run", run), ("steps", steps)):
+        if value is not None:
+            raise GraphError(f"{name}={value!r}: a growing map has no {name}; leave it out")
+    if not len(grown.cliques):
+        raise GraphError("view: the growing map has no hidden variable yet; add some CPDs first")
+    numbers = Numbers()
+    found = growing.page(grown, numbers, limits)
+    found["notes"] = [found["cut"]] if found["cut"] else []
+    found["graph"] = "growing map"
     return found, numbers
 
 

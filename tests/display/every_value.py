@@ -147,6 +147,9 @@ def filtered():
     empty = pgm.smooth(model, {U: asked[U]})
     errors = consistency.anees(many[X], batch[X])
     grown = pgm.GrowingMap().add(pgm.GaussianCPD(M, np.zeros(2), np.eye(2)))
+    landmark = pgm.Variable("landmark", M.components)
+    sees = pgm.LinearGaussianCPD(Z, {landmark: np.eye(2)}, cov=1.0)
+    sighted = grown.add(sees, {Z: [0.0, 1.0], landmark: pgm.unknown([M])})
     return {
         "dynamic network": model,
         "sample": drawn,
@@ -188,6 +191,9 @@ def filtered():
         "online lag": lagged,
         "growing map": grown,
         "growth": grown.status,
+        "cliques": sighted.cliques,
+        "association": sighted.associations[Z],
+        "by sighting": sighted.associations,
         "chain": pgm.compile(model, STEPS),
         "compilation": pgm.compile(model, STEPS).compilation,
         "tree": pgm.compile(model, STEPS, method=pgm.Balanced()),

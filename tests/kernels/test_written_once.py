@@ -371,7 +371,7 @@ SOLUTIONS = listed(
     {"consistency/errors.py": "nees_and_dof", "consistency/ranking.py": "_by_sighting"},
     {"beliefs/particles/guided_proposal.py": "_whitened steered"},
     {"inference/audit/corrected.py": "_from_gaussian"},
-    {"beliefs/moments/association/joint_compatibility.py": "__init__"},
+    {"kernels/joint_compatibility.py": "__init__"},
     # Information: canonical forms, rows of square roots, elements of a scan.
     {"kernels/canonical.py": "_backward_indefinite _invertible_root _split backward combine"},
     {"kernels/canonical.py": "from_affine from_moments marginalise to_moments"},
@@ -381,7 +381,7 @@ SOLUTIONS = listed(
     {"beliefs/gaussian/relations.py": "_solved_for", "beliefs/gaussian/solving.py": "__call__"},
     {"beliefs/gaussian/refusals.py": "_open", "beliefs/gaussian/front_squares.py": "_eliminated"},
     {"inference/growing/tree.py": "cliques", "inference/growing/factors.py": "_roots"},
-    {"inference/growing/covariances.py": "_across _made"},
+    {"inference/growing/covariances.py": "_made across"},
     {"beliefs/moments/passes/likelihoods.py": "of"},
     {"beliefs/moments/passes/messages.py": "likelihoods"},
     # Unknown directions, exact relations, bounds of rounding, and whether messages settle.

@@ -7,7 +7,9 @@ over its separators. What is added touches the cliques of its variables and all 
 others keep their triangles, and what they left.
 """
 
+from pgm.inference.growing.association import Association
+from pgm.inference.growing.clique_tree import CliqueTree
 from pgm.inference.growing.growing_map import GrowingMap
 from pgm.inference.growing.growth import Growth
 
-__all__ = ["GrowingMap", "Growth"]
+__all__ = ["Association", "CliqueTree", "GrowingMap", "Growth"]

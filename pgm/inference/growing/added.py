@@ -11,9 +11,11 @@ import numpy.typing as npt
 from pgm.boundary import as_mapping
 from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, GaussianCPD, NonlinearGaussianCPD
 from pgm.errors import EvidenceError, ModelError
-from pgm.evidence.static import bind_values
+from pgm.evidence import UnknownVariable, bind_values
+from pgm.evidence.values import require_whole
 from pgm.factors.scope import as_value, listed, one_name_each
 from pgm.inference.growing.factors import Factor, Given, predicted, probe, whitened
+from pgm.inference.growing.open_parents import open_parents
 from pgm.inference.growing.registers import Register
 from pgm.inference.growing.tree import Tree
 from pgm.inference.growing.vectors import Vector
@@ -54,7 +56,10 @@ def _restored(plates: Sequence[Given], others: Mapping[str, Any]) -> Contents:
 
 
 class Added(NamedTuple):
-    """CPDs that are added, checked, parents first, with their hidden children."""
+    """CPDs that are added, checked, parents first, with their hidden children.
+
+    `opened` are the parents that the evidence leaves open, each with its candidates.
+    """
 
     cpds: Sequence[ConditionalGaussian]
     evidence: Mapping[Variable, Any]
@@ -63,6 +68,7 @@ class Added(NamedTuple):
     given: Sequence[Given]
     hidden: Sequence[Variable]
     before: Contents
+    opened: Mapping[Variable, UnknownVariable]
 
     @classmethod
     def checked(
@@ -79,12 +85,15 @@ class Added(NamedTuple):
         met = (contents.names.get(v.name) for v in scope)
         one_name_each([*(v for v in met if v is not None), *scope])
         children = {cpd.child for cpd in found}
+        opened = open_parents(evidence, found, contents.known, contents.numbers)
+        if opened:
+            evidence = {v: value for v, value in evidence.items() if v not in opened}
         for variable in evidence:
             _require_open(contents, variable)
         needed = []
         for cpd in found:
             for parent in cpd.parents:
-                if parent in evidence or parent in contents.known:
+                if parent in evidence or parent in contents.known or parent in opened:
                     continue
                 hidden = parent in children or parent in contents.numbers
                 if not hidden or parent in cpd.noise_given:
@@ -100,8 +109,39 @@ class Added(NamedTuple):
         own = [cpd for cpd in ordered if isinstance(cpd, ConditionalGaussian)]
         taken = {v: mask[0] for v, mask in bound.taken.items()}
         given = [Given.of(cpd, every, values.get(cpd.child)) for cpd in own]
+        for parent, unknown in opened.items():
+            for cpd in own:
+                if parent in cpd.given and cpd.child in taken:
+                    require_whole(cpd, (parent, unknown), taken[cpd.child])
         hidden_children = [cpd.child for cpd in own if cpd.child not in values]
-        return cls(own, evidence, values, taken, given, hidden_children, contents)
+        return cls(own, evidence, values, taken, given, hidden_children, contents, opened)
+
+    @property
+    def named(self) -> Added:
+        """The CPDs whose parents are all known by name."""
+        if not self.opened:
+            return self
+        named = [each for each in self.given if self.opened.keys().isdisjoint(each.parents)]
+        return self.part(named, self.before)
+
+    def sightings(self, parent: Variable) -> list[Given]:
+        """The CPDs of which the evidence leaves a parent open."""
+        return [each for each in self.given if parent in each.parents]
+
+    def part(self, given: Sequence[Given], before: Contents) -> Added:
+        """Some of the CPDs, or copies of them, with their evidence, to be added to a map."""
+        cpds = [each.cpd for each in given]
+        scope = {v for cpd in cpds for v in cpd.scope if v not in before.known}
+        return Added(
+            cpds,
+            {v: value for v, value in self.evidence.items() if v in scope},
+            {v: value for v, value in self.known.items() if v in scope},
+            self.taken,
+            given,
+            [v for v in self.hidden if v in scope and v not in before.numbers],
+            before,
+            {},
+        )
 
     @property
     def every(self) -> Mapping[Variable, Array]:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from pgm.inference.growing.cliques import Clique
+from pgm.inference.growing.cliques import Clique, columns
 from pgm.inference.growing.tree import Tree
 from pgm.kernels import dense, step
 from pgm.kernels.arrays import Array, Integers
@@ -22,6 +22,8 @@ class Covariances:
     def __init__(self, tree: Tree) -> None:
         self.tree = tree
         self._found: dict[int, Array] = {}
+        # By lead, the columns at which the variables of a clique begin.
+        self._columns: dict[int, dict[int, int]] = {}
 
     def of(self, variable: int) -> Array:
         """The covariance of one variable, (d, d)."""
@@ -39,16 +41,15 @@ class Covariances:
                 places = self._places(clique, variables)
                 found: Array = self._of_clique(clique)[np.ix_(places, places)]
                 return found
-        return self._across(variables, homes)
+        found = self.across(variables, variables)
+        return np.asarray(0.5 * (found + found.T))
 
     def _places(self, clique: Clique, variables: Iterable[int]) -> Integers:
-        size = self.tree.size
-        begin, column = {}, 0
-        for variable in (*clique.pivots, *clique.separators):
-            begin[variable] = column
-            column += size(variable)
-        found = [np.arange(begin[v], begin[v] + size(v)) for v in variables]
-        return np.concatenate(found)
+        found, size = self._columns.get(clique.lead), self.tree.size
+        if found is None:
+            sizes = {v: size(v) for v in (*clique.pivots, *clique.separators)}
+            found = self._columns[clique.lead] = columns(clique.pivots, clique.separators, sizes)
+        return np.concatenate([np.arange(found[v], found[v] + size(v)) for v in variables])
 
     def _of_clique(self, clique: Clique) -> Array:
         tree, path = self.tree, [clique]
@@ -74,27 +75,28 @@ class Covariances:
         cross, cov = (each.array for each in step.crossed(*parts))
         return np.block([[cov, cross], [cross.T, spread]])
 
-    def _across(self, variables: Sequence[int], homes: Sequence[Clique]) -> Array:
-        """Columns of the covariance, by the triangles of the cliques from the variables' up."""
+    def across(self, rows: Sequence[int], others: Sequence[int]) -> Array:
+        """The covariances of some variables with others, (rows, others), in one pass.
+
+        Columns of the identity go up from the cliques that eliminate the `others` by Rᵀ, and down
+        to those that eliminate the `rows` by R.
+        """
         from scipy.linalg import solve_triangular  # here, since it is slow to import
 
         tree, size = self.tree, self.tree.size
-        path = tree.upwards(homes)
-        depth: dict[int, int] = {}
-        for lead in path:
-            way = [lead]
-            while way[-1] not in depth and tree.parents[way[-1]] >= 0:
-                way.append(tree.parents[way[-1]])
-            for each in reversed(way):
-                depth.setdefault(each, depth.get(tree.parents[each], -1) + 1)
-        order = sorted(path, key=lambda lead: -depth[lead])
-        total = sum(size(v) for v in variables)
+        homes = [tree.homes[v] for v in others]
+        below, up = tree.upwards(tree.homes[v] for v in rows), tree.upwards(homes)
+        path = below | up
+        order = _children_first(tree, path)
+        total = sum(size(v) for v in others)
         asked, column = {lead: np.zeros((_size(path[lead]), total)) for lead in order}, 0
-        for variable, clique in zip(variables, homes, strict=True):
+        for variable, clique in zip(others, homes, strict=True):
             for place in self._places(clique, [variable]).tolist():
                 asked[clique.lead][place, column] = 1.0
                 column += 1
         for lead in order:
+            if lead not in up:  # where all is zero
+                continue
             clique, own = path[lead], len(path[lead].triangle)
             white = solve_triangular(clique.triangle[:, :own], asked[lead][:own], trans="T")
             rest = asked[lead][own:] - clique.triangle[:, own:-1].T @ white
@@ -103,6 +105,8 @@ class Covariances:
                 above = path[tree.parents[lead]]
                 asked[above.lead][self._places(above, clique.separators)] += rest
         for lead in reversed(order):
+            if lead not in below:  # where nothing is asked for
+                continue
             clique, own = path[lead], len(path[lead].triangle)
             if clique.separators:
                 above = path[tree.parents[lead]]
@@ -112,13 +116,20 @@ class Covariances:
             asked[lead][:own] = solve_triangular(
                 clique.triangle[:, :own], asked[lead][:own] - known
             )
-        found = np.concatenate(
-            [
-                asked[clique.lead][self._places(clique, [variable])]
-                for variable, clique in zip(variables, homes, strict=True)
-            ]
-        )
-        return np.asarray(0.5 * (found + found.T))
+        found = [asked[tree.homes[v].lead][self._places(tree.homes[v], [v])] for v in rows]
+        return np.concatenate(found)
+
+
+def _children_first(tree: Tree, path: Mapping[int, Clique]) -> list[int]:
+    """The leads of cliques, and all cliques above them, in an order in which they may be solved."""
+    depth: dict[int, int] = {}
+    for lead in path:
+        way = [lead]
+        while way[-1] not in depth and tree.parents[way[-1]] >= 0:
+            way.append(tree.parents[way[-1]])
+        for each in reversed(way):
+            depth.setdefault(each, depth.get(tree.parents[each], -1) + 1)
+    return sorted(path, key=lambda lead: -depth[lead])
 
 
 def _size(clique: Clique) -> int:

@@ -68,6 +68,11 @@ class Given(NamedTuple):
         # Keys are of objects of this process.
         return Given._of, (self.cpd, self.parents, self.reading)
 
+    def naming(self, parent: Variable, name: Variable) -> Given:
+        """The CPD with a hidden parent replaced by a variable of its kind."""
+        cpd = self.cpd._copy(lambda v: name if v == parent else v, _origin=None)
+        return Given._of(cpd, tuple(name if v == parent else v for v in self.parents), self.reading)
+
     @property
     def flat(self) -> bool:
         """Whether it is a prior of infinite variances alone, which says nothing."""
@@ -110,18 +115,26 @@ def whitened(given: Sequence[Given], taken: Sequence[Mask | None], known: Known)
 
     `taken` marks the components that were measured, None for all. A singular noise is refused.
     """
-    first = given[0].cpd
-    if isinstance(first.cov, np.ndarray):
-        noise = np.array([each.cpd.cov for each in given])
-    else:
-        noise = _family(given, known).own_noise[:, 0]
+    noise = noises(given, known)
     seen = np.isfinite(np.diagonal(noise, axis1=-2, axis2=-1))
     if any(mask is not None for mask in taken):
-        size = first.child.dimension
-        seen = seen & np.array([np.ones(size, bool) if mask is None else mask for mask in taken])
+        seen = seen & measured(given, taken)
     if seen.all():
         return _roots(given, noise)
     return np.where(seen[:, None, :], _roots(given, independent(noise, seen)), 0.0)
+
+
+def noises(given: Sequence[Given], known: Known) -> Array:
+    """The covariances of the noise of CPDs of one key, (CPDs, d, d)."""
+    if isinstance(given[0].cpd.cov, np.ndarray):
+        return np.array([each.cpd.cov for each in given])
+    return _family(given, known).own_noise[:, 0]
+
+
+def measured(given: Sequence[Given], taken: Sequence[Mask | None]) -> Mask:
+    """The masks of components that were measured, (CPDs, d), of which None are all."""
+    whole = np.ones(given[0].cpd.child.dimension, bool)
+    return np.array([whole if mask is None else mask for mask in taken])
 
 
 def _roots(given: Sequence[Given], noise: Array) -> Array:
@@ -206,12 +219,33 @@ def _family(given: Sequence[Given], known: Known, lineariser: Lineariser | None 
     return family
 
 
+def innovations(
+    given: Sequence[Given], at: Array, known: Known, plates: Plates, lineariser: Lineariser
+) -> tuple[Array, Array]:
+    """Readings less the values of their CPDs at places (CPDs, n), and the slopes there.
+
+    The CPDs are of one key. Angles are read at the branch nearest to the value.
+    """
+    value, slope = _line(given, at, known, plates, lineariser)
+    reading = np.array([each.reading for each in given])
+    return nearest_branch(reading, value, given[0].cpd.child.angle_mask) - value, slope
+
+
+def _line(
+    given: Sequence[Given], at: Array, known: Known, plates: Plates, lineariser: Lineariser
+) -> tuple[Array, Array]:
+    """Values and slopes of CPDs of one key at places, (CPDs, n)."""
+    leading = plates.get(given[0].key, given[0])
+    found = _tangent(leading, given, at, known)
+    return _line_of_any(given, at, known, lineariser) if found is None else found
+
+
 def _tangent(
     leading: Given, given: Sequence[Given], at: Array, known: Known
 ) -> tuple[Array, Array] | None:
     """Values and slopes of CPDs at places, where all derivatives were given; else None.
 
-    So it is where they fail or are not finite: `_line` tells of that.
+    So it is where they fail or are not finite: `_line_of_any` tells of that.
     """
     cpd = leading.cpd
     if not isinstance(cpd, NonlinearGaussianCPD) or not at.size or cpd.child.step is not None:
@@ -234,7 +268,7 @@ def _tangent(
     return value[:, 0], slope[:, 0]
 
 
-def _line(
+def _line_of_any(
     given: Sequence[Given], at: Array, known: Known, lineariser: Lineariser
 ) -> tuple[Array, Array]:
     """Values and slopes of any CPDs at places, (CPDs, n)."""
@@ -256,14 +290,12 @@ def _linearised(
     begin = 1 if hidden else 0
     each = [[points[f.scope[k]] for f in factors] for k in range(begin, len(factors[0].scope))]
     at = np.concatenate(each, axis=1) if each else np.zeros((len(factors), 0))
-    tangent = _tangent(plates[first.key], given, at, known) or _line(given, at, known, lineariser)
-    value, slope = tangent
-    angles = first.cpd.child.angle_mask
     if first.reading is not None:
-        reading = np.array([one.reading for one in given])
-        away = nearest_branch(reading, value, angles) - value
+        away, slope = innovations(given, at, known, plates, lineariser)
         matrix = -slope
     else:
+        value, slope = _line(given, at, known, plates, lineariser)
+        angles = first.cpd.child.angle_mask
         child = np.array([points[factor.scope[0]] for factor in factors])
         if not isinstance(first.cpd, AffineCPD):
             value = nearest_branch(value, child, angles)

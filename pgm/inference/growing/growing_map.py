@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from importlib.util import find_spec
@@ -16,14 +16,17 @@ from pgm.compile.machine import Choice, as_choice
 from pgm.cpds import CPD
 from pgm.display import Shown, Summary
 from pgm.errors import EvidenceError, ModelError, NumericalError
-from pgm.evidence.values import Evidence
+from pgm.evidence import Evidence, UnknownVariable
 from pgm.factors import Gaussian
 from pgm.factors.scope import Scope, as_scope, listed, unknown_name
 from pgm.immutable import Immutable
 from pgm.inference.growing.added import Added, Contents
+from pgm.inference.growing.association import Association, BySighting
+from pgm.inference.growing.clique_tree import CliqueTree
 from pgm.inference.growing.covariances import Covariances
 from pgm.inference.growing.factors import Factor, linearised
 from pgm.inference.growing.growth import Growth
+from pgm.inference.growing.sightings import OpenSightings
 from pgm.inference.growing.tree import Change, Point, Tree, Undetermined, update
 from pgm.kernels.arrays import Array, deviation
 from pgm.linearisers import TAYLOR, Lineariser, Taylor
@@ -38,7 +41,8 @@ ENOUGH = 5000
 SEVERAL = 3
 # So few variables are linearised anew at once, also where it is not their turn.
 AT_ONCE = 5
-_SETTINGS = "lineariser", "threshold", "every", "tolerance", "compiled"
+# Attributes that a map has of the one before.
+_KEPT = "lineariser", "threshold", "every", "tolerance", "compiled", "associations"
 
 
 @public
@@ -80,6 +84,9 @@ class GrowingMap(Shown, Immutable):
         whose CPDs it linearised again, as they had moved.
     status : Growth
         How large the map is, and how much of it the last addition touched.
+    associations : mapping of Variable to Association
+        By sighting of the last addition that left open which landmark it was of, the landmark that
+        it was taken for.
 
     Raises
     ------
@@ -107,6 +114,7 @@ class GrowingMap(Shown, Immutable):
     touched: Scope
     relinearised: Scope
     status: Growth
+    associations: Mapping[Variable, Association]
     _tree: Tree
     _contents: Contents
     _by_numpy: int
@@ -142,6 +150,7 @@ class GrowingMap(Shown, Immutable):
             tolerance=float(tolerance),
             compiled=as_choice(compiled, f"GrowingMap(compiled={compiled!r})"),
             _turn=0,
+            associations=BySighting({}),
         )
         self._put(Change(Tree(), (), 0, 0), Contents.empty(), (), 0)
 
@@ -182,7 +191,8 @@ class GrowingMap(Shown, Immutable):
             variables of before, and measurements. Gaussian, with noise in each direction.
         evidence : mapping of Variable to array_like, optional
             Values (d,) of children of these CPDs, and of parents that no CPD explains; these are
-            kept for CPDs to come. NaN is a component that was not measured.
+            kept for CPDs to come. NaN is a component that was not measured. A parent m of sensors'
+            CPDs may be left open, ``{m: pgm.unknown([l0, l1, ...], gate=0.999)}``: see below.
         start : mapping of Variable to array_like, optional
             Means (d,) of new hidden variables, at which CPDs are linearised first. Without, it is
             the prior's mean, or the CPD's value at the means of its parents.
@@ -191,15 +201,37 @@ class GrowingMap(Shown, Immutable):
         -------
         GrowingMap
 
+        Notes
+        -----
+        Each CPD with an open parent m is one sighting of one of the candidates, hidden variables of
+        the map. All other CPDs are added first. A sighting z of p, such as a pose, is then given
+        the likeliest candidate l_k, by ln w_k + ln N(ν_k; 0, S_k): ν_k is z less the CPD's value at
+        the means of p and l_k, and S_k = H P Hᵀ + R takes the joint covariance P of (p, l_k); gate,
+        weights, spurious and new sightings are as of `unknown`. With ``association="joint"`` all
+        sightings that leave m open are decided together, no landmark being given twice, by the
+        joint covariance of all of them. Sightings are added with m replaced by their landmark, as
+        if it had been named; m itself is no variable of the map. A sighting of no candidate is not
+        added, so that it may be, with a landmark of its own. `associations` tells of each.
+        Several open parents are decided one after the other, as their order in `evidence` is. P is
+        of CPDs linearised at their points: with a smaller `threshold`, and ``every=1``, candidates
+        are judged better.
+
         Raises
         ------
         ModelError, EvidenceError
             If a CPD's child was added before, a CPD has a kind or noise that a growing map has no
-            use for, or evidence is missing or does not fit.
+            use for, or evidence is missing or does not fit; if candidates are no hidden variables
+            of the map, are to be summed out, or fit in too many ways.
         LinearisationError
             If a function's values are not finite.
         NumericalError
-            If what was added leaves a variable open.
+            If what was added leaves a variable open, or candidates cannot be compared.
+
+        References
+        ----------
+        Neira & Tardós, Data association in stochastic mapping using the joint compatibility test,
+        2001; Kaess & Dellaert, Covariance recovery from a square root information matrix for data
+        association, 2009.
 
         Examples
         --------
@@ -212,6 +244,18 @@ class GrowingMap(Shown, Immutable):
         """
         added = Added.checked(self._contents, cpds, as_mapping(evidence, "evidence"))
         starts = added.starts(self._tree, start, self.lineariser)
+        turn = (self._turn + 1) % self.every
+        moved = () if turn and len(self._tree.moved) > AT_ONCE else self._tree.moved
+        found = self._grown(added.named, starts, moved, turn)
+        found._set(associations=BySighting({}))
+        for parent, unknown in added.opened.items():
+            found = found._identified(added, parent, unknown)
+        return found
+
+    def _grown(
+        self, added: Added, starts: Sequence[Array], moved: Sequence[int], turn: int
+    ) -> GrowingMap:
+        """The map with CPDs whose parents all have names; `moved` are to be linearised anew."""
         tree = self._tree
         new = range(len(tree.points), len(tree.points) + len(added.hidden))
         numbers = dict(zip(added.hidden, new, strict=True))
@@ -223,9 +267,26 @@ class GrowingMap(Shown, Immutable):
                 points[v] = Point(tree.points[v].at, True)
         tree = replace(tree, points=tree.points.replaced(points))
         contents = added.contents(self._contents, numbers)
-        turn = (self._turn + 1) % self.every
-        moved = () if turn and len(tree.moved) > AT_ONCE else tree.moved
         return self._updated(tree, contents, new, factors, moved, self.tolerance, turn)
+
+    def _identified(self, added: Added, parent: Variable, unknown: UnknownVariable) -> GrowingMap:
+        """The map with the sightings that leave one parent open, by what they are taken for."""
+        contents, given = self._contents, added.sightings(parent)
+        open_ = parent, unknown, given, added.taken, contents.numbers, self._covariances
+        known = added.every
+        taken = OpenSightings(*open_).associated(known, contents.plates, self.lineariser)
+        named = [
+            each.naming(parent, landmark)
+            for each in given
+            if (landmark := taken[each.cpd.child].variable) is not None
+        ]
+        found = self._grown(added.part(named, contents), (), (), self._turn) if named else self
+        if named:
+            touched = tuple(dict.fromkeys((*self.touched, *found.touched)))
+            status = found.status._after(self.status, len(touched))
+            found._set(touched=touched, relinearised=self.relinearised, status=status)
+        found._set(associations=BySighting({**self.associations, **taken}))
+        return found
 
     @public
     def settled(self, iterations: int = 100, tolerance: float = 1e-10) -> GrowingMap:
@@ -302,7 +363,7 @@ class GrowingMap(Shown, Immutable):
         rows = linearised(again, points, contents.known, contents.plates, self.lineariser)
         kept += zip(again, rows, strict=True)
         found: GrowingMap = object.__new__(type(self))
-        found._set(**{name: getattr(self, name) for name in _SETTINGS}, _turn=turn)
+        found._set(**{name: getattr(self, name) for name in _KEPT}, _turn=turn)
         if not touched and not new:
             found._put(Change(tree, (), 0, 0), contents, (), self._by_numpy)
             return found
@@ -369,6 +430,11 @@ class GrowingMap(Shown, Immutable):
     def _covariances(self) -> Covariances:
         return Covariances(self._tree)
 
+    @cached_property
+    def cliques(self) -> CliqueTree:
+        """The tree of cliques: their variables and CPDs, potentials, messages and beliefs."""
+        return CliqueTree(self._covariances, self._contents, self.touched)
+
     @property
     def network(self) -> BayesianNetwork:
         """All CPDs so far as a network, to be handed to `compile` and `infer`."""
@@ -393,7 +459,8 @@ class GrowingMap(Shown, Immutable):
         return Summary(self._title, [self.status._last] if self.status.cpds else [])
 
     def __getstate__(self) -> dict[str, Any]:
-        return {k: v for k, v in super().__getstate__().items() if k != "_covariances"}
+        found = super().__getstate__().items()
+        return {k: v for k, v in found if k not in ("_covariances", "cliques")}
 
 
 def _not_hidden(contents: Contents, variable: Any) -> EvidenceError:

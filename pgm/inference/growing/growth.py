@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from pgm.display import Shown, Summary
 
@@ -37,6 +37,16 @@ class Growth(Shown):
     relinearised: int
     eliminated: int
     solved: int
+
+    def _after(self, before: Growth, touched: int) -> Growth:
+        """The growth of an addition in two stages, which have touched so many variables."""
+        return replace(
+            self,
+            touched=touched,
+            relinearised=before.relinearised,
+            eliminated=before.eliminated + self.eliminated,
+            solved=before.solved + self.solved,
+        )
 
     @property
     def _title(self) -> str:

@@ -107,6 +107,19 @@ function residualKey() {
   return el("div", { class: "key" }, el("span", {}, "change along edges"), el("span", { class: "number" }, "≤ 1e−8"), bar, el("span", { class: "number" }, "≥ 1"));
 }
 
+// Of a growing map: the clusters that its last addition touched.
+function touchedKey() {
+  const block = svg("svg", { width: 22, height: 12, class: "node touched", "aria-hidden": "true" }, svg("rect", { x: 1.5, y: 1.5, width: 19, height: 9, rx: 4.5 }));
+  return el("div", { class: "key" }, block, el("span", {}, "touched by the last addition"), el("span", {}, "· factors without their constants"));
+}
+
+function touchedFacts({ touched: { cliques, anew } }) {
+  return [
+    el("span", {}, `${thousands(cliques)} touched by the last addition`),
+    el("span", { title: anew.slice(0, 40).join(", ") }, `${counted(anew.length, "variable")} linearised anew`),
+  ];
+}
+
 function runControls(box, data, changed) {
   if (data.runs.length < 2) return;
   const select = el("select", { id: "run" }, ...data.runs.map((own, k) => (

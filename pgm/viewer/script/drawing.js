@@ -197,14 +197,14 @@ class Drawing {
     const half = 0.5 * height;
     const text = (y, name, content) => svg("text", { y, class: name }, content);
     const group = svg("g", {
-      class: "node", "data-cluster": id, transform: `translate(${node.x} ${node.y})`,
-      role: "button", "aria-label": `cluster ${id}: ${node.label}${node.note ? `; reads ${node.note}` : ""}`,
+      class: node.touched ? "node touched" : "node", "data-cluster": id, transform: `translate(${node.x} ${node.y})`,
+      role: "button", "aria-label": `cluster ${id}: ${node.label}${node.note ? `; reads ${node.note}` : ""}${node.touched ? "; touched" : ""}`,
     },
     svg("title", {}, `cluster ${id}: ${this.source.about(id).variables.join(", ")}`),
     svg("rect", {
       x: -0.5 * node.width, y: -half, width: node.width, height, rx: Math.min(half, 22),
     }),
-    text(-half + 14, "tag", id),
+    text(-half + 14, "tag", node.touched ? `${id} touched` : id),
     text(node.note === undefined ? half - 11 : 5, "label", node.label),
     node.note ? text(half - 8, "note", node.note) : null);
     this.chosen(group, this.selected?.id === id);

@@ -88,7 +88,18 @@ class GraphSource {
       }),
       cpds: cluster.cpds.map((given) => cpdText(given, null)),
       cut: cluster.cut,
+      anew: new Set(cluster.scope.map((v) => this.data.variables[v]).filter((v) => v.anew).map((v) => v.name)),
+      role: this.role(cluster),
     };
+  }
+
+  // Of a clique of a growing map: the variables that leave there, and those that its parent has too.
+  role({ scope, pivots, touched }) {
+    if (!pivots) return null;
+    const name = (v) => this.data.variables[v].name;
+    const separators = scope.filter((v) => !pivots.includes(v)).map(name);
+    const given = separators.length ? ` given ${listedNames(separators, 60)}` : "";
+    return `eliminates ${listedNames(pivots.map(name), 60)}${given}${touched ? "; touched by the last addition" : ""}`;
   }
 
   potential(id) {

@@ -35,7 +35,10 @@ class Inspector {
     });
     entries.push({ role: "potential", title: "potential", key: "potential", factor: source.potential(id) });
     const chips = el("ul", { class: "chips" });
-    for (const name of about.variables) chips.append(el("li", {}, name));
+    for (const name of about.variables) {
+      const anew = about.anew?.has(name);
+      chips.append(el("li", { class: anew ? "anew" : null, title: anew ? "linearised anew by the last addition" : null }, anew ? `${name} anew` : name));
+    }
     for (const name of about.observed.slice(0, 40)) chips.append(el("li", { class: "observed", title: "observed" }, name));
     if (about.observed.length > 40) chips.append(el("li", { class: "observed" }, `+${about.observed.length - 40} observed`));
     const cpds = about.cpds.length
@@ -43,7 +46,7 @@ class Inspector {
       : el("p", { class: "aside" }, "no CPD of its own: its potential is one");
     const others = about.cut.length ? el("p", { class: "aside" }, `${about.cut.length} more neighbours are not in this page`) : null;
     return [
-      el("h2", {}, `Cluster ${id}`), chips, cpds, others, this.picture(entries),
+      el("h2", {}, `Cluster ${id}`), about.role ? el("p", { class: "role" }, about.role) : null, chips, cpds, others, this.picture(entries),
       ...entries.map((entry) => this.section(entry)),
     ].filter(Boolean);
   }

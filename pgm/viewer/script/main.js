@@ -16,9 +16,9 @@ async function started() {
   const facts = () => {
     const { log_evidence: evidence } = data.runs[source.run];
     const edges = chain ? [] : [el("span", {}, counted(data.edges.length, "edge"))];
-    at("facts").replaceChildren(
-      el("span", {}, counted(count, "cluster")), ...edges,
-      el("span", {}, "ln p(evidence) ", el("span", { class: "number" }, shown(evidence)), ` ${data.evidence}`));
+    const about = data.touched ? touchedFacts(data) : [
+      el("span", {}, "ln p(evidence) ", el("span", { class: "number" }, shown(evidence)), ` ${data.evidence}`)];
+    at("facts").replaceChildren(el("span", {}, counted(count, "cluster")), ...edges, ...about);
   };
   at("notes").replaceChildren(...data.notes.map((note) => el("p", {}, note)));
 
@@ -52,6 +52,7 @@ async function started() {
   }
   const residuals = data.runs.some((run) => run.edges);
   if (residuals) at("graph-box").append(residualKey());
+  if (data.touched) at("graph-box").append(touchedKey());
   const iterations = iterationControls(bar, source, (values) => {
     drawing.showResiduals(values);
     if (selection?.edge) inspector.show(selection);

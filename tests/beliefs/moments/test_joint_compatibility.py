@@ -9,7 +9,7 @@ from scipy.stats import chi2, multivariate_normal
 
 import pgm
 from models import sensors
-from pgm.beliefs.moments.association import joint_compatibility
+from pgm.kernels import joint_compatibility
 
 x = pgm.Variable("x", components=("east", "north", "heading"), angles=("heading",))
 m = pgm.Variable("m", components=("east", "north"))

@@ -29,13 +29,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from math import nan
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from pgm.beliefs.moments.association import joint_compatibility
 from pgm.beliefs.moments.compiled import sweep
 from pgm.beliefs.moments.compiled.sweep import Swept, is_used
 from pgm.beliefs.moments.digits import certificate
@@ -51,11 +49,8 @@ from pgm.compile import DynamicGraph
 from pgm.errors import EvidenceError, NumericalError, PgmError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.evidence.values import JOINT, SUM
-from pgm.kernels import mahalanobis, moments
-from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, quiet, vacant
-from pgm.kernels.dense import Stack
-from pgm.kernels.semirings import log_sum
-from pgm.kernels.step import innovation
+from pgm.kernels import association, joint_compatibility, moments
+from pgm.kernels.arrays import Array, Mask, quiet, vacant
 from pgm.linearisers import Lineariser
 from pgm.posteriors.associations import Associations, collected
 from pgm.progress import counted
@@ -156,7 +151,8 @@ def _compiled(
     for each in pending:
         sensor = sensors[each.reading.cpd.child]
         assert isinstance(sensor, OpenSensor)
-        each.decide(range(len(sensor.terms)), each.with_others(sensor.terms))
+        terms = association.with_outliers(sensor.terms, each.unknown.log_outliers)
+        each.decide(range(len(sensor.terms)), terms)
     return plan.account, swept.left
 
 
@@ -301,58 +297,37 @@ class _Pending:
         pairs = _innovations(
             graph, bound, lineariser, step, self._expanded(rows, runs), belief, len(rows)
         )
-        square, count = pairs.square, pairs.size
-        terms = pairs.density + unknown.log_shares[:-2]
-        if unknown.gate is not None:
-            limit = mahalanobis.square_within(unknown.gate, np.maximum(count, 1))
-            terms = np.where(square > limit, -np.inf, terms)
-        terms = self.with_others(terms)
+        terms = association.terms(
+            pairs, unknown.log_shares[:-2], unknown.log_outliers, unknown.gate
+        )
         if unknown.association == JOINT:
             terms = self._jointly(pairs, terms, belief.by_run[1], step, bound.first_run)
         self.decide(rows, terms)
         return _taken(graph, bound, lineariser, step, (self.part(rows),), belief, self.gate)
 
-    def with_others(self, terms: Array) -> Array:
-        """The logarithms of unnormalised probabilities (..., k + 2), in the order of `probability`.
-
-        `terms` (..., k) are those of the candidates, −∞ outside their gate.
-        """
-        others = np.broadcast_to(self.unknown.log_outliers, (*terms.shape[:-1], 2))
-        found = np.concatenate([terms, others], axis=-1)
-        # A sighting that no candidate explains is spurious, even where none was declared to be.
-        found[np.isneginf(found).all(axis=-1), -2] = 0.0
-        return found
-
     def decide(self, rows: range, terms: Array) -> None:
-        """Take the sightings of some rows for what is likeliest, by `terms` as of `with_others`."""
+        """Take the sightings of some rows for what is likeliest, by terms (..., k + 2)."""
         some, candidates = slice(rows.start, rows.stop), self.unknown.candidates
-        probability = np.exp(terms - log_sum(terms, -1)[..., None])
-        measured = self.reading.taken[some].any(axis=-1)
-        probability[~np.broadcast_to(measured, terms.shape[:-1])] = nan
-        likeliest = np.argmax(np.nan_to_num(probability, nan=-1.0), axis=-1)
+        measured = np.asarray(self.reading.taken[some].any(axis=-1))
+        probability = association.probabilities(terms, measured)
+        likeliest = association.likeliest(probability)
         seen = likeliest < len(candidates)
         self.probability[some] = probability
         self.values[some] = candidates[np.where(seen, likeliest, 0)]
         self.taken[some] = self.reading.taken[some] & seen[..., None]
 
-    def _jointly(self, pairs: _Pairs, terms: Array, cov: Array, step: int, first_run: int) -> Array:
-        """Decide about a step's sightings together; returns log-probabilities of the candidates.
+    def _jointly(
+        self, pairs: association.Pairs, terms: Array, cov: Array, step: int, first_run: int
+    ) -> Array:
+        """Decide about a step's sightings together; see `association.jointly`.
 
-        The result is 0 for the choice and −∞ for all else, (sightings, runs, k + 2). `terms`, of
-        the same shape, are the logarithms of unnormalised probabilities in the order of
-        `probability`: of the candidates, of being spurious, and of being new. They are −∞ outside
-        the candidates' gate; a joint decision always has such a gate. `pairs` are the innovations
-        of each sighting with each candidate, and `cov` is the belief's P (runs, n, n). A sighting
-        to which the search gives no candidate is taken for spurious or new, whichever is likelier.
         A search of too many hypotheses is refused with an EvidenceError, which counts runs from
         `first_run`.
         """
-        assert self.unknown.gate is not None
-        compatible = np.isfinite(terms[..., :-2]) & (pairs.size > 0)
-        parts = pairs.matrix, pairs.residual, pairs.noise, pairs.size[..., 0], compatible
-        weighed = joint_compatibility.Pairs(*parts, self.unknown.log_shares[:-2])
+        gate = self.unknown.gate
+        assert gate is not None
         try:
-            found = joint_compatibility.decide(weighed, cov, self.unknown.gate)
+            return association.jointly(pairs, terms, cov, self.unknown.log_shares[:-2], gate)
         except joint_compatibility.TooManyError as error:
             cpd, run = self.reading.cpd, first_run + error.args[0]
             raise EvidenceError(
@@ -365,10 +340,6 @@ class _Pending:
                 step=step,
                 run=run,
             ) from None
-        others = terms.shape[-1] - 2 + np.argmax(terms[..., -2:], axis=-1)
-        taken = np.where(found == joint_compatibility.NOTHING, others, found)
-        decided: Array = np.where(taken[..., None] == np.arange(terms.shape[-1]), 0.0, -np.inf)
-        return decided
 
     def _expanded(self, rows: range, runs: int) -> Reading:
         """The sightings at `rows` with every candidate in every run, laid out as runs of a reading.
@@ -463,22 +434,6 @@ def _tried(reading: Reading, bound: BoundEvidence, rows: int) -> BoundEvidence:
     return BoundEvidence(0, lead, (), (reading,), bound.first_run, candidates=True)
 
 
-class _Pairs(NamedTuple):
-    """The innovation ν of each sighting with each candidate, (rows, runs, candidates, ...).
-
-    Rows are the sightings. `density` is ln N(ν; 0, S), `square` νᵀS⁻¹ν, `size` the number of
-    components measured. `matrix` is H (..., d, n), `residual` ν (..., d), `noise` R (..., d, d); a
-    component that was not measured has H = 0, ν = 0 and, in R, unit variance without correlation.
-    """
-
-    density: Array
-    square: Array
-    size: Integers
-    matrix: Array
-    residual: Array
-    noise: Array
-
-
 def _innovations(
     graph: DynamicGraph,
     bound: BoundEvidence,
@@ -487,7 +442,7 @@ def _innovations(
     reading: Reading,
     belief: Moments,
     rows: int,
-) -> _Pairs:
+) -> association.Pairs:
     """The innovations of each sighting with each candidate, linearised at the belief of its run.
 
     `reading` has a run for each sighting, run of `bound` and candidate, with that candidate as the
@@ -514,7 +469,14 @@ def _innovations(
     )
     spread = moments.predict(covs[of], wide, noises)
     left = residual.reshape(height, -1).T
-    found = innovation(Stack.column(left), Stack(spread, True))
+    shape = rows, bound.runs, -1
+    found = association.paired(
+        np.broadcast_to(wide, (every, height, size)).reshape(*shape, height, size),
+        left.reshape(*shape, height),
+        noises.reshape(*shape, height, height),
+        spread.reshape(*shape, height, height),
+        reading.taken[0].sum(axis=-1).reshape(shape),
+    )
     if not (found.share > 0.0).all():
         raise NumericalError(
             f"{reading.cpd!r}: at step {step} an innovation has no variance in a component, or two "
@@ -523,15 +485,4 @@ def _innovations(
             cpd=reading.cpd,
             step=step,
         )
-    count = reading.taken[0].sum(axis=-1)
-    # A missing component is one of unit variance without a residual.
-    density = -0.5 * (found.square + count * LOG_2PI) - found.volume
-    shape = rows, bound.runs, -1
-    return _Pairs(
-        density.reshape(shape),
-        found.square.reshape(shape),
-        count.reshape(shape),
-        np.broadcast_to(wide, (every, height, size)).reshape(*shape, height, size),
-        left.reshape(*shape, height),
-        noises.reshape(*shape, height, height),
-    )
+    return found

@@ -22,7 +22,7 @@ are numbered from 0, and `NOTHING`, −1, stands in place of one where a sightin
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -51,6 +51,10 @@ class Pairs(NamedTuple):
     size: Integers
     compatible: Mask
     log_weight: Array
+
+    def at(self, place: tuple[Any, ...]) -> tuple[Array, Array, Array]:
+        """H, ν and R of the pairs at a place along the leading axes."""
+        return self.matrix[place], self.residual[place], self.noise[place]
 
 
 class TooManyError(Exception):
@@ -90,41 +94,54 @@ def _within(pairs: Pairs, chosen: Integers, cov: Array, limits: Array, runs: Int
     for k, own in enumerate(chosen[:, runs]):
         seen = own != NOTHING
         place = k, runs, np.where(seen, own, 0)
-        H = pairs.matrix[place] * seen[:, None, None]
-        left = pairs.residual[place] * seen[:, None]
-        known = _paired(H, left, pairs.noise[place], spread, shift)
-        spread, shift, square = known.cov, known.shift, square + known.square
+        matrix, residual, noise = pairs.at(place)
+        H, left = matrix * seen[:, None, None], residual * seen[:, None]
+        known = _Paired.of((H, left, noise), shift, spread)
+        (shift, spread), square = known.after(shift, spread), square + known.square
         dof += np.where(seen, pairs.size[k, runs], 0)
     within: Mask = square <= limits[dof]
     return within
 
 
 class _Paired(NamedTuple):
-    """Beliefs given one pairing more, with the pairing's Mahalanobis square and log-density.
+    """One pairing each by beliefs that have not taken it in, (..., n).
 
-    `shift` (..., n) is the mean less the predicted one, `cov` (..., n, n) the covariance. `square`
-    (...) is νᵀS⁻¹ν and `density` (...) is ln N(ν; 0, S) + ½ d ln 2π, both of this pairing alone,
-    with its innovation ν given the pairings before it.
+    `square` (...) is νᵀS⁻¹ν and `density` (...) ln N(ν; 0, S) + ½ d ln 2π, with the innovation ν
+    given the pairings before; `matrix` H, `left` ν, `noise` R and `gain` P Hᵀ S⁻¹ are what
+    `after` takes.
     """
 
-    shift: Array
-    cov: Array
     square: Array
     density: Array
+    matrix: Array
+    left: Array
+    noise: Array
+    gain: Array
 
+    @classmethod
+    def of(cls, parts: tuple[Array, Array, Array], shift: Array, cov: Array) -> _Paired:
+        """The pairings of H (..., d, n), ν at the predicted mean (..., d), and R (..., d, d).
 
-def _paired(matrix: Array, residual: Array, noise: Array, cov: Array, shift: Array) -> _Paired:
-    """Condition beliefs N(shift, cov), counted from the predicted mean, on one pairing each.
+        Beliefs are N(shift, cov), counted from the predicted mean: `shift` is (..., n), `cov`
+        (..., n, n).
+        """
+        matrix, residual, noise = parts
+        left = residual - apply(matrix, shift)
+        cross, spread = step.crossed(Stack(cov, True), Stack(matrix), Stack(noise, True))
+        root = spread.root()
+        found = step.innovation_by(Stack.column(left), root)
+        gain: Array = step.gain(root, cross).array
+        return cls(found.square, -0.5 * found.square - found.volume, matrix, left, noise, gain)
 
-    `shift` is (..., n), `cov` (..., n, n). `matrix` is H (..., d, n), `residual` (..., d) the
-    innovation at the predicted mean and `noise` R (..., d, d). With ν = `residual` − H · `shift`
-    and S = H · `cov` · Hᵀ + R, the square is νᵀ S⁻¹ ν and the density −½ (νᵀ S⁻¹ ν + ln |S|).
-    """
-    left = residual - apply(matrix, shift)
-    parts = Stack(cov, True), Stack(matrix), Stack.column(left), Stack(noise, True)
-    found = step.update(Stack.column(shift), *parts)
-    density = -0.5 * found.square - found.volume
-    return _Paired(found.mean.vector, found.cov.array, found.square, density)
+    def of_one(self, place: int) -> _Paired:
+        """One of the pairings."""
+        return _Paired(*(part[place] for part in self))
+
+    def after(self, shift: Array, cov: Array) -> tuple[Array, Array]:
+        """The beliefs that have taken the pairings in."""
+        known = shift + apply(self.gain, self.left)
+        parts = Stack(cov, True), Stack(self.gain), Stack(self.matrix), Stack(self.noise, True)
+        return known, step.squares(*parts).array
 
 
 class _Search:
@@ -156,13 +173,14 @@ class _Search:
         self.most = [sum(likeliest[k:]) for k in range(len(counts) + 1)]
         self.found: tuple[int, float] = (-1, -np.inf)
         self.best = np.full(len(compatible), NOTHING)
-        self._descend(0, np.zeros(len(cov)), cov, 0.0, 0, 0.0, [])
+        self._descend(0, np.zeros(len(cov)), cov, None, 0.0, 0, 0.0, [])
 
     def _descend(
         self,
         depth: int,
         shift: Array,
         cov: Array,
+        last: _Paired | None,
         square: float,
         dof: int,
         score: float,
@@ -176,8 +194,9 @@ class _Search:
         better hypothesis within its gate becomes `best`.
 
         `chosen` has for each depth before this one the sighting's candidate, or `NOTHING`;
-        N(shift, cov) is the belief given these pairings, counted from the predicted mean, and
-        `square`, `dof`, `score` are their νᵀS⁻¹ν, components measured, and Σ ln w + ln N(ν; 0, S).
+        `square`, `dof`, `score` are these pairings' νᵀS⁻¹ν, components measured, and Σ ln w +
+        ln N(ν; 0, S). N(shift, cov) is the belief given all of them but `last`, counted from the
+        predicted mean: branches that are abandoned need no other.
         """
         self.nodes += 1
         if self.nodes > NODES:
@@ -193,15 +212,15 @@ class _Search:
             return
         k, count, pairs = self.order[depth], self.counts[depth], self.pairs
         some = np.array([c for c in self.choices[depth].tolist() if c not in chosen], dtype=np.intp)
+        if last is not None:
+            shift, cov = last.after(shift, cov)
         if some.size:
-            own = k, self.run, some
-            known = _paired(pairs.matrix[own], pairs.residual[own], pairs.noise[own], cov, shift)
+            known = _Paired.of(pairs.at((k, self.run, some)), shift, cov)
             weight = known.density + pairs.log_weight[some] - 0.5 * count * LOG_2PI
             for c in np.argsort(-weight, kind="stable").tolist():
                 further = square + float(known.square[c])
                 if further <= self.limits[dof + self.ahead[depth]]:
-                    here = known.shift[c], known.cov[c], further, dof + count
-                    self._descend(
-                        depth + 1, *here, score + float(weight[c]), [*chosen, int(some[c])]
-                    )
-        self._descend(depth + 1, shift, cov, square, dof, score, [*chosen, NOTHING])
+                    so_far = further, dof + count, score + float(weight[c])
+                    with_it = [*chosen, int(some[c])]
+                    self._descend(depth + 1, shift, cov, known.of_one(c), *so_far, with_it)
+        self._descend(depth + 1, shift, cov, None, square, dof, score, [*chosen, NOTHING])
