@@ -155,7 +155,7 @@ class CliqueTree(Shown, Immutable):
     def joint(self, *variables: Variable) -> Gaussian:
         """The map's joint belief in some hidden variables; see `GrowingMap.joint`."""
         tree, numbers = self._covariances.tree, [self._contents.numbers[v] for v in variables]
-        mean = np.concatenate([tree.mean(number) for number in numbers])
+        mean = np.concatenate([point.at for point in tree.at_means(numbers)])
         return Gaussian._make(variables, mean, self._covariances.joint(numbers))
 
     def entered(self) -> Mapping[Variable, Array]:
@@ -179,16 +179,16 @@ class CliqueTree(Shown, Immutable):
         """The rows of a clique's CPDs, over its columns."""
         clique, size = self._cliques[k], self._sizes(k)
         column = columns(clique.pivots, clique.separators, size)
-        return [(spread(f.scope, column, size), rows) for f, rows in clique.factors]
+        return [(spread(f.scope, column), rows) for f, rows in clique.factors]
 
     def _received(self, k: int, but: int) -> list[Block]:
         """The rows of the messages that a clique received, but for one child's."""
         clique, size = self._cliques[k], self._sizes(k)
         column = columns(clique.pivots, clique.separators, size)
         below = [self._cliques[j] for j in self._children[k] if j != but]
-        found = [(spread(child.separators, column, size), child.left) for child in below]
+        found = [(spread(child.separators, column), child.left) for child in below]
         if clique.separators:
-            found.append((spread(clique.separators, column, size), self._downwards(k)))
+            found.append((spread(clique.separators, column), self._downwards(k)))
         return found
 
     def _sizes(self, k: int) -> dict[int, int]:
@@ -210,7 +210,7 @@ class CliqueTree(Shown, Immutable):
         column = columns(self._cliques[k].pivots, self._cliques[k].separators, size)
         gone = [v for v in self._members(k) if v not in kept]
         # Variables in the order of a front that eliminates those that the child does not share.
-        order = np.argsort(spread([*gone, *kept], column, size))
+        order = np.argsort(spread([*gone, *kept], column))
         blocks = [
             (order[where].tolist(), rows)
             for where, rows in (*self._own(k), *self._received(k, child))

@@ -198,16 +198,20 @@ def _joined(
 
 def columns(
     pivots: Iterable[int], separators: Iterable[int], size: dict[int, int]
-) -> dict[int, int]:
-    """The column at which each variable of a front begins."""
+) -> dict[int, range]:
+    """The columns of each variable of a front."""
     found, column = {}, 0
     for part in (pivots, separators):
         for variable in part:
-            found[variable] = column
-            column += size[variable]
+            end = column + size[variable]
+            found[variable] = range(column, end)
+            column = end
     return found
 
 
-def spread(scope: Iterable[int], column: dict[int, int], size: dict[int, int]) -> list[int]:
+def spread(scope: Iterable[int], column: dict[int, range]) -> list[int]:
     """The columns of all components of some variables."""
-    return [c for v in scope for c in range(column[v], column[v] + size[v])]
+    found: list[int] = []
+    for variable in scope:
+        found += column[variable]
+    return found

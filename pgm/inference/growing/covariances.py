@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from pgm.inference.growing.cliques import Clique, columns
+from pgm.inference.growing.cliques import Clique, columns, spread
 from pgm.inference.growing.tree import Tree
 from pgm.kernels import dense, step
 from pgm.kernels.arrays import Array, Integers
@@ -23,7 +23,7 @@ class Covariances:
         self.tree = tree
         self._found: dict[int, Array] = {}
         # By lead, the columns at which the variables of a clique begin.
-        self._columns: dict[int, dict[int, int]] = {}
+        self._columns: dict[int, dict[int, range]] = {}
 
     def of(self, variable: int) -> Array:
         """The covariance of one variable, (d, d)."""
@@ -45,11 +45,11 @@ class Covariances:
         return np.asarray(0.5 * (found + found.T))
 
     def _places(self, clique: Clique, variables: Iterable[int]) -> Integers:
-        found, size = self._columns.get(clique.lead), self.tree.size
+        found = self._columns.get(clique.lead)
         if found is None:
-            sizes = {v: size(v) for v in (*clique.pivots, *clique.separators)}
+            sizes = {v: self.tree.size(v) for v in (*clique.pivots, *clique.separators)}
             found = self._columns[clique.lead] = columns(clique.pivots, clique.separators, sizes)
-        return np.concatenate([np.arange(found[v], found[v] + size(v)) for v in variables])
+        return np.array(spread(variables, found), dtype=np.intp)
 
     def _of_clique(self, clique: Clique) -> Array:
         tree, path = self.tree, [clique]
@@ -66,14 +66,14 @@ class Covariances:
         own = len(clique.triangle)
         inverse = solve_triangular(clique.triangle[:, :own], np.eye(own))
         gain = clique.gain
-        spread = np.zeros((0, 0))
+        known = np.zeros((0, 0))
         if clique.separators:
             above = self.tree.homes[self.tree.parents[clique.lead]]
             at = self._places(above, clique.separators)
-            spread = self._found[above.lead][np.ix_(at, at)]
-        parts = dense.Stack(spread, True), dense.Stack(gain), dense.Stack(inverse @ inverse.T)
+            known = self._found[above.lead][np.ix_(at, at)]
+        parts = dense.Stack(known, True), dense.Stack(gain), dense.Stack(inverse @ inverse.T)
         cross, cov = (each.array for each in step.crossed(*parts))
-        return np.block([[cov, cross], [cross.T, spread]])
+        return np.block([[cov, cross], [cross.T, known]])
 
     def across(self, rows: Sequence[int], others: Sequence[int]) -> Array:
         """The covariances of some variables with others, (rows, others), in one pass.

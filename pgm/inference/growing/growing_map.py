@@ -320,7 +320,8 @@ class GrowingMap(Shown, Immutable):
                 return found
             found = found._updated(tree, found._contents, (), (), every, 0.0)
             tree = found._tree
-            moves = [np.abs(tree.distance(v)).max() for v in every if tree.points[v].bends]
+            bent = [v for v in every if tree.points[v].bends]
+            moves = [np.abs(distance).max() for distance in tree.distances(bent)]
             if max(moves, default=0.0) <= tolerance:
                 return found
         raise NumericalError(
@@ -346,7 +347,7 @@ class GrowingMap(Shown, Immutable):
         touched = tree.upwards([*seeds, *tree.holding(moved)])
         again, kept = list(more), []
         if moved:
-            moves = {v: Point(tree.mean(v), tree.points[v].bends) for v in moved}
+            moves = dict(zip(moved, tree.at_means(moved), strict=True))
             tree = replace(tree, points=tree.points.replaced(moves))
         apart = set(moved).isdisjoint
         for clique in touched.values():
@@ -401,7 +402,8 @@ class GrowingMap(Shown, Immutable):
 
     def means(self, variables: Iterable[Variable]) -> Array:
         """The means of several variables of d components each, stacked, (k, d)."""
-        return np.array([self._tree.mean(self._number(v)) for v in alike(variables)])
+        numbers = [self._number(v) for v in alike(variables)]
+        return np.array([point.at for point in self._tree.at_means(numbers)])
 
     def covs(self, variables: Iterable[Variable]) -> Array:
         """The covariances of several variables, each by itself, (k, d, d); see `means`."""
@@ -417,7 +419,7 @@ class GrowingMap(Shown, Immutable):
         if not scope:
             raise EvidenceError("a joint is of one or more variables; there is none")
         numbers = [self._number(v) for v in scope]
-        mean = np.concatenate([self._tree.mean(number) for number in numbers])
+        mean = np.concatenate([point.at for point in self._tree.at_means(numbers)])
         return Gaussian._make(scope, mean, self._covariances.joint(numbers))
 
     def _number(self, variable: Variable) -> int:

@@ -166,13 +166,13 @@ class OpenSightings:
     ) -> tuple[Array, Array]:
         """The ν (rows, k, d) of sightings of one key, and slopes by all parents (rows, k, d, n)."""
         tree, count = self.covariances.tree, len(self._candidates)
-        means = np.array([tree.mean(j) for j in self._candidates])
+        means = np.array([point.at for point in tree.at_means(self._candidates)])
         parts: list[Array] = []
         for column in zip(*(each.parents for each in given), strict=True):
             if column[0] == self.parent:
                 parts.append(np.tile(means, (len(given), 1)))
             else:
-                here = np.array([tree.mean(number) for number in self._numbers(column)])
+                here = np.array([point.at for point in tree.at_means(self._numbers(column))])
                 parts.append(np.repeat(here, count, axis=0))
         rows = [each for each in given for _ in range(count)]
         at = np.concatenate(parts, axis=1)

@@ -61,16 +61,25 @@ class Tree:
     moved: tuple[int, ...] = ()
     cliques: int = 0
 
-    def distance(self, variable: int) -> Array:
-        """The mean of a variable, counted from its point, (d,)."""
-        clique, size = self.homes[variable], self.size(variable)
-        begin = clique.first[clique.pivots.index(variable)]
-        return self.means[clique.pivots[0]][begin : begin + size]
+    def distances(self, variables: Sequence[int]) -> list[Array]:
+        """The means of variables, counted from their points, (d,) each."""
+        homes = self.homes.some(variables)
+        means = self.means.some([clique.pivots[0] for clique in homes])
+        found = []
+        for variable, clique, mean in zip(variables, homes, means, strict=True):
+            k = clique.pivots.index(variable)
+            begin, *end = clique.first[k : k + 2]
+            found.append(mean[begin : end[0] if end else len(clique.offset)])
+        return found
+
+    def at_means(self, variables: Sequence[int]) -> list[Point]:
+        """The points of variables, moved to their means."""
+        pairs = zip(self.points.some(variables), self.distances(variables), strict=True)
+        return [Point(point.at + distance, point.bends) for point, distance in pairs]
 
     def mean(self, variable: int) -> Array:
         """The mean of a variable, (d,)."""
-        found: Array = self.points[variable].at + self.distance(variable)
-        return found
+        return self.at_means([variable])[0].at
 
     def size(self, variable: int) -> int:
         """How many components a variable has."""
@@ -241,20 +250,20 @@ class _Posed:
             shared = sum(map(size.__getitem__, front.separators))
             above = []
             if front.parent >= 0:
-                above = spread(front.separators, self.columns[front.parent], size)
+                above = spread(front.separators, self.columns[front.parent])
             self.fronts.append(Posed(own, own + shared, [], front.parent, above))
 
     def place(self, factors: Sequence[tuple[Factor, Rows]], hanging: Sequence[Clique]) -> None:
         """Put rows of factors, and what cliques have left, where their first variable leaves."""
-        front, every, size = self.front.__getitem__, self.columns, self.size
+        front, every = self.front.__getitem__, self.columns
         for pair in factors:
             scope = pair[0].scope
             k = min(map(front, scope))
             self.factors[k].append(pair)
-            self.fronts[k].blocks.append((spread(scope, every[k], size), pair[1]))
+            self.fronts[k].blocks.append((spread(scope, every[k]), pair[1]))
         for child in hanging:
             k = min(map(front, child.separators))
-            where = spread(child.separators, every[k], size)
+            where = spread(child.separators, every[k])
             self.hung.append((k, where))
             if child.left.right.size:
                 self.fronts[k].blocks.append((where, child.left))
@@ -278,7 +287,7 @@ class _Posed:
                 Clique(
                     tuple(front.pivots),
                     tuple(front.separators),
-                    tuple(column[v] for v in front.pivots),
+                    tuple(column[v].start for v in front.pivots),
                     factors,
                     triangle,
                     -solved[:, :-1],

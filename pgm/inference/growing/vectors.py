@@ -1,6 +1,6 @@
 """Vectors that are never changed: one with other entries shares almost all memory with it.
 
-Entries stand in leaves of 32, which stand in nodes of 32, and so on to one root. A vector with k
+Entries stand in leaves of 64, which stand in nodes of 64, and so on to one root. A vector with k
 other entries has new leaves and nodes on the way to these, k log n of them at the most (Bagwell,
 2001, Ideal hash trees; as the vectors of Clojure).
 """
@@ -12,7 +12,7 @@ from typing import Any, Generic, TypeVar
 
 T = TypeVar("T")
 
-_BITS = 5
+_BITS = 6
 _WIDE = 1 << _BITS
 
 
