@@ -82,7 +82,8 @@ class Model:
     matrices, covariances and components measured. `frame` are the coordinates in which factors are
     kept. `weights` are those of a group's readings, None where its noise is Gaussian. `first` is
     True until `relinearise` is called: until then `points` are the prior's moments or the user's
-    start, maybe far from the posterior. `noises` is a cache of roots of the CPDs' own noise.
+    start, maybe far from the posterior. `noises` is a cache of roots of the CPDs' own noise, `rows`
+    one of rows that hang on no linearisation.
     """
 
     layout: Layout
@@ -97,6 +98,7 @@ class Model:
     weights: list[Weights | None]
     first: bool = True
     noises: dict[Any, Any] = field(default_factory=dict, repr=False)
+    rows: dict[Any, Any] = field(default_factory=dict, repr=False)
 
     @classmethod
     def make(

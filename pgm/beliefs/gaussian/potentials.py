@@ -95,7 +95,7 @@ def make_potentials(model: Model, anchor: Anchor | None = None) -> Potentials:
         empty = np.zeros((stacked, 0, sides))
         none = Flat(np.zeros((stacked, 0)), empty)
         return Potentials(model.layout.assembly, none, None, empty, 0.0)
-    parts = [_factor(model, groups) for groups in model.layout.shapes]
+    parts = [_part(model, groups) for groups in model.layout.shapes]
     proper = Flat.of([part.matrix for part in parts], [part.right for part in parts])
     exact = None
     if any(part.fixed for part in parts):
@@ -230,6 +230,22 @@ class _Noise(NamedTuple):
         fixed = roots.determined(lower)
         doubt = fixed.any() and (roots.determined(roots.root(correlation)) != fixed).any()
         return cls(deviation, order, lower, fixed, bool(doubt))
+
+
+def _part(model: Model, groups: list[int]) -> _Factor:
+    """The rows of the CPDs in some groups, made once where they do not change from step to step."""
+    if not all(_is_constant(model, g) for g in groups):
+        return _factor(model, groups)
+    if tuple(groups) not in model.rows:
+        model.rows[tuple(groups)] = _factor(model, groups)
+    found: _Factor = model.rows[tuple(groups)]
+    return found
+
+
+def _is_constant(model: Model, g: int) -> bool:
+    # Angles that are read are moved by whole turns.
+    turns = model.readings[g] is not None and model.families[g].cpd.child.angle_mask.any()
+    return model.families[g].settled and not turns
 
 
 def _factor(model: Model, groups: list[int]) -> _Factor:
