@@ -354,7 +354,7 @@ class Forest:
     @classmethod
     def of(cls, graph: ClusterGraph) -> Forest:
         """Root the trees of a graph without loops."""
-        neighbours = [graph.neighbours(k) for k in range(len(graph))]
+        neighbours = graph._neighbours
         parent = np.full(len(graph), -1, dtype=np.intp)
         depth = np.full(len(graph), -1, dtype=np.intp)
         for first in range(len(graph)):
@@ -385,7 +385,7 @@ class Forest:
         return found
 
 
-def _edges(neighbours: list[tuple[int, ...]], root: int) -> list[tuple[int, int]]:
+def _edges(neighbours: Sequence[tuple[int, ...]], root: int) -> list[tuple[int, int]]:
     found, queue = [], deque([(root, -1)])
     while queue:
         at, before = queue.popleft()
@@ -396,7 +396,7 @@ def _edges(neighbours: list[tuple[int, ...]], root: int) -> list[tuple[int, int]
     return found
 
 
-def _centre(neighbours: list[tuple[int, ...]], first: int) -> int:
+def _centre(neighbours: Sequence[tuple[int, ...]], first: int) -> int:
     """The middle of a longest path, which joins the two clusters farthest from one another."""
     edges = _edges(neighbours, first)
     end = edges[-1][1] if edges else first

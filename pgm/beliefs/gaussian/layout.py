@@ -301,8 +301,10 @@ class Layout:
     @cached_property
     def assembly(self) -> Assembly:
         """The factors of all groups, and those of an anchor after them: one for each place."""
+        if not self.anchored:
+            return Assembly(self.size, self.groups)
         anchors = Given(np.arange(self.size)[:, None], self.blocks.homes[0])
-        return Assembly(self.size, [*self.groups, anchors] if self.anchored else self.groups)
+        return Assembly(self.size, [*self.groups, anchors])
 
     @cached_property
     def shapes(self) -> list[list[int]]:
