@@ -33,7 +33,7 @@ class Choice:
         return sorted({other for contenders in every for other in _others(contenders)})
 
     def only(self, asked: str) -> Choice:
-        """Those of some names, with commas between them, or whose names begin with these words.
+        """The rows of some names, with commas between them, or whose names begin with these words.
 
         Raises
         ------
@@ -49,7 +49,7 @@ class Choice:
         )
 
     def against(self, asked: str) -> Choice:
-        """Those that have some contenders, with commas between them, beside pgm these alone.
+        """The rows of some contenders, with commas between them, beside pgm these alone.
 
         Raises
         ------
@@ -68,7 +68,7 @@ class Choice:
 
 
 def short() -> Choice:
-    """What the quick run is of."""
+    """The choice of the quick run."""
     return Choice(rows=[row for row in ROWS if row.quick], networks=())
 
 

@@ -49,7 +49,7 @@ class Change:
     same: bool = False
 
     def under(self, kind: Kind) -> Prepare:
-        """What prepares it for a kind of work."""
+        """The preparation for a kind of work."""
         return lambda work: kind.make(self.rule, self.work(work), self.iterations)
 
 

@@ -81,7 +81,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def chosen_by(options: argparse.Namespace) -> Choice:
-    """What a run is of.
+    """The choice of a run, by its options.
 
     Raises
     ------

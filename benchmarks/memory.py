@@ -136,7 +136,7 @@ def main(library: str, name: str, size: str) -> None:
 
 
 def _memory(which: str) -> int:
-    """What this process holds, VmRSS, or has held at the most, VmHWM, in bytes."""
+    """The memory that this process holds, VmRSS, or has held at the most, VmHWM, in bytes."""
     told = Path("/proc/self/status")
     if told.exists():  # else a process inherits the peak of the one that started it
         (line,) = (x for x in told.read_text(encoding="utf-8").splitlines() if which in x)

@@ -63,7 +63,7 @@ class Neighbour:
         return self.most if self.microseconds is None else self.microseconds
 
     def measured(self, timed: Timed) -> Iterator[tuple[str, float]]:
-        """What its limit is of, in words, and what was measured; of both ways of timing it."""
+        """The measure that its limit is of, in words, with its value; of both ways of timing it."""
         if self.microseconds is not None:
             yield "microseconds", 1e6 * timed.calls[self.name]
         elif self.most is not None:
@@ -109,7 +109,7 @@ class Sweep:
     lineariser: pgm.Lineariser | None = None
 
     def __call__(self, work: Robots, *, compiled: bool = True) -> Contender:
-        """What is timed."""
+        """The contender to be timed."""
         return swept(work, self.schedule, self.change, self.lineariser, compiled=compiled)
 
 
@@ -120,7 +120,7 @@ class Loop:
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     def __call__(self, work: Robots, *, compiled: bool = True) -> Contender:
-        """What is timed."""
+        """The contender to be timed."""
         return looped(work, compiled=compiled, **self.settings)
 
 

@@ -1,4 +1,4 @@
-"""What must hold, as ratios of one run."""
+"""Limits of ratios that must hold, all of one run."""
 
 from __future__ import annotations
 

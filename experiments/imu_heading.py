@@ -98,7 +98,7 @@ def step(heading_rate: float, lineariser: pgm.Lineariser | None = None) -> pgm.r
 
 
 def numbers(posterior: pgm.results.Posterior) -> dict[str, Any]:
-    """What the filter has made of the heading: the gain is P Hᵀ S⁻¹ of its own covariances."""
+    """The filter's gain of the heading, P Hᵀ S⁻¹ of its own covariances."""
     predicted, after = posterior.predicted[pose], posterior[pose]
     innovation = posterior.innovations[compass]
     return {
@@ -131,7 +131,7 @@ def largest_difference(posteriors: dict[str, pgm.results.Posterior]) -> float:
 
 
 def canonical_start(posterior: pgm.results.Posterior) -> str:
-    """What the library says to who asks for the first belief as a canonical form."""
+    """The error for asking for the first belief as a canonical form."""
     try:
         posterior.belief(0)
     except pgm.NumericalError as error:

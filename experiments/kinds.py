@@ -1,4 +1,4 @@
-"""What a posterior holds, where the network says which kind it is."""
+"""Posteriors and beliefs of the kind that a network leads to."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every experiment leaves: a summary in numbers, figures, and a table."""
+"""The record of an experiment: a summary in numbers, figures, and a table."""
 
 from __future__ import annotations
 

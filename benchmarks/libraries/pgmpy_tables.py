@@ -33,7 +33,7 @@ def marginals(tasks: Sequence[Task]) -> Contender:
 
 
 def _named(task: Task) -> dict[str, str]:
-    """What is observed: the names of states by those of variables."""
+    """The evidence: the names of states by those of variables."""
     return {
         v.name: v.states[index] for v, index in task.evidence.items() if isinstance(v, pgm.Discrete)
     }

@@ -1,4 +1,4 @@
-"""What is asked of a static Gaussian network: means and covariances of some of its variables."""
+"""Questions to static Gaussian networks: means and covariances of some of their variables."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ class Chains:
 
     @property
     def symbol(self) -> pgm.Discrete:
-        """What is read."""
+        """The variable that is read."""
         return _child(self.network.observation[0])
 
     @property

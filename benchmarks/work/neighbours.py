@@ -65,7 +65,7 @@ def three_sensors(work: Robots) -> Robots:
 
 
 def robust(noise: RobustNoise) -> Callable[[Robots], Robots]:
-    """What makes the sensor's noise a robust one."""
+    """A change of the work that makes the sensor's noise a robust one."""
 
     def change(work: Robots) -> Robots:
         (sensor,) = work.network.observation

@@ -59,7 +59,7 @@ class Case:
 
     @property
     def network(self) -> pgm.BayesianNetwork:
-        """What all graphs are of."""
+        """The network of all graphs."""
         network: pgm.BayesianNetwork = self.exact.graph.network
         return network
 

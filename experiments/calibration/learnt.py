@@ -149,7 +149,7 @@ def learnt(drive: Drive, way: Way, iterations: int) -> tuple[dict[str, Any], pgm
 
 
 def fitted(drive: Drive) -> tuple[dict[str, Any], pgm.results.Posterior]:
-    """What was fitted with the truth: the same of it as of an end, of ranges as recorded.
+    """The calibration fitted with the truth, told as that of an end, of ranges as recorded.
 
     ``residual`` is the standard deviation of the ranges about those of the true places [m], at the
     fitted calibration: what the noise of a range ought to be.

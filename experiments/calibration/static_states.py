@@ -23,7 +23,7 @@ UNKNOWN = {"scale": "scale", "offset [m]": "offset", "bias [rad/s]": "rate"}
 
 
 def variants(file: Path, setting: Setting) -> Iterator[tuple[str, Log, pgm.DynamicBayesianNetwork]]:
-    """What is known of a recording, the log, and the model; each knows less than the one before."""
+    """Names of variants, logs and models of a recording, each told less than the one before."""
     plain = replace(setting, scale=1.0, offset=0.0)
     fitted, raw, own = (
         plaza_log.load(file, setting),
@@ -54,7 +54,7 @@ def variants(file: Path, setting: Setting) -> Iterator[tuple[str, Log, pgm.Dynam
 
 
 def estimated(file: Path, name: str) -> dict[str, Any]:
-    """What filter and smoothers find, by what they are told."""
+    """Results of filter and smoothers, by what they are told."""
     return {
         label: found(log, model)
         for label, log, model in progress(list(variants(file, SETTINGS[name])), f"{name}, tuned")

@@ -1,4 +1,4 @@
-"""What the report shows of the drives: tables, notes, figures and animations."""
+"""The report's page of the drives: tables, notes, figures and animations."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def _excesses(found: dict[str, Any]) -> str:
 def note_findings(
     record: Record, found: By, drawn: str, held: dict[str, Any], around: dict[str, Any]
 ) -> None:
-    """What the numbers say beyond the reference."""
+    """Note findings that go beyond the reference."""
     exact = found[drawn]["1"]["exact"]["filter"]
     taylor, unscented = (found["variance"]["2b"][rule] for rule in ("Taylor", "Unscented"))
     record.note(

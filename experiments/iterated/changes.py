@@ -1,4 +1,4 @@
-"""What one method does to the errors of another, run by run."""
+"""Changes of errors from one method to another, run by run."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Change:
 
 
 def verdicts(grids: Mapping[str, Grid]) -> str:
-    """What each number of linearisations does to an RMSE, against one, by step control."""
+    """The change of an RMSE by each number of linearisations, against one, by step control."""
     return " ".join(
         f"{name} {kind}: {_verdict(controls)}."
         for name, grid in grids.items()

@@ -66,7 +66,7 @@ def growth_page(record: Record, grown: Mapping[str, Mapping[str, Grid]]) -> None
 
 
 def ends_page(record: Record, grids: Mapping[str, Grid]) -> None:
-    """What the largest number of linearisations that all controls have leaves of a belief."""
+    """Beliefs after the largest number of linearisations that all controls have."""
     rows = [
         (f"{name} {kind}", controls["plain"][1], _last(controls))
         for name, grid in grids.items()

@@ -120,7 +120,7 @@ def growth_cases(sensor: str, runs: int, seeds: Sequence[int], how: Reading = MA
 
 
 def up_to(numbers: Sequence[Number], most: int) -> list[Number]:
-    """Those with so many linearisations at the most."""
+    """The numbers of methods with so many linearisations at the most."""
     return [number for number in numbers if number.method[1] <= most]
 
 

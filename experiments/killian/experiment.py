@@ -156,7 +156,7 @@ def run(
 
 
 def _poses(record: Record, drive: Drive, fit: Fit) -> None:
-    """What the recording's poses are, and what is made of them."""
+    """Note the recording's poses, and the edges made of them."""
     edges, log = drive.log.edges, drive.log
     met = int((edges.second - edges.first != 1).sum())
     east, north, turned = fit.moved.tolist()

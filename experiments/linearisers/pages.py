@@ -1,4 +1,4 @@
-"""What the report page says: tables with the 2018 report's numbers beside ours, and captions."""
+"""The report page: tables with the 2018 report's numbers beside ours, and captions."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ class Setting:
 
     @property
     def reading(self) -> pgm.Variable:
-        """What is read."""
+        """The variable that is read."""
         return fix if len(self.sensor) == 2 else unwrapped
 
     @property

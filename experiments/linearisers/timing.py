@@ -1,4 +1,4 @@
-"""What one step of one robot costs: Table 8.2, and the trend over the number of samples."""
+"""The time of one step of one robot: Table 8.2, and the trend over the number of samples."""
 
 from __future__ import annotations
 

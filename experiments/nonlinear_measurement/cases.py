@@ -27,7 +27,7 @@ HEADINGS = (0.1, 0.3, 0.6)  # standard deviations of the first heading [rad]
 
 @dataclass(frozen=True)
 class Sensor:
-    """What is read after the step.
+    """A sensor that is read after the step.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a rule's beliefs are worth, over many simulations."""
+"""Scores of a rule's beliefs, over many simulations."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ _GAIN = _HEADING / (_HEADING + BEARING_STD**2)
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What the approximations are compared with.
+    """The exact beliefs that approximations are compared with.
 
     Attributes
     ----------

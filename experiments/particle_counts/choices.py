@@ -1,4 +1,4 @@
-"""What a particle filter leaves to choose: how to draw anew, and how many at each step."""
+"""Choices of a particle filter: how to draw anew, and how many particles at each step."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ LOST = 8.0  # m, five deviations of the widest belief
 
 @dataclass(frozen=True)
 class Drawn:
-    """What a way of drawing anew leaves.
+    """The error and the cost of a way of drawing anew.
 
     Attributes
     ----------

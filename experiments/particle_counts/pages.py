@@ -1,4 +1,4 @@
-"""What the report says of the numbers of particles."""
+"""Pages of the report about numbers of particles."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def estimators(
 
 
 def winner(linear: Mapping[str, Any], shown: int) -> str:
-    """What was measured of the Kalman filter and of particles where everything is linear."""
+    """The Kalman filter beside particles where everything is linear, as measured."""
     best = linear[KALMAN["exact"]]["rmse"]["value"]
     particles = linear[label(shown)]
     excess, error = particles["excess"]["value"], particles["excess"]["error"]
@@ -128,7 +128,7 @@ def resamplers(record: Record, found: Mapping[str, Drawn], count: int, repeats: 
 
 
 def adapted(record: Record, found: Mapping[str, Adapted]) -> None:
-    """What KLD-sampling chose."""
+    """The numbers of particles that KLD-sampling chose."""
     widths = ", ".join(f"{name} {width:g}" for name, width in WIDTHS.items())
     told = "; ".join(
         f"{each.title}, {each.medians[0]:,} after the first step and {each.medians[1]:,} at the "

@@ -166,5 +166,5 @@ def mean_square(means: Array, others: Array) -> Array:
 
 
 def label(count: int) -> str:
-    """What so many particles are called."""
+    """The name of so many particles in tables."""
     return f"{count:,} particles"

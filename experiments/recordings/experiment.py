@@ -139,7 +139,7 @@ def _files(data: str | None, path: Path | None) -> dict[str, Path]:
 
 
 def _said(record: Record, whole: Recording, drive: Drive) -> None:
-    """What is in the recording, and what of it is not taken."""
+    """Note the contents of the recording, and the streams that are not taken."""
     record.note(repr(whole))
     taken = {sensor.stream for sensor in drive.setting.sensors}
     streams = [*whole.sightings, *(n for n in ("fixes", "imu") if getattr(whole, n) is not None)]

@@ -37,7 +37,7 @@ _WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
 
 @dataclass(frozen=True)
 class Described:
-    """What a file of settings says.
+    """The contents of a file of settings.
 
     Attributes
     ----------

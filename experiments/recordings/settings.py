@@ -1,4 +1,4 @@
-"""What a network has to know of a recording that the recording does not say."""
+"""Settings of recordings: noises, sensors and the like, which the recordings do not tell."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ _PLAIN = Ways()
 
 @dataclass(frozen=True)
 class Setting:
-    """What a network has to know of a recording.
+    """The settings of a recording's network.
 
     Attributes
     ----------

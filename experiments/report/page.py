@@ -46,7 +46,7 @@ def page(outcomes: Sequence[Outcome], versions: Mapping[str, str], made: str, qu
 
 
 def state(outcome: Outcome) -> str:
-    """What is wrong with an outcome, in two words; nothing where it is complete."""
+    """The fault of an outcome, in two words; nothing where it is complete."""
     if outcome.error:
         return "failed"
     return "" if outcome.summary else "no results"

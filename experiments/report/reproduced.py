@@ -1,4 +1,4 @@
-"""What the experiments reproduce of the 2018 report, and where each stands."""
+"""Results of the 2018 report that experiments reproduce, and where each stands."""
 
 # What, what it shows, and the experiment.
 REPRODUCED = (

@@ -23,7 +23,7 @@ from experiments.record import SUMMARY, refusal
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What came of one experiment.
+    """The outcome of one experiment.
 
     Attributes
     ----------
@@ -110,7 +110,7 @@ def _words(option: Any, value: Any) -> list[str]:
 
 
 def _summary(folder: Path) -> Mapping[str, Any] | None:
-    """What an experiment wrote, all its pictures being there."""
+    """The summary that an experiment wrote, if all its pictures are there."""
     path = folder / SUMMARY
     if not path.exists():
         return None

@@ -84,7 +84,7 @@ def _worked(task: Task, expected: dict[str, str]) -> Columns:
 
 
 def _columns(study: Study, part: Part, future: Any) -> Columns:
-    """What a worker has found; or the error that it had."""
+    """The columns that a worker has found; or the error that it had."""
     from distributed import CancelledError
 
     try:

@@ -1,4 +1,4 @@
-"""What figures depend on beside a study: versions, and the code that works them out."""
+"""Versions, and the code that works figures out: they depend on these beside a study."""
 
 from __future__ import annotations
 
