@@ -121,17 +121,20 @@ def bind_values(
 def complete_rows(values: Mapping[Variable, Any]) -> dict[Variable, Array]:
     """The values of one row of floats each, (1, d), of variables of which all values are finite.
 
-    Thousands of them are checked together, those of one size as one array.
+    Thousands of them are checked together: numbers, and arrays of one size, as one array.
     """
+    numbers: list[Variable] = []
     alike: dict[int, list[Variable]] = {}
     for variable, value in values.items():
-        if type(value) is np.ndarray and value.ndim == 1 and value.dtype == np.float64:
+        if type(value) is float:
+            numbers.append(variable)
+        elif type(value) is np.ndarray and value.ndim == 1 and value.dtype == np.float64:
             alike.setdefault(len(value), []).append(variable)
     found: dict[Variable, Array] = {}
-    for size, variables in alike.items():
+    for size, variables in ((1, numbers), *alike.items()):
         if any(getattr(variable, "dimension", None) != size for variable in variables):
             continue
-        rows = np.array([values[variable] for variable in variables])
+        rows = np.array([values[variable] for variable in variables]).reshape(-1, size)
         if is_finite(rows):
             found.update(zip(variables, frozen(rows)[:, None], strict=True))
     return found

@@ -30,9 +30,9 @@ def as_scope(
     result: Scope = (scope,) if items is None else items
     if ordered:
         require_order(scope, what)
-    for variable in result:
-        if not isinstance(variable, Variable):
-            raise ModelError(f"{what} holds variables, not {variable!r}; give the variable itself")
+    if not all(issubclass(kind, Variable) for kind in set(map(type, result))):
+        found = next(v for v in result if not isinstance(v, Variable))
+        raise ModelError(f"{what} holds variables, not {found!r}; give the variable itself")
     if len(set(result)) < len(result):
         twice = next(v for v in result if result.count(v) > 1)
         raise ModelError(f"{what} holds {twice!r} twice; name each variable once", variable=twice)

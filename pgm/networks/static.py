@@ -123,7 +123,7 @@ class BayesianNetwork(Drawn, Immutable):
         with uncollected(len(self.cpds)):
             return [tuple(map(place, (cpd.child, *cpd.parents))) for cpd in self.cpds]
 
-    @property
+    @cached_property
     def lead(self) -> tuple[int, ...]:
         """The axes of runs of the model itself, where a `GaussianCPD` differs by run."""
         return checks.runs(self.cpds)

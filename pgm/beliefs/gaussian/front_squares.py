@@ -145,7 +145,8 @@ class FrontSquares:
             for total, part in zip(vectors, transpose(own) @ side, strict=True):
                 np.add.at(total, rows, part)
         index, every = np.concatenate(where), np.concatenate(squares, axis=1)
-        information: Array = np.stack([np.bincount(index, each, end + 1) for each in every])
+        summed = [np.asarray(np.bincount(index, each, end + 1), float) for each in every]
+        information = summed[0][None] if stacked == 1 else np.stack(summed)
         return information, vectors
 
     def _eliminated(

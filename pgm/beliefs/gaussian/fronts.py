@@ -27,8 +27,10 @@ from pgm.kernels.arrays import Integers, Mask
 
 # Clusters are joined while no more than this share of the joined columns' entries are zeros,
 ZEROS = 0.3
-# or while the columns that are eliminated together are so few.
-FEW = 6
+# or while the columns that are eliminated together are so few; more of them in trees that are so
+# narrow that NumPy's calls would be of a front or two.
+FEW, SEVERAL = 6, 48
+NARROW = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,12 +61,15 @@ class Fronts:
     blocks: Blocks
 
     @classmethod
-    def of(cls, layout: Layout, without: Mask | None = None) -> Fronts:
-        """The fronts of the layout's graph, a tree or several, `without` some components."""
+    def of(cls, layout: Layout, without: Mask | None = None, few: int = FEW) -> Fronts:
+        """The fronts of the layout's graph, a tree or several, `without` some components.
+
+        Clusters are joined in any case where no more than `few` components are eliminated together.
+        """
         scopes, forest = _Scopes.of(layout, without), Forest.of(layout.graph)
         home, pivots, sizes = scopes.homes(forest)
         parent = np.where((sizes > pivots) | (sizes == 0), forest.parent, -1)
-        joined = _joined(forest, parent, pivots, sizes)
+        joined = _joined(forest, parent, pivots, sizes, few)
         top = np.flatnonzero(joined == np.arange(joined.size))
         above = np.where(parent[top] >= 0, joined[parent[top]], -1)
         found = _postorder(top, above)
@@ -109,6 +114,11 @@ class Fronts:
                 height[parent] = height[front] + 1
         order = np.argsort(height, kind="stable")
         return np.split(order, np.cumsum(np.bincount(height))[:-1])
+
+    @property
+    def is_narrow(self) -> bool:
+        """Whether few fronts can be eliminated together, as in chains."""
+        return len(self) < NARROW * len(self.levels)
 
     @cached_property
     def depth(self) -> Integers:
@@ -163,7 +173,9 @@ class _Scopes:
         return home, pivots.astype(np.intp), sizes.astype(np.intp)
 
 
-def _joined(forest: Forest, parent: Integers, pivots: Integers, sizes: Integers) -> Integers:
+def _joined(
+    forest: Forest, parent: Integers, pivots: Integers, sizes: Integers, few: int
+) -> Integers:
     """The highest cluster of those that each is joined with, (clusters,).
 
     From below, each cluster, with those that were joined to it, is weighed against its parent, of
@@ -179,7 +191,7 @@ def _joined(forest: Forest, parent: Integers, pivots: Integers, sizes: Integers)
             continue
         both, there = p[k] + p[to], filled[k] + filled[to]
         entries = both * (both + 1) // 2 + both * s[to]
-        if not p[k] or both <= FEW or entries - there <= ZEROS * entries:
+        if not p[k] or both <= few or entries - there <= ZEROS * entries:
             joined[k] = to
             p[to], filled[to] = both, there
     for k in reversed(turns.tolist()):

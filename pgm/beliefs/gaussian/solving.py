@@ -26,6 +26,7 @@ from pgm.beliefs.gaussian.tree import (
     TreePlan,
     calibrate,
     calibrate_by_squares,
+    not_kept,
     read_back,
 )
 from pgm.compile.machine import COMPILED
@@ -69,7 +70,14 @@ class TreeSolver:
         if plan.layout.graph.compiled or _is_large(plan, model):
             candidates = Candidates.of(model)
             plan = plan if candidates is None else plan.without_noise(candidates)
-        return cls(plan, model)
+        solver = cls(plan, model)
+        if solver._pays or solver._stacked > 1:
+            return solver
+        return cls(plan.for_numpy(), model)
+
+    @property
+    def _stacked(self) -> int:
+        return 1 if self.model.shared else self.model.runs
 
     def solve(self, anchor: Anchor | None = None, *, to_move: bool = False) -> Calibrated:
         """The beliefs, and ln p(evidence); of one `to_move` by, ln p is not asked for.
@@ -159,8 +167,8 @@ class TreeSolver:
             magnified = max(magnified, solver.back(room, found.mean[v], found.cov[v]))
             total[v] += unit - solver.log_pivots(room) - 0.5 * residual
             kept.append(room)
-        gains = _Gains(plan, sides, kept)
-        beliefs = TreeBeliefs(found.places, found.frame, found.mean, found.cov, gains)
+        gain = not_kept if to_move else _Gains(plan, sides, kept)
+        beliefs = TreeBeliefs(found.places, found.frame, found.mean, found.cov, gain)
         sizes = Sizes(self._largest, self._coarse, magnified=magnified)
         return Calibrated(beliefs, frozen(total), sizes)
 

@@ -26,9 +26,9 @@ from pgm.beliefs.gaussian.assembly import Assembly
 from pgm.beliefs.gaussian.beliefs import Beliefs, Calibrated, Places, Sizes
 from pgm.beliefs.gaussian.blocks import Blocks
 from pgm.beliefs.gaussian.downward import Conditional, certain, magnified, moments
-from pgm.beliefs.gaussian.front_squares import FrontSquares
+from pgm.beliefs.gaussian.front_squares import FrontSquares, Regression
 from pgm.beliefs.gaussian.front_stacks import FrontStacks
-from pgm.beliefs.gaussian.fronts import Fronts
+from pgm.beliefs.gaussian.fronts import FEW, SEVERAL, Fronts
 from pgm.beliefs.gaussian.hidden_noise import Candidates, HiddenNoise
 from pgm.beliefs.gaussian.layout import Layout
 from pgm.beliefs.gaussian.machine_plan import told
@@ -47,20 +47,28 @@ from pgm.progress import counted
 class TreePlan:
     """The plan of the passes over a tree, and of its messages: where rows and moments stand.
 
-    Hidden `noise`, if there is some, is integrated out before, and read back.
+    Hidden `noise`, if there is some, is integrated out before, and read back. `few` is as of
+    `Fronts.of`.
     """
 
     layout: Layout
     noise: HiddenNoise | None = None
+    few: int = FEW
 
     def without_noise(self, candidates: Candidates) -> TreePlan:
         """The plan in which noise variables among candidates are integrated out; it is kept."""
 
         def make() -> TreePlan:
             noise = HiddenNoise.of(self.layout, candidates)
-            return TreePlan(self.layout, noise) if noise.pairs else self
+            return replace(self, noise=noise) if noise.pairs else self
 
         return self.layout.derived("without noise", make, candidates)
+
+    def for_numpy(self) -> TreePlan:
+        """The plan by which NumPy solves one run: with larger fronts where the tree is narrow."""
+        if not self.fronts.is_narrow:
+            return self
+        return self.layout.derived("for NumPy", lambda: replace(self, few=SEVERAL), id(self))
 
     @property
     def assembly(self) -> Assembly:
@@ -70,7 +78,7 @@ class TreePlan:
     @cached_property
     def fronts(self) -> Fronts:
         """The fronts of the tree."""
-        return Fronts.of(self.layout, None if self.noise is None else self.noise.places)
+        return Fronts.of(self.layout, None if self.noise is None else self.noise.places, self.few)
 
     @cached_property
     def blocks(self) -> Blocks:
@@ -184,6 +192,11 @@ class TreeBeliefs(Beliefs):
     gain: Callable[[int], Array]
 
 
+def not_kept(front: int) -> Array:
+    """The `gain` of a solution that is only to move by: it takes as much memory as its moments."""
+    raise LookupError(f"the regression of front {front} was not kept")
+
+
 @dataclass(frozen=True, eq=False)
 class _Gains:
     """The regressions that stacks of fronts have kept, (V, B, c, s) each."""
@@ -265,7 +278,7 @@ def calibrate(plan: TreePlan, buffer: Buffer[FrontStacks], potentials: Potential
     NumericalError. `buffer` has its rows where `plan.stacks` has them; `potentials` are the CPDs'.
     """
     buffer.refresh(potentials)
-    kept: list[list[Eliminated]] = []
+    kept: list[list[Regression]] = []
     stacked, _, sides = buffer.proper.right.shape
     total = np.zeros((stacked, sides))
     tops = plan.fronts.tops
@@ -274,7 +287,8 @@ def calibrate(plan: TreePlan, buffer: Buffer[FrontStacks], potentials: Potential
         for stack in level:
             done, log_scale = buffer.eliminate(stack, tops)
             buffer.require_finite(log_scale, tops[stack.clusters].tolist())
-            kept[-1].append(done)
+            # Without the rows that are left, which hold the memory of all rows of the stack.
+            kept[-1].append(Regression(done.gain, done.offset, done.noise))
             total += log_scale.sum(axis=1)
             if stack.kept:
                 buffer.store(stack, done.rest, None)
@@ -296,6 +310,7 @@ def calibrate_by_squares(
         return None
     stacked, _, sides = potentials.proper.right.shape
     beliefs, _ = _back(plan, frame, kept, exact=False, measured=False)
+    beliefs = replace(beliefs, gain=not_kept)
     return Calibrated(beliefs, np.full((stacked, sides), np.nan))
 
 
