@@ -271,10 +271,11 @@ def _taken(group: Group, bound: BoundValues, family: Family) -> Mask | None:
     They are those that were measured, or all of hidden children, but those of infinite variance.
     The result is None if all components of all children enter.
     """
-    children = [cpd.child for cpd in group.cpds]
     proper = np.isfinite(np.diagonal(family.own_noise, axis1=-2, axis2=-1))
+    children = [cpd.child for cpd in group.cpds] if bound.taken else []
     if bound.taken.keys().isdisjoint(children):
-        return None if proper.all() else np.broadcast_to(proper, (len(children), *proper.shape[1:]))
+        shape = len(group.cpds), *proper.shape[1:]
+        return None if proper.all() else np.broadcast_to(proper, shape)
     every = np.ones((1, group.height), dtype=bool)
     return _stacked(children, {v: bound.taken.get(v, every) for v in children}) & proper
 

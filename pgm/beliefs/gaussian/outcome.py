@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import repeat
 from typing import ClassVar
 
 import numpy as np
@@ -86,10 +87,10 @@ class GaussianOutcome(Outcome[Gaussian]):
     @quiet()
     def _stacked(self, variables: Sequence[Variable]) -> tuple[Array, Array]:
         starts = self._plan.layout.starts
-        if not all(map(starts.__contains__, variables)):
+        first = np.fromiter(map(starts.get, variables, repeat(-1)), np.intp, len(variables))
+        if (first < 0).any():
             for variable in variables:
                 self._require_hidden(variable)
-        first = np.fromiter(map(starts.__getitem__, variables), np.intp, len(variables))
         places = first[:, None] + np.arange(variables[0].dimension)
         beliefs, lead = self._done.beliefs, self._model.lead
         homes, columns = (part[places] for part in beliefs.places.blocks.homes)

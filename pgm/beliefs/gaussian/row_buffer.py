@@ -143,10 +143,12 @@ class Buffer(Generic[Standing]):
         unit = np.log(scale[stack.components[:, : stack.drop]]).sum(axis=1)
         unit = unit - 0.5 * LOG_2PI * stack.padded
         known = self.log_scale[:, stack.logs].sum(axis=2)
-        # A row that is left over no component is of the residual.
-        nothing = (stack.components[:, stack.drop :] == len(scale) - 1)[..., None]
-        residual = np.square(np.where(nothing, done.rest.right, 0.0)).sum(axis=-2)
-        return done, known + done.log_scale + unit[:, None] - 0.5 * residual
+        total = known + done.log_scale + unit[:, None]
+        nothing = stack.components[:, stack.drop :] == len(scale) - 1
+        if nothing[:, -1:].any():  # rows that are left over no component are of the residual
+            residual = np.where(nothing[..., None], done.rest.right, 0.0)
+            total = total - 0.5 * np.square(residual).sum(axis=-2)
+        return done, total
 
     def out(self, messages: Integers, size: int) -> tuple[Integers, Integers]:
         """The indices at which the buffer has the rows of some messages, by their numbers (B,).
