@@ -32,6 +32,7 @@ from pgm.kernels.arrays import Array, deviation
 from pgm.linearisers import TAYLOR, Lineariser, Taylor
 from pgm.networks import BayesianNetwork
 from pgm.posteriors.posterior import alike
+from pgm.resources import uncollected
 from pgm.schedules.starting_points import Start
 from pgm.variables import Discrete, Variable
 
@@ -371,7 +372,8 @@ class GrowingMap(Shown, Immutable):
         machine = self._machine and len(touched) + len(new) >= SEVERAL
         limits = self.threshold, tolerance
         try:
-            change = update(tree, touched, new, kept, last, *limits, machine=machine)
+            with uncollected(len(kept)):
+                change = update(tree, touched, new, kept, last, *limits, machine=machine)
         except Undetermined as open_:
             raise _undetermined(contents.variables.some(open_.variables)) from None
         by_numpy = self._by_numpy + (0 if machine else change.fronts)
