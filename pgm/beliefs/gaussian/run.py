@@ -155,7 +155,7 @@ def _calibrated(
     `make` makes the model anew.
     """
     solver = TreeSolver.of(plan, model)
-    if solver.plan is not plan:
+    if solver.plan.noise is not None:
         with suppress(NumericalError):
             found = _iterated(graph, solver, schedule, started=started)
             if not _digits(found)[1]:
