@@ -19,7 +19,7 @@ name              what it is                           what returns it
 `OnlineBelief`    the belief at one step of a loop     `OnlineFilter`'s ``predict``, ``update``
 `Association`     the landmark that one was taken for  ``grown.associations[z]``
 `Growth`          how large a growing map is           ``grown.status``
-`CliqueTree`      a map's cliques, their messages     ``grown.cliques``
+`CliqueTree`      a map's cliques, their messages      ``grown.cliques``
 `MostProbable`    the likeliest assignment             `pgm.most_probable`
 `Audit`           a smoother against the exact answer  `pgm.audit`
 `Comparison`      linearisers side by side             `pgm.compare`
