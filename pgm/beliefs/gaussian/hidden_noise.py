@@ -195,12 +195,12 @@ class HiddenNoise:
             elif exact:
                 exact.append(_left(rest.matrix[..., :0, :], rest.right[..., :0, :], height))
             scales.append(self._scales(model, given, pairs) + each.log_scale)
-        left = Flat(*(np.concatenate(part, axis=1) for part in zip(*exact, strict=True)))
         coarse = given.coarse_exact * max((each.largest for each in done), default=0.0)
+        left = _end_to_end(exact) if exact else None
         return Potentials(
             self.assembly,
-            Flat(*(np.concatenate(part, axis=1) for part in zip(*proper, strict=True))),
-            left if exact and any(part.any() for part in left) else None,
+            _end_to_end(proper),
+            left if left is not None and any(part.any() for part in left) else None,
             np.concatenate(scales, axis=1),
             max(given.coarse, coarse),
         ), done
@@ -240,6 +240,10 @@ class HiddenNoise:
         )
         unit = np.log(model.frame.scale[pairs.places]).sum(axis=1)
         return sum((given.log_scale[:, own] for own in numbers), unit[:, None])
+
+
+def _end_to_end(parts: Sequence[Flat]) -> Flat:
+    return Flat(*(np.concatenate(part, axis=1) for part in zip(*parts, strict=True)))
 
 
 def _some(rows: Flat, entries: Integers, sides: Integers) -> Flat:

@@ -133,7 +133,8 @@ class _Tree:
     def solve(self, anchor: Anchor | None = None) -> Calibrated:
         """The tree with the CPDs as they are linearised now, and an anchor's measurement."""
         to_move = self.to_move and (anchor is not None or not self._arrives)
-        done = self._feasible(self.solver.solve(anchor, to_move=to_move))
+        solved = self.solver.solve(anchor, to_move=to_move)
+        done = self._feasible(solved)
         if not to_move:
             self.given = done
         return done
@@ -161,7 +162,7 @@ class _Controlled(_Tree):
     def solve(self, anchor: Anchor | None = None) -> Calibrated:
         """The solution, with means that obey nonlinear relations themselves, not their lines."""
         _ = self.relations  # which are refused before the work
-        return super().solve(anchor)
+        return _Tree.solve(self, anchor)
 
     def _feasible(self, done: Calibrated) -> Calibrated:
         if not self.relations.nonlinear:

@@ -109,7 +109,7 @@ class Model:
         start: Array | None,
         predictive: Predictive = prior_predictive,
         *,
-        own_units: bool = True,
+        hidden_noise: bool = False,
         judge: Judge | None = None,
     ) -> Model:
         """The model with its evidence, linearised at the prior predictive moments or at a start.
@@ -118,8 +118,8 @@ class Model:
         `predictive` finds the prior's moments, and linearises the CPDs on the way. A nonlinear
         function may be traced, that is, recorded as operations, to find its slopes. What a trace
         gives is compared with the function itself: by the `judge`, when the user's whole call is
-        done; if it is None, at once. `own_units` may be taken for variables of large networks, as
-        `prior_predictive` tells. Without a start, sigma points below a flat
+        done; if it is None, at once. `hidden_noise` says that it will be integrated out, as
+        `prior_predictive` asks. Without a start, sigma points below a flat
         prior, of infinite variance, are a LinearisationError.
         """
         families = [_family(group, bound, lineariser) for group in layout.groups]
@@ -147,8 +147,8 @@ class Model:
                 at = start[:, group.parents].swapaxes(0, 1)
                 family.linearise(slice(None), at, np.zeros((*at.shape, at.shape[-1])))
         find = prior_predictive if start is not None else predictive
-        if find is prior_predictive and not own_units:
-            find = _in_prior_units
+        if find is prior_predictive and hidden_noise:
+            find = _without_hidden_noise
         made = partial(find, layout, families, bound.runs, shared=shared, start=start)
         # What hangs on no evidence is found once.
         constant = start is None and all(
@@ -237,7 +237,7 @@ class Model:
                 family.offset[:, ~active] = before[:, ~active]
 
 
-_in_prior_units = partial(prior_predictive, own_units=False)
+_without_hidden_noise = partial(prior_predictive, hidden_noise=True)
 
 
 def _family(group: Group, bound: BoundValues, lineariser: Lineariser) -> Family:

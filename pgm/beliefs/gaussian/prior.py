@@ -33,12 +33,14 @@ class Frame:
     largest of all runs, with a floor where they are tiny; a flat prior counts as one of variance 1.
     So neither the user's units nor large coordinates cost digits. The mask `certain` (size,) marks
     components without variance in the
-    prior, in all runs: their ξ is zero. With a start none is marked.
+    prior, in all runs: their ξ is zero. With a start none is marked. `by_noise` says that units
+    are of hidden noise, in which rounding cannot be told from relations without noise.
     """
 
     mean: Array
     scale: Array
     certain: Mask
+    by_noise: bool = False
 
 
 # A function with the signature of `prior_predictive`.
@@ -52,7 +54,7 @@ def prior_predictive(
     *,
     shared: bool,
     start: Array | None,
-    own_units: bool = True,
+    hidden_noise: bool = False,
 ) -> Frame:
     """The frame of the prior predictive moments, pushed through the CPDs, parents before children.
 
@@ -60,8 +62,8 @@ def prior_predictive(
     covariances, which are then computed once. Without a `start` nonlinear CPDs are linearised here,
     at the moments of their parents. With a start, (runs, size), they have to be linearised already,
     and the start is the frame's mean; where it is NaN the mean follows from the parents. In large
-    networks the scale is that of the CPDs' own noise where that will do, and if `own_units` may be
-    taken. The scale of a component
+    networks the scale is that of the CPDs' own noise where all have some, or, if `hidden_noise`
+    will be integrated out, that of their noise variables. The scale of a component
     is at least a millionth of the numbers that its mean is a sum of.
     """
     mean = np.empty((runs, layout.size)) if start is None else start.copy()
@@ -69,10 +71,12 @@ def prior_predictive(
     size = np.abs(mean).max(axis=0, initial=0.0) if start is not None else np.zeros(layout.size)
     last = 1 if shared else runs
     # Units need not be the prior's, which cost most in large networks, where CPDs have some noise.
-    own = None
+    own, by_noise = None, False
     linear = start is not None or all(family.exact for family in families)
-    if own_units and linear and layout.size > LARGE:
-        own = _own_variances(layout, families, last)
+    if linear and layout.size > LARGE:
+        own, by_noise = _own_variances(layout, families, last)
+    if by_noise and not hidden_noise:
+        own, by_noise = None, False
     own_units = own is not None
     frontier = _Frontier(0 if own_units else variance.shape[0])
     # What was measured has no moments of its own, and asks for its parents' to be linearised alone.
@@ -134,15 +138,18 @@ def prior_predictive(
     # No unit is smaller than the rounding of the numbers that a mean is the sum of.
     scale = np.maximum(scale, SHARE * size)
     certain = (variance == 0.0).all(axis=0) & (start is None)
-    return Frame(mean, np.where(scale > 0.0, scale, 1.0), certain)
+    return Frame(mean, np.where(scale > 0.0, scale, 1.0), certain, by_noise)
 
 
-def _own_variances(layout: Layout, families: list[Family], last: int) -> list[Array] | None:
+def _own_variances(
+    layout: Layout, families: list[Family], last: int
+) -> tuple[list[Array] | None, bool]:
     """The variances (CPDs, V, d) of each group's children by their CPDs' own noise.
 
     Where that is zero it is the noise that parents make which have no other child, and no hidden
     parents themselves.
-    The result is None where some hidden component has neither; CPDs have to be linearised.
+    The second result tells whether it is so anywhere. The first is None where some hidden component
+    has neither; CPDs have to be linearised.
     """
     found, groups = [], layout.groups
     parents = np.concatenate([group.parents.ravel() for group in groups])
@@ -154,14 +161,16 @@ def _own_variances(layout: Layout, families: list[Family], last: int) -> list[Ar
         if not group.observed and not group.parents.shape[1]:
             above[:, group.child] = found[-1].swapaxes(0, 1)
     above[:, shared] = 0.0
+    by_noise = False
     for g, (group, family) in enumerate(zip(groups, families, strict=True)):
         if group.observed or (found[g] > 0.0).all():
             continue
+        by_noise = True
         made = above[:, group.parents].swapaxes(0, 1)
         found[g] = np.where(found[g] > 0.0, found[g], apply(family.matrix[:, :last] ** 2, made))
         if not (found[g] > 0.0).all():
-            return None
-    return found
+            return None, False
+    return found, by_noise
 
 
 class _Frontier:

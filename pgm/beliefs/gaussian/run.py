@@ -26,7 +26,7 @@ from pgm.beliefs.gaussian.outcome import GaussianOutcome
 from pgm.beliefs.gaussian.reweighting import require_weighable
 from pgm.beliefs.gaussian.rounds import Rounds
 from pgm.beliefs.gaussian.row_buffer import Buffer
-from pgm.beliefs.gaussian.solving import TreeSolver
+from pgm.beliefs.gaussian.solving import TreeSolver, may_be_large
 from pgm.beliefs.gaussian.tree import TreePlan
 from pgm.clustergraph import ClusterGraph
 from pgm.cpds import AffineCPD
@@ -111,7 +111,7 @@ def _solved(
     make = partial(Model.make, plan.layout, bound, lineariser, at, judge=judge)
     loopy = isinstance(schedule, Loopy)
     try:
-        model = make()
+        model = make(hidden_noise=not loopy and may_be_large(plan))
         again = again and not model.flat  # decimals need a joint of all variables
         if isinstance(schedule, Loopy):
             found = _sent(plan, Buffer.make(plan.rounds, model), schedule)
@@ -155,12 +155,12 @@ def _calibrated(
     `make` makes the model anew.
     """
     solver = TreeSolver.of(plan, model)
-    if solver.plan.noise is not None:
+    if solver.plan.noise is not None or model.frame.by_noise:
         with suppress(NumericalError):
             found = _iterated(graph, solver, schedule, started=started)
             if not _digits(found)[1]:
                 return found
-        solver = TreeSolver(plan, make(own_units=False))
+        solver = TreeSolver(plan, make())
     return _iterated(graph, solver, schedule, started=started)
 
 

@@ -30,6 +30,7 @@ from pgm.beliefs.gaussian.tree import (
     read_back,
 )
 from pgm.compile.machine import COMPILED
+from pgm.errors import NumericalError
 from pgm.kernels.arrays import LOG_2PI, Array, frozen
 from pgm.kernels.rows import NEGLIGIBLE
 from pgm.schedules.iteration import Anchor
@@ -99,10 +100,13 @@ class TreeSolver:
     def _with_noise(self, potentials: Potentials, to_move: bool) -> Calibrated:
         noise = self.plan.noise
         if noise is None:
+            if self.model.frame.by_noise:
+                self._require_proper(potentials)
             done = self._solved(potentials, to_move)
         else:
             potentials, given = noise.integrated(self.model, potentials)
             exact = potentials.exact is not None
+            self._require_proper(potentials)
             done = self._solved(potentials, to_move)
             done = read_back(self.plan, noise, done, given, exact=exact)
         sizes = done.sizes
@@ -111,6 +115,11 @@ class TreeSolver:
         residual = potentials.largest_residual(done.beliefs.in_frame()[0])
         information = potentials.column_squares()
         return replace(done, sizes=sizes._replace(information=information, residual=residual))
+
+    def _require_proper(self, potentials: Potentials) -> None:
+        """Refuse relations that are left without noise, which ask for all noise in the tree."""
+        if potentials.exact is not None:
+            raise NumericalError("relations without noise are left beside hidden noise")
 
     def _solved(self, potentials: Potentials, to_move: bool) -> Calibrated:
         if self._pays:
@@ -175,6 +184,11 @@ class TreeSolver:
 
 def _is_large(plan: TreePlan, model: Model) -> bool:
     return len(plan.fronts) * (1 if model.shared else model.runs) >= MANY
+
+
+def may_be_large(plan: TreePlan) -> bool:
+    """Whether hidden noise is integrated out of a tree in any case, if there is some."""
+    return bool(plan.layout.graph.compiled) or len(plan.fronts) >= MANY
 
 
 @dataclass(frozen=True, eq=False)

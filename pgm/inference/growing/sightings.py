@@ -108,7 +108,7 @@ class OpenSightings:
         seen = np.zeros((every, height), dtype=bool)
         alike: dict[Hashable, list[int]] = {}
         for k, each in enumerate(self.given):
-            alike.setdefault(each.key, []).append(k)
+            alike.setdefault((each.key, each.parents.index(self.parent)), []).append(k)
         for rows in alike.values():
             own = [self.given[k] for k in rows]
             size = own[0].cpd.child.dimension
@@ -126,13 +126,23 @@ class OpenSightings:
         wide = np.broadcast_to(alone, (every, 1, count, height, height))
         spread = moments.predict(self._spreads[None, None], matrix, wide)
         size_of = np.broadcast_to(seen.sum(axis=-1)[:, None, None], (every, 1, count))
-        pairs = association.paired(matrix, residual, wide, spread, size_of)
+        with np.errstate(all="ignore"):  # squares that overflow are refused
+            pairs = association.paired(matrix, residual, wide, spread, size_of)
         vague = np.flatnonzero(~(pairs.share > 0.0).all(axis=(1, 2)))
         if vague.size:
             cpd = self.given[vague[0]].cpd
             raise NumericalError(
                 f"{cpd!r}: an innovation has no variance in a component, or two that are one, so "
                 "that candidates cannot be compared; give the sensor some noise",
+                variable=cpd.child,
+                cpd=cpd,
+            )
+        far = np.flatnonzero(~np.isfinite(pairs.square).all(axis=(1, 2)))
+        if far.size:
+            cpd = self.given[far[0]].cpd
+            raise NumericalError(
+                f"{cpd!r}: its reading is more than 1e150 deviations from a candidate, whose "
+                "density float64 cannot hold; check the reading, or give the sensor more noise",
                 variable=cpd.child,
                 cpd=cpd,
             )

@@ -195,6 +195,35 @@ def test_noise_that_is_much_sharper_than_all_else_keeps_its_digits(way):
     assert_allclose(posterior[u[3]].mean / 1e-9, 0.5e-9, rtol=1e-5)
 
 
+def test_readings_without_noise_that_were_not_taken(way):
+    x, u, y = pgm.variables("x u y")
+    cpds = [*(pgm.GaussianCPD(v, 0.5, 1.0) for v in (x, u))]
+    cpds.append(pgm.LinearGaussianCPD(y, {x: 1.0, u: 1.0}, cov=0.0))
+    found = pgm.infer(pgm.compile(pgm.BayesianNetwork(cpds)), {y: [[np.nan], [2.0]]})
+    assert_allclose(found[u].mean, [[0.5], [1.0]], atol=1e-14)
+    assert_allclose(found[u].cov[:, 0, 0], [1.0, 0.5], atol=1e-14)
+    alone = pgm.infer(pgm.compile(pgm.BayesianNetwork(cpds)), {y: [np.nan]})
+    assert_allclose([alone[x].mean[0], alone.log_evidence], [0.5, 0.0], atol=1e-14)
+
+
+def test_relations_that_are_left_keep_the_units_of_the_prior(way):
+    """Noise of 1e-9 is lost beside 1e8: the relation stays, and is as exact as ever."""
+    q, y = (pgm.Variable(name, ("a", "b")) for name in "qy")
+    u, z = pgm.Variable("u", ("a", "b")), pgm.Variable("z")
+    slope = np.array([[1.0, 0.5], [-2.0, -1.0]])  # of rank one
+    cpds = [
+        pgm.GaussianCPD(q, np.zeros(2), 1e16),
+        pgm.GaussianCPD(u, np.zeros(2), 1e-18),
+        pgm.LinearGaussianCPD(y, {q: slope, u: np.eye(2)}, cov=np.zeros(2)),
+        pgm.LinearGaussianCPD(z, {q: np.array([[0.3, 0.4]])}, cov=1e14),
+    ]
+    found = pgm.infer(pgm.compile(pgm.BayesianNetwork(cpds)), {z: 1e8})
+    row = np.array([0.3, 0.4])
+    gain = 1e16 * row / (1e16 * row @ row + 1e14)
+    spread = 1e16 * np.eye(2) - np.outer(gain, 1e16 * row)
+    assert_moments(found[y].mean, found[y].cov, slope @ gain * 1e8, slope @ spread @ slope.T, 1e-9)
+
+
 def test_contradictions_are_refused(way):
     x, u, y, z = pgm.variables("x u y z")
     cpds = [

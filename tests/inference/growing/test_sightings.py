@@ -416,3 +416,23 @@ def test_associations_are_shown():
         one[seen.child] = found
     with pytest.raises(ValueError, match="read-only"):
         found.probability[0] = 1.0
+
+
+def test_sensors_may_list_their_parents_in_any_order():
+    x, m, a, b, z, w = pgm.variables("x m a b z w")
+    grown = pgm.GrowingMap().add([pgm.GaussianCPD(v, k, 1.0) for k, v in enumerate((x, a, b))])
+    one = pgm.LinearGaussianCPD(z, {m: 1.0, x: -1.0}, cov=0.1)
+    other = pgm.LinearGaussianCPD(w, {x: -1.0, m: 1.0}, cov=0.1)
+    found = grown.add([one, other], {z: 1.0, w: 2.0, m: pgm.unknown([a, b])}).associations
+    for cpd, value in ((one, 1.0), (other, 2.0)):
+        alone = grown.add(cpd, {cpd.child: value, m: pgm.unknown([a, b])}).associations
+        assert found[cpd.child].probability == pytest.approx(alone[cpd.child].probability)
+
+
+def test_readings_beyond_all_densities_are_refused():
+    x, m, a, b, z = pgm.variables("x m a b z")
+    grown = pgm.GrowingMap().add([pgm.GaussianCPD(v, k, 1.0) for k, v in enumerate((x, a, b))])
+    sees = pgm.LinearGaussianCPD(z, {m: 1.0, x: -1.0}, cov=0.1)
+    with pytest.raises(pgm.NumericalError, match="more than 1e150 deviations") as info:
+        grown.add(sees, {z: 1e160, m: pgm.unknown([a, b])})
+    assert info.value.cpd is sees
