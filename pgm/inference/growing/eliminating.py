@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from pgm.inference.growing.factors import Rows
-from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.kernels.machine.fronts.plan import KeepingPlan
 from pgm.kernels.rows import NEGLIGIBLE
 
@@ -66,7 +67,7 @@ def _by_numpy(fronts: Sequence[Posed]) -> list[Found] | int:
         # The largest rows first, which keeps digits.
         order = np.argsort(-np.abs(matrix[:, :size]).max(axis=1), kind="stable")
         factor = dgeqrf(matrix[order])[0]
-        factor = np.triu(factor[:size])
+        factor = factor[:size] * _upper(size)
         inside = factor[:own, :own]
         pivots = inside.diagonal()
         proper = np.abs(pivots) > NEGLIGIBLE * np.sqrt((inside * inside).sum(axis=0))
@@ -82,6 +83,12 @@ def _by_numpy(fronts: Sequence[Posed]) -> list[Found] | int:
             waiting[parent].append((above, left))
         waiting[k] = []
     return found
+
+
+@lru_cache(maxsize=64)
+def _upper(size: int) -> Array:
+    """Ones on and above a diagonal, and that of the right side beyond, (size, size + 1)."""
+    return frozen(np.triu(np.ones((size, size + 1))))
 
 
 def _by_machine(fronts: Sequence[Posed]) -> list[Found] | int:

@@ -28,7 +28,7 @@ from pgm.linearisers.numbering import COUNTED
 from pgm.variables import Variable
 
 # Shares of variances, given the components before, from which on their order makes no difference.
-PLAIN = 1e-2
+PLAIN = 1e-4
 # Values of the variables with evidence, (d,) each.
 Known = Mapping[Variable, Array]
 # By their keys, the first CPDs that have come of each.
