@@ -7,7 +7,7 @@ columns of means that go with each; a batch is of B blocks.
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,20 +18,17 @@ from pgm.kernels.arrays import Array, apply, deviation, transpose
 CERTAIN = 1e-28
 
 
-class Conditional(Protocol):
-    """The pivots x of a batch of blocks, given separators s."""
+class Regression(NamedTuple):
+    """The pivots of a batch of blocks given their separators.
 
-    @property
-    def gain(self) -> Array:
-        """(V, B, p, s)."""
+    gain: (V, B, p, s).
+    offset: (V, B, p, N).
+    noise: (V, B, p, p).
+    """
 
-    @property
-    def offset(self) -> Array:
-        """(V, B, p, N)."""
-
-    @property
-    def noise(self) -> Array:
-        """(V, B, p, p)."""
+    gain: Array
+    offset: Array
+    noise: Array
 
 
 class Moments(NamedTuple):
@@ -41,7 +38,7 @@ class Moments(NamedTuple):
     cov: Array
 
 
-def moments(given: Conditional, mean: Array, cov: Array, *, exact: bool) -> Moments:
+def moments(given: Regression, mean: Array, cov: Array, *, exact: bool) -> Moments:
     """The moments of blocks, from means (V, B, s, N) and covariances (V, B, s, s) of separators.
 
     `exact` says that relations without noise may determine some pivots.
@@ -59,7 +56,7 @@ def moments(given: Conditional, mean: Array, cov: Array, *, exact: bool) -> Mome
     return Moments(means, covs)
 
 
-def magnified(given: Conditional, cov: Array, found: Array) -> float:
+def magnified(given: Regression, cov: Array, found: Array) -> float:
     """How much larger the summands of a pivot's variance are than itself, at the most.
 
     `cov` (V, B, s, s) are the separators' covariances, `found` (V, B, n, n) those of the blocks.

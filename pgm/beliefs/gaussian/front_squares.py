@@ -19,23 +19,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pgm.beliefs.gaussian.downward import Regression
 from pgm.beliefs.gaussian.front_stacks import FrontStacks
 from pgm.beliefs.gaussian.potentials import Potentials
 from pgm.beliefs.gaussian.rounds import Stack
 from pgm.kernels.arrays import Array, Integers, transpose
-
-
-class Regression(NamedTuple):
-    """The pivots x of a stack's fronts given separators s: x = gain s + offset + v, cov v = noise.
-
-    gain: (V, B, p, s).
-    offset: (V, B, p, N).
-    noise: (V, B, p, p).
-    """
-
-    gain: Array
-    offset: Array
-    noise: Array
 
 
 class _Place(NamedTuple):

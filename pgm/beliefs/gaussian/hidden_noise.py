@@ -26,6 +26,7 @@ import numpy as np
 from pgm.beliefs.gaussian.assembly import Assembly, Given
 from pgm.beliefs.gaussian.beliefs import Flat
 from pgm.beliefs.gaussian.blocks import Blocks
+from pgm.beliefs.gaussian.downward import Regression
 from pgm.beliefs.gaussian.layout import Layout
 from pgm.beliefs.gaussian.model import Model
 from pgm.beliefs.gaussian.potentials import Potentials
@@ -179,13 +180,13 @@ class HiddenNoise:
             first += len(item.places)
         return _joined(entries), _joined(rows), _joined(numbers)
 
-    def integrated(self, model: Model, given: Potentials) -> tuple[Potentials, list[Eliminated]]:
+    def integrated(self, model: Model, given: Potentials) -> tuple[Potentials, list[Regression]]:
         """The factors that are left of those `given`, and the conditionals of noise variables."""
         entries, rows, numbers = self._stays
         done = [self._eliminated(model, given, pairs) for pairs in self.pairs]
         heights = [item.height for item in self.assembly.factors[-len(done) :]]
-        proper = [_some(given.proper, entries, rows)]
-        exact = [] if given.exact is None else [_some(given.exact, entries, rows)]
+        proper = [Flat(*given.proper.at(entries, rows))]
+        exact = [] if given.exact is None else [Flat(*given.exact.at(entries, rows))]
         scales = [given.log_scale[:, numbers]]
         for pairs, each, height in zip(self.pairs, done, heights, strict=True):
             rest = each.rest
@@ -196,14 +197,14 @@ class HiddenNoise:
                 exact.append(_left(rest.matrix[..., :0, :], rest.right[..., :0, :], height))
             scales.append(self._scales(model, given, pairs) + each.log_scale)
         coarse = given.coarse_exact * max((each.largest for each in done), default=0.0)
-        left = _end_to_end(exact) if exact else None
-        return Potentials(
+        left = Potentials(
             self.assembly,
             _end_to_end(proper),
-            left if left is not None and any(part.any() for part in left) else None,
+            _end_to_end(exact) if any(part.any() for each in exact for part in each) else None,
             np.concatenate(scales, axis=1),
             max(given.coarse, coarse),
-        ), done
+        )
+        return left, [Regression(each.gain, each.offset, each.noise) for each in done]
 
     def _eliminated(self, model: Model, given: Potentials, pairs: Pairs) -> Eliminated:
         """The integral over noise variables of their rows, those of their CPDs, and an anchor's."""
@@ -243,11 +244,7 @@ class HiddenNoise:
 
 
 def _end_to_end(parts: Sequence[Flat]) -> Flat:
-    return Flat(*(np.concatenate(part, axis=1) for part in zip(*parts, strict=True)))
-
-
-def _some(rows: Flat, entries: Integers, sides: Integers) -> Flat:
-    return Flat(rows.matrix[:, entries], rows.right[:, sides])
+    return Flat.of([part.matrix for part in parts], [part.right for part in parts])
 
 
 def _left(matrix: Array, right: Array, height: int) -> Flat:

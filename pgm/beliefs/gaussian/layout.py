@@ -3,7 +3,8 @@
 The components of all hidden variables make one vector, (size,), and the *place* of a component is
 its index there; its *column* is its index in the scope of a cluster. A *group* is made of the CPDs
 of one plate (`pgm.cpds.plates`), or of copies of one at the steps of an unrolled chain, that have
-evidence for the same of their variables.
+evidence for the same of their variables. The factors of CPDs, with their matrices A, are those of
+`assembly`.
 """
 
 from __future__ import annotations

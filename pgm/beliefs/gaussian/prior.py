@@ -63,8 +63,8 @@ def prior_predictive(
     at the moments of their parents. With a start, (runs, size), they have to be linearised already,
     and the start is the frame's mean; where it is NaN the mean follows from the parents. In large
     networks the scale is that of the CPDs' own noise where all have some, or, if `hidden_noise`
-    will be integrated out, that of their noise variables. The scale of a component
-    is at least a millionth of the numbers that its mean is a sum of.
+    will be integrated out, that of their noise variables. The scale of a component is at least a
+    millionth of the numbers that its mean is a sum of.
     """
     mean = np.empty((runs, layout.size)) if start is None else start.copy()
     variance = np.zeros((1 if shared else runs, layout.size))

@@ -25,8 +25,8 @@ import numpy as np
 from pgm.beliefs.gaussian.assembly import Assembly
 from pgm.beliefs.gaussian.beliefs import Beliefs, Calibrated, Places, Sizes
 from pgm.beliefs.gaussian.blocks import Blocks
-from pgm.beliefs.gaussian.downward import Conditional, certain, magnified, moments
-from pgm.beliefs.gaussian.front_squares import FrontSquares, Regression
+from pgm.beliefs.gaussian.downward import Regression, certain, magnified, moments
+from pgm.beliefs.gaussian.front_squares import FrontSquares
 from pgm.beliefs.gaussian.front_stacks import FrontStacks
 from pgm.beliefs.gaussian.fronts import FEW, SEVERAL, Fronts
 from pgm.beliefs.gaussian.hidden_noise import Candidates, HiddenNoise
@@ -39,7 +39,6 @@ from pgm.beliefs.gaussian.row_buffer import Buffer
 from pgm.clustergraph.structure import Forest
 from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.kernels.machine.fronts.plan import Plan
-from pgm.kernels.rows import Eliminated
 from pgm.progress import counted
 
 
@@ -222,7 +221,7 @@ def read_back(
     plan: TreePlan,
     noise: HiddenNoise,
     done: Calibrated,
-    given: Sequence[Eliminated],
+    given: Sequence[Regression],
     *,
     exact: bool,
 ) -> Calibrated:
@@ -317,7 +316,7 @@ def calibrate_by_squares(
 def _back(
     plan: TreePlan,
     frame: Frame,
-    kept: Sequence[Sequence[Conditional]],
+    kept: Sequence[Sequence[Regression]],
     *,
     exact: bool,
     measured: bool,

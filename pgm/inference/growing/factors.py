@@ -27,7 +27,8 @@ from pgm.linearisers.function import Source
 from pgm.linearisers.numbering import COUNTED
 from pgm.variables import Variable
 
-# Shares of variances, given the components before, from which on their order makes no difference.
+# Shares of variances, given the components before, from which on their order is left as it is: the
+# root of the information keeps twelve digits.
 PLAIN = 1e-4
 # Values of the variables with evidence, (d,) each.
 Known = Mapping[Variable, Array]

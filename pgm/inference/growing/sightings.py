@@ -128,25 +128,25 @@ class OpenSightings:
         size_of = np.broadcast_to(seen.sum(axis=-1)[:, None, None], (every, 1, count))
         with np.errstate(all="ignore"):  # squares that overflow are refused
             pairs = association.paired(matrix, residual, wide, spread, size_of)
-        vague = np.flatnonzero(~(pairs.share > 0.0).all(axis=(1, 2)))
-        if vague.size:
-            cpd = self.given[vague[0]].cpd
-            raise NumericalError(
-                f"{cpd!r}: an innovation has no variance in a component, or two that are one, so "
-                "that candidates cannot be compared; give the sensor some noise",
-                variable=cpd.child,
-                cpd=cpd,
-            )
-        far = np.flatnonzero(~np.isfinite(pairs.square).all(axis=(1, 2)))
-        if far.size:
-            cpd = self.given[far[0]].cpd
-            raise NumericalError(
-                f"{cpd!r}: its reading is more than 1e150 deviations from a candidate, whose "
-                "density float64 cannot hold; check the reading, or give the sensor more noise",
-                variable=cpd.child,
-                cpd=cpd,
+        self._require(
+            np.asarray((pairs.share > 0.0).all(axis=(1, 2))),
+            "an innovation has no variance in a component, or two that are one, so that candidates "
+            "cannot be compared; give the sensor some noise",
+        )
+        unknown = self.unknown
+        if unknown.gate is None and np.isneginf(unknown.log_outliers).all():
+            self._require(
+                np.asarray(np.isfinite(pairs.square).any(axis=(1, 2))),
+                "its reading is more than 1e150 deviations from all candidates, whose densities "
+                "float64 cannot hold; check the reading, or give pgm.unknown a gate",
             )
         return pairs, seen
+
+    def _require(self, fits: Mask, why: str) -> None:
+        """Refuse the first sighting that does not fit, (sightings,), by a NumericalError."""
+        if not fits.all():
+            cpd = self.given[int(np.argmin(fits))].cpd
+            raise NumericalError(f"{cpd!r}: {why}", variable=cpd.child, cpd=cpd)
 
     @property
     def _width(self) -> int:

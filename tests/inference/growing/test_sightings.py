@@ -436,3 +436,5 @@ def test_readings_beyond_all_densities_are_refused():
     with pytest.raises(pgm.NumericalError, match="more than 1e150 deviations") as info:
         grown.add(sees, {z: 1e160, m: pgm.unknown([a, b])})
     assert info.value.cpd is sees
+    beyond = grown.add(sees, {z: 1e160, m: pgm.unknown([a, b], gate=0.999)})
+    assert beyond.associations[z].candidate == -1
