@@ -15,9 +15,9 @@ from pgm.evidence import UnknownVariable, bind_values
 from pgm.evidence.values import require_whole
 from pgm.factors.scope import as_value, listed, one_name_each
 from pgm.inference.growing.factors import Factor, Given, predicted, probe, whitened
+from pgm.inference.growing.means import Means
 from pgm.inference.growing.open_parents import open_parents
 from pgm.inference.growing.registers import Register
-from pgm.inference.growing.tree import Tree
 from pgm.inference.growing.vectors import Vector
 from pgm.kernels.arrays import Array, Mask, frozen
 from pgm.linearisers import Lineariser, Taylor
@@ -148,7 +148,7 @@ class Added(NamedTuple):
         """All values that are known."""
         return _Both(self.before.known, self.known)
 
-    def starts(self, tree: Tree, start: Start | None, lineariser: Lineariser) -> list[Array]:
+    def starts(self, means: Means, start: Start | None, lineariser: Lineariser) -> list[Array]:
         """The points of the new hidden variables."""
         told = as_mapping(start, "start")
         for variable in told:
@@ -171,7 +171,7 @@ class Added(NamedTuple):
             elif isinstance(cpd, GaussianCPD):
                 found[child] = np.array(cpd.mean)
             else:
-                at = [found[v] if v in found else tree.mean(numbers[v]) for v in each.parents]
+                at = [found[v] if v in found else means.of(numbers[v]) for v in each.parents]
                 parents = np.concatenate([np.zeros(0), *at])
                 found[child] = predicted(each, parents, self.every, lineariser)
         return [found[variable] for variable in self.hidden]

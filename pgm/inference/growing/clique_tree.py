@@ -20,6 +20,7 @@ from pgm.inference.growing.cliques import Clique, columns, spread
 from pgm.inference.growing.covariances import Covariances
 from pgm.inference.growing.eliminating import Posed, eliminated
 from pgm.inference.growing.factors import Rows
+from pgm.inference.growing.means import Means
 from pgm.inference.growing.vectors import Vector
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
@@ -73,12 +74,15 @@ class CliqueTree(Shown, Immutable):
     _cliques: Sequence[Clique]
     _parent: Sequence[int]
     _children: Sequence[Sequence[int]]
+    _means: Means
     _covariances: Covariances
     _contents: Contents
     _touched: Scope
     _down: dict[int, Rows]
 
-    def __init__(self, covariances: Covariances, contents: Contents, touched: Scope) -> None:
+    def __init__(
+        self, means: Means, covariances: Covariances, contents: Contents, touched: Scope
+    ) -> None:
         tree, named = covariances.tree, contents.variables
         fresh = {tree.homes[contents.numbers[v]].lead for v in touched}
         cliques = _nearest_first({c.lead: c for c in tree.homes}, tree.parents, fresh)
@@ -103,6 +107,7 @@ class CliqueTree(Shown, Immutable):
             _cliques=cliques,
             _parent=parent,
             _children=children,
+            _means=means,
             _covariances=covariances,
             _contents=contents,
             _touched=touched,
@@ -111,7 +116,7 @@ class CliqueTree(Shown, Immutable):
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Cliques hold those below them, to any depth.
-        return CliqueTree, (self._covariances, self._contents, self._touched)
+        return CliqueTree, (self._means, self._covariances, self._contents, self._touched)
 
     def __len__(self) -> int:
         return len(self.clusters)
@@ -154,8 +159,8 @@ class CliqueTree(Shown, Immutable):
 
     def joint(self, *variables: Variable) -> Gaussian:
         """The map's joint belief in some hidden variables; see `GrowingMap.joint`."""
-        tree, numbers = self._covariances.tree, [self._contents.numbers[v] for v in variables]
-        mean = np.concatenate([point.at for point in tree.at_means(numbers)])
+        numbers = [self._contents.numbers[v] for v in variables]
+        mean = np.concatenate(self._means.some(numbers))
         return Gaussian._make(variables, mean, self._covariances.joint(numbers))
 
     def entered(self) -> Mapping[Variable, Array]:

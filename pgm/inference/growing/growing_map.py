@@ -26,6 +26,7 @@ from pgm.inference.growing.clique_tree import CliqueTree
 from pgm.inference.growing.covariances import Covariances
 from pgm.inference.growing.factors import Factor, linearised
 from pgm.inference.growing.growth import Growth
+from pgm.inference.growing.means import Means, everywhere
 from pgm.inference.growing.sightings import OpenSightings
 from pgm.inference.growing.tree import Change, Point, Tree, Undetermined, update
 from pgm.kernels.arrays import Array, deviation
@@ -40,8 +41,6 @@ from pgm.variables import Discrete, Variable
 ENOUGH = 5000
 # and cliques that are eliminated at once, from which on a call of it does.
 SEVERAL = 3
-# So few variables are linearised anew at once, also where it is not their turn.
-AT_ONCE = 5
 # Attributes that a map has of the one before.
 _KEPT = "lineariser", "threshold", "every", "tolerance", "compiled", "associations"
 
@@ -52,10 +51,10 @@ class GrowingMap(Shown, Immutable):
 
     An addition costs what it changes, not what there is. Variables stand in a tree of cliques
     (Kaess et al., 2012, iSAM2): a new CPD touches the cliques on the way from its variables to the
-    root, which are eliminated anew, by Householder's reflections. Variables that have moved by more
-    than `threshold` since their CPDs were linearised have these linearised anew, which touches
-    every clique that holds one. What hangs below keeps its rows, and its means as long as those
-    above hardly move. So the belief is that of Gauss–Newton's last step, or of an earlier one for
+    root, which are eliminated anew, by Householder's reflections; what hangs below keeps its rows.
+    Means are found when they are asked for, and all of them at each tenth addition: variables that
+    have moved by more than `threshold` since their CPDs were linearised then have these linearised
+    anew, which touches every clique that holds one. Below what hardly moves means stay. So the belief is that of Gauss–Newton's last step, or of an earlier one for
     variables within the threshold; `settled` goes on to the end.
 
     Maps are values: `add` returns another one, which shares with this one all that did not change.
@@ -69,8 +68,8 @@ class GrowingMap(Shown, Immutable):
         own units (metres, radians), 0 or more. It matters for variables in which some CPD is not
         linear.
     every : int
-        At each so many additions all variables beyond the threshold are linearised anew; in between
-        where they are five or fewer. With 1 it is at each addition, of means before it.
+        At each so many additions variables beyond the threshold are linearised anew, by the means
+        before it. 1 or more.
     tolerance : float
         How far the separators of a clique may move, as a vector, without that its means are found
         anew: by about so much means lag behind, also of linear CPDs. 0 or more.
@@ -127,7 +126,7 @@ class GrowingMap(Shown, Immutable):
         lineariser: Lineariser = TAYLOR,
         threshold: float = 0.1,
         *,
-        every: int = 10,
+        every: int = 20,
         tolerance: float = 1e-3,
         compiled: bool | None = None,
     ) -> None:
@@ -153,7 +152,7 @@ class GrowingMap(Shown, Immutable):
             _turn=0,
             associations=BySighting({}),
         )
-        self._put(Change(Tree(), (), 0, 0), Contents.empty(), (), 0)
+        self._put(Change(Tree(), (), 0), Contents.empty(), (), 0)
 
     def _put(
         self, change: Change, contents: Contents, relinearised: Sequence[int], by_numpy: int
@@ -169,7 +168,6 @@ class GrowingMap(Shown, Immutable):
                 len(change.touched),
                 len(relinearised),
                 change.fronts,
-                change.solved,
             ),
             _tree=change.tree,
             _contents=contents,
@@ -244,20 +242,24 @@ class GrowingMap(Shown, Immutable):
         (array([2.167]), array([2.]))
         """
         added = Added.checked(self._contents, cpds, as_mapping(evidence, "evidence"))
-        starts = added.starts(self._tree, start, self.lineariser)
+        starts = added.starts(self._means, start, self.lineariser)
         turn = (self._turn + 1) % self.every
-        moved = () if turn and len(self._tree.moved) > AT_ONCE else self._tree.moved
-        found = self._grown(added.named, starts, moved, turn)
+        tree, moved = (self._tree, {}) if turn else everywhere(self._tree, self.tolerance)
+        found = self._grown(added.named, starts, tree, moved, turn)
         found._set(associations=BySighting({}))
         for parent, unknown in added.opened.items():
             found = found._identified(added, parent, unknown)
         return found
 
     def _grown(
-        self, added: Added, starts: Sequence[Array], moved: Sequence[int], turn: int
+        self,
+        added: Added,
+        starts: Sequence[Array],
+        tree: Tree,
+        moved: Mapping[int, Array],
+        turn: int,
     ) -> GrowingMap:
-        """The map with CPDs whose parents all have names; `moved` are to be linearised anew."""
-        tree = self._tree
+        """The map with CPDs whose parents all have names; see `_updated`."""
         new = range(len(tree.points), len(tree.points) + len(added.hidden))
         numbers = dict(zip(added.hidden, new, strict=True))
         factors = added.factors(self._contents, numbers)
@@ -268,21 +270,23 @@ class GrowingMap(Shown, Immutable):
                 points[v] = Point(tree.points[v].at, True)
         tree = replace(tree, points=tree.points.replaced(points))
         contents = added.contents(self._contents, numbers)
-        return self._updated(tree, contents, new, factors, moved, self.tolerance, turn)
+        return self._updated(tree, contents, new, factors, moved, turn)
 
     def _identified(self, added: Added, parent: Variable, unknown: UnknownVariable) -> GrowingMap:
         """The map with the sightings that leave one parent open, by what they are taken for."""
         contents, given = self._contents, added.sightings(parent)
-        open_ = parent, unknown, given, added.taken, contents.numbers, self._covariances
+        open_ = parent, unknown, given, added.taken, contents.numbers, self._means
         known = added.every
-        taken = OpenSightings(*open_).associated(known, contents.plates, self.lineariser)
+        open_sightings = OpenSightings(*open_, self._covariances)
+        taken = open_sightings.associated(known, contents.plates, self.lineariser)
         named = [
             each.naming(parent, landmark)
             for each in given
             if (landmark := taken[each.cpd.child].variable) is not None
         ]
-        found = self._grown(added.part(named, contents), (), (), self._turn) if named else self
+        found = self
         if named:
+            found = self._grown(added.part(named, contents), (), self._tree, {}, self._turn)
             touched = tuple(dict.fromkeys((*self.touched, *found.touched)))
             status = found.status._after(self.status, len(touched))
             found._set(touched=touched, relinearised=self.relinearised, status=status)
@@ -313,20 +317,18 @@ class GrowingMap(Shown, Immutable):
         NumericalError
             If means still move after the last step.
         """
-        found = self
+        found, every = self, range(len(self._tree.points))
+        moves = dict(zip(every, self._means.distances(every), strict=True))
+        most = np.inf
         for _ in range(iterations):
-            tree = found._tree
-            every = range(len(tree.points))
-            if not every:
-                return found
-            found = found._updated(tree, found._contents, (), (), every, 0.0)
-            tree = found._tree
-            bent = [v for v in every if tree.points[v].bends]
-            moves = [np.abs(distance).max() for distance in tree.distances(bent)]
-            if max(moves, default=0.0) <= tolerance:
+            found = found._updated(found._tree, found._contents, (), (), moves)
+            moves = dict(zip(every, found._means.distances(every), strict=True))
+            bent = [v for v in every if found._tree.points[v].bends]
+            most = max((np.abs(moves[v]).max() for v in bent), default=0.0)
+            if most <= tolerance:
                 return found
         raise NumericalError(
-            f"after {iterations} steps a mean still moves by {max(moves):.3g}; give more "
+            f"after {iterations} steps a mean still moves by {most:.3g}; give more "
             "iterations, a larger tolerance, or infer the network with "
             "damping=pgm.LevenbergMarquardt()"
         )
@@ -337,20 +339,23 @@ class GrowingMap(Shown, Immutable):
         contents: Contents,
         new: Sequence[int],
         more: Sequence[Factor],
-        moved: Sequence[int],
-        tolerance: float,
+        moved: Mapping[int, Array],
         turn: int = 0,
     ) -> GrowingMap:
-        """The map after an update of the tree; `moved` are variables to linearise anew."""
+        """The map after an update of the tree.
+
+        `moved` are the variables to linearise anew, each so far from its point.
+        """
         first = new[0] if new else len(tree.points)
         last = {v for factor in more for v in factor.scope}
         seeds = [tree.homes[v] for v in last if v < first]
         touched = tree.upwards([*seeds, *tree.holding(moved)])
         again, kept = list(more), []
         if moved:
-            moves = dict(zip(moved, tree.at_means(moved), strict=True))
-            tree = replace(tree, points=tree.points.replaced(moves))
-        apart = set(moved).isdisjoint
+            before = zip(moved.items(), tree.points.some(moved), strict=True)
+            points = {v: Point(p.at + distance, p.bends) for (v, distance), p in before}
+            tree = replace(tree, points=tree.points.replaced(points))
+        apart = moved.keys().isdisjoint
         for clique in touched.values():
             if not moved:
                 kept += clique.factors
@@ -361,23 +366,22 @@ class GrowingMap(Shown, Immutable):
                 else:
                     again.append(pair[0])
         scope = list(dict.fromkeys(v for factor in again for v in factor.scope))
-        points = {v: p.at for v, p in zip(scope, tree.points.some(scope), strict=True)}
-        rows = linearised(again, points, contents.known, contents.plates, self.lineariser)
+        at = {v: p.at for v, p in zip(scope, tree.points.some(scope), strict=True)}
+        rows = linearised(again, at, contents.known, contents.plates, self.lineariser)
         kept += zip(again, rows, strict=True)
         found: GrowingMap = object.__new__(type(self))
         found._set(**{name: getattr(self, name) for name in _KEPT}, _turn=turn)
         if not touched and not new:
-            found._put(Change(tree, (), 0, 0), contents, (), self._by_numpy)
+            found._put(Change(tree, (), 0), contents, (), self._by_numpy)
             return found
         machine = self._machine and len(touched) + len(new) >= SEVERAL
-        limits = self.threshold, tolerance
         try:
             with uncollected(len(kept)):
-                change = update(tree, touched, new, kept, last, *limits, machine=machine)
+                change = update(tree, touched, new, kept, last, self.threshold, machine=machine)
         except Undetermined as open_:
             raise _undetermined(contents.variables.some(open_.variables)) from None
         by_numpy = self._by_numpy + (0 if machine else change.fronts)
-        found._put(change, contents, moved, by_numpy)
+        found._put(change, contents, tuple(moved), by_numpy)
         return found
 
     @property
@@ -400,12 +404,12 @@ class GrowingMap(Shown, Immutable):
     def __getitem__(self, variable: Variable) -> Gaussian:
         """The belief in a hidden variable."""
         number = self._number(variable)
-        return Gaussian._make((variable,), self._tree.mean(number), self._covariances.of(number))
+        return Gaussian._make((variable,), self._means.of(number), self._covariances.of(number))
 
     def means(self, variables: Iterable[Variable]) -> Array:
         """The means of several variables of d components each, stacked, (k, d)."""
         numbers = [self._number(v) for v in alike(variables)]
-        return np.array([point.at for point in self._tree.at_means(numbers)])
+        return np.array(self._means.some(numbers))
 
     def covs(self, variables: Iterable[Variable]) -> Array:
         """The covariances of several variables, each by itself, (k, d, d); see `means`."""
@@ -421,7 +425,7 @@ class GrowingMap(Shown, Immutable):
         if not scope:
             raise EvidenceError("a joint is of one or more variables; there is none")
         numbers = [self._number(v) for v in scope]
-        mean = np.concatenate([point.at for point in self._tree.at_means(numbers)])
+        mean = np.concatenate(self._means.some(numbers))
         return Gaussian._make(scope, mean, self._covariances.joint(numbers))
 
     def _number(self, variable: Variable) -> int:
@@ -431,13 +435,17 @@ class GrowingMap(Shown, Immutable):
         return found
 
     @cached_property
+    def _means(self) -> Means:
+        return Means(self._tree, self.tolerance)
+
+    @cached_property
     def _covariances(self) -> Covariances:
         return Covariances(self._tree)
 
     @cached_property
     def cliques(self) -> CliqueTree:
         """The tree of cliques: their variables and CPDs, potentials, messages and beliefs."""
-        return CliqueTree(self._covariances, self._contents, self.touched)
+        return CliqueTree(self._means, self._covariances, self._contents, self.touched)
 
     @property
     def network(self) -> BayesianNetwork:
@@ -464,7 +472,7 @@ class GrowingMap(Shown, Immutable):
 
     def __getstate__(self) -> dict[str, Any]:
         found = super().__getstate__().items()
-        return {k: v for k, v in found if k not in ("_covariances", "cliques")}
+        return {k: v for k, v in found if k not in ("_means", "_covariances", "cliques")}
 
 
 def _not_hidden(contents: Contents, variable: Any) -> EvidenceError:

@@ -20,8 +20,8 @@ class Growth(Shown):
     touched, relinearised : int
         Hidden variables that the last addition eliminated anew, new ones among them, and those
         whose CPDs it linearised again, since they had moved.
-    eliminated, solved : int
-        Cliques that it eliminated, and cliques whose means it found anew.
+    eliminated : int
+        Cliques that it eliminated.
 
     Examples
     --------
@@ -36,7 +36,6 @@ class Growth(Shown):
     touched: int
     relinearised: int
     eliminated: int
-    solved: int
 
     def _after(self, before: Growth, touched: int) -> Growth:
         """The growth of an addition in two stages, which have touched so many variables."""
@@ -45,7 +44,6 @@ class Growth(Shown):
             touched=touched,
             relinearised=before.relinearised,
             eliminated=before.eliminated + self.eliminated,
-            solved=before.solved + self.solved,
         )
 
     @property
@@ -62,8 +60,7 @@ class Growth(Shown):
     def _last(self) -> str:
         return (
             f"last added: {_counted(self.touched, 'variable')} touched, {self.relinearised} "
-            f"relinearised, {_counted(self.eliminated, 'clique')} eliminated, means of "
-            f"{self.solved} found anew"
+            f"relinearised, {_counted(self.eliminated, 'clique')} eliminated"
         )
 
 

@@ -22,6 +22,7 @@ from pgm.factors.scope import Scope, listed
 from pgm.inference.growing.association import Association
 from pgm.inference.growing.covariances import Covariances
 from pgm.inference.growing.factors import Given, Known, Plates, innovations, measured, noises
+from pgm.inference.growing.means import Means
 from pgm.kernels import association, joint_compatibility, moments
 from pgm.kernels.arrays import Array, Mask, independent
 from pgm.linearisers import Lineariser
@@ -42,8 +43,8 @@ class OpenSightings:
         By sighting the components that were measured, where it is not all, (d,).
     numbers : mapping of Variable to int
         The numbers of the map's variables.
-    covariances : Covariances
-        Those of the map, by its tree.
+    means, covariances
+        Those of the map.
     """
 
     parent: Variable
@@ -51,6 +52,7 @@ class OpenSightings:
     given: Sequence[Given]
     taken: Mapping[Variable, Mask | None]
     numbers: Mapping[Variable, int]
+    means: Means
     covariances: Covariances
 
     def associated(
@@ -175,14 +177,14 @@ class OpenSightings:
         self, given: Sequence[Given], known: Known, plates: Plates, lineariser: Lineariser
     ) -> tuple[Array, Array]:
         """The ν (rows, k, d) of sightings of one key, and slopes by all parents (rows, k, d, n)."""
-        tree, count = self.covariances.tree, len(self._candidates)
-        means = np.array([point.at for point in tree.at_means(self._candidates)])
+        count = len(self._candidates)
+        means = np.array(self.means.some(self._candidates))
         parts: list[Array] = []
         for column in zip(*(each.parents for each in given), strict=True):
             if column[0] == self.parent:
                 parts.append(np.tile(means, (len(given), 1)))
             else:
-                here = np.array([point.at for point in tree.at_means(self._numbers(column))])
+                here = np.array(self.means.some(self._numbers(column)))
                 parts.append(np.repeat(here, count, axis=0))
         rows = [each for each in given for _ in range(count)]
         at = np.concatenate(parts, axis=1)

@@ -30,6 +30,16 @@ class Point(NamedTuple):
     bends: bool
 
 
+class Mean(NamedTuple):
+    """The mean of a clique, its pivots' and then its separators', counted from their points.
+
+    The pivots' were found by those of the separators, (size,).
+    """
+
+    clique: Clique
+    value: Array
+
+
 @dataclass(frozen=True, slots=True)
 class Tree:
     """The cliques of a map, all of which are shared by the trees that it grows to.
@@ -46,10 +56,10 @@ class Tree:
     parents : Vector
         By their leads, the leads of the cliques above cliques; −1 of a root.
     means : Vector
-        By their leads, the means of cliques, their pivots' and then their separators', by which
-        the pivots' were found: distances from the points, (size,).
-    moved : tuple of int
-        The variables that are farther from their points than their limits.
+        By their leads, the means of cliques as they were found last; see `solved`. Of a clique
+        that has been eliminated since it is another clique's.
+    renewed : frozenset of int
+        The roots that have been eliminated since.
     cliques : int
         How many cliques there are.
     """
@@ -57,29 +67,9 @@ class Tree:
     points: Vector[Point] = field(default_factory=Vector)
     homes: Vector[Clique] = field(default_factory=Vector)
     parents: Vector[int] = field(default_factory=Vector)
-    means: Vector[Array] = field(default_factory=Vector)
-    moved: tuple[int, ...] = ()
+    means: Vector[Mean] = field(default_factory=Vector)
+    renewed: frozenset[int] = frozenset()
     cliques: int = 0
-
-    def distances(self, variables: Sequence[int]) -> list[Array]:
-        """The means of variables, counted from their points, (d,) each."""
-        homes = self.homes.some(variables)
-        means = self.means.some([clique.pivots[0] for clique in homes])
-        found = []
-        for variable, clique, mean in zip(variables, homes, means, strict=True):
-            k = clique.pivots.index(variable)
-            begin, *end = clique.first[k : k + 2]
-            found.append(mean[begin : end[0] if end else len(clique.offset)])
-        return found
-
-    def at_means(self, variables: Sequence[int]) -> list[Point]:
-        """The points of variables, moved to their means."""
-        pairs = zip(self.points.some(variables), self.distances(variables), strict=True)
-        return [Point(point.at + distance, point.bends) for point, distance in pairs]
-
-    def mean(self, variable: int) -> Array:
-        """The mean of a variable, (d,)."""
-        return self.at_means([variable])[0].at
 
     def size(self, variable: int) -> int:
         """How many components a variable has."""
@@ -116,6 +106,12 @@ class Tree:
             lead: [(child.lead, above) for child, above in clique.children]
             for lead, clique in cliques.items()
         }
+        means = {lead: self.means.get(lead) for lead in cliques}
+        state["means"] = {
+            lead: mean.value
+            for lead, mean in means.items()
+            if mean is not None and mean.clique is cliques[lead]
+        }
         apart = [replace(clique, children=[]) for clique in cliques.values()]
         return state | {"apart": apart, "below": below}
 
@@ -125,7 +121,9 @@ class Tree:
         for lead, children in below.items():
             cliques[lead].children += [(cliques[child], above) for child, above in children]
         homes = {variable: clique for clique in apart for variable in clique.pivots}
-        for name, value in (state | {"homes": Vector[Clique]().replaced(homes)}).items():
+        means = {lead: Mean(cliques[lead], value) for lead, value in state["means"].items()}
+        state["homes"], state["means"] = Vector().replaced(homes), Vector().replaced(means)
+        for name, value in state.items():
             object.__setattr__(self, name, value)
 
 
@@ -140,14 +138,11 @@ class Change:
         The variables that were eliminated anew.
     fronts : int
         The number of cliques that they are in now.
-    solved : int
-        The number of cliques whose means were found anew.
     """
 
     tree: Tree
     touched: tuple[int, ...]
     fronts: int
-    solved: int
 
 
 def update(
@@ -157,7 +152,6 @@ def update(
     factors: Sequence[tuple[Factor, Rows]],
     last: set[int],
     limit: float,
-    tolerance: float,
     *,
     machine: bool,
 ) -> Change:
@@ -177,8 +171,6 @@ def update(
         Variables to leave last.
     limit : float
         How far a component may be from the point of a variable in which a CPD is not linear.
-    tolerance : float
-        How far separators may move without that it is told below.
     machine : bool
         Whether machine code makes rows triangular.
     """
@@ -218,21 +210,15 @@ def update(
     for child, (k, columns_above) in zip(hanging, posed.hung, strict=True):
         cliques[k].children.append((child, np.array(columns_above)))
         parents[child.pivots[0]] = cliques[k].pivots[0]
-    roots = [clique for front, clique in zip(fronts, cliques, strict=True) if front.parent < 0]
-    fresh = {clique.pivots[0] for clique in cliques}
-    means, moved = _solved(tree, roots, fresh, tolerance)
-    homes_now = tree.homes.replaced(homes)
-    # Those whose means have stayed are where they were.
-    moved += [v for v in tree.moved if homes_now[v].pivots[0] not in means]
+    roots = {clique.lead for front, clique in zip(fronts, cliques, strict=True) if front.parent < 0}
     grown = replace(
         tree,
-        homes=homes_now,
+        homes=tree.homes.replaced(homes),
         parents=tree.parents.replaced(parents),
-        means=tree.means.replaced(means),
-        moved=tuple(moved),
+        renewed=tree.renewed.difference(touched) | roots,
         cliques=tree.cliques - len(touched) + len(cliques),
     )
-    return Change(grown, tuple(variables), len(cliques), len(means))
+    return Change(grown, tuple(variables), len(cliques))
 
 
 class _Posed:
@@ -299,39 +285,3 @@ class _Posed:
             )
             begin = end
         return made
-
-
-def _solved(
-    tree: Tree, roots: Iterable[Clique], fresh: set[int], tolerance: float
-) -> tuple[dict[int, Array], list[int]]:
-    """The means of cliques from the roots down, by lead, and the variables beyond their limits.
-
-    Cliques that are not `fresh` have their means found again where their separators have moved, as
-    one vector, by more than `tolerance` since they were found last.
-    """
-    found: dict[int, Array] = {}
-    visited: list[Clique] = []
-    values: list[Array] = []
-    join, before, least = np.concatenate, tree.means, tolerance**2
-    waiting = [(root, np.zeros(0)) for root in roots]
-    while waiting:
-        clique, known = waiting.pop()
-        lead = clique.pivots[0]
-        if lead not in fresh:
-            away = known - before[lead][len(clique.offset) :]
-            if away.dot(away) <= least:
-                continue
-        own = clique.gain.dot(known)
-        own += clique.offset
-        mean = found[lead] = join((own, known))
-        visited.append(clique)
-        values.append(own)
-        if clique.children:
-            waiting += [(child, mean.take(at)) for child, at in clique.children]
-    moved = []
-    if visited:
-        far = np.abs(join(values)) > join([clique.limits for clique in visited])
-        if far.any():
-            owners = join([clique.owners for clique in visited])
-            moved = list(dict.fromkeys(owners[far].tolist()))
-    return found, moved

@@ -35,6 +35,18 @@ class Vector(Generic[T]):
         found: T = node[index & (_WIDE - 1)]
         return found
 
+    def get(self, index: int) -> T | None:
+        """The entry of an index; None also beyond the end."""
+        if index >= self.count:
+            return None
+        node: Any = self._root
+        for shift in range(self._depth * _BITS, 0, -_BITS):
+            node = node[(index >> shift) & (_WIDE - 1)]
+            if node is None:
+                return None
+        found: T | None = node[index & (_WIDE - 1)]
+        return found
+
     def some(self, indices: Iterable[int]) -> list[T]:
         """The entries of some indices."""
         if not self._depth:
