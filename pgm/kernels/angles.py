@@ -37,7 +37,9 @@ def nearest_branch(value: Array, reference: Array, angles: Mask) -> Array:
     places = np.flatnonzero(angles)
     if not places.size:
         return value
-    shape = np.broadcast_shapes(value.shape, reference.shape)
+    shape = value.shape
+    if shape != reference.shape:  # which are broadcast in as long a time as all the rest takes
+        shape = np.broadcast_shapes(shape, reference.shape)
     moved = np.empty_like(reference, shape=shape)  # in memory as the reference is
     moved[...] = value
     for k in places:

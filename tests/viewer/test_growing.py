@@ -13,10 +13,10 @@ from pgm.viewer import growing
 from pgm.viewer.numbers import CELL, Limits, Numbers, lower
 
 
-def chain(count, names=None):
+def chain(count, names=None, every=20):
     """Scalars in a row, each added with its motion and a reading of it."""
     x = [pgm.Variable(name) for name in names or [f"x{k}" for k in range(count)]]
-    grown = pgm.GrowingMap(tolerance=0.0).add(pgm.GaussianCPD(x[0], 0.0, 1.0))
+    grown = pgm.GrowingMap(tolerance=0.0, every=every).add(pgm.GaussianCPD(x[0], 0.0, 1.0))
     for k in range(1, count):
         z = pgm.Variable(f"z{k}")
         bent = pgm.NonlinearGaussianCPD(z, given=x[k], function=np.sinh, cov=0.1)
@@ -96,7 +96,7 @@ def test_large_maps_show_what_was_touched_and_then_the_nearest():
 
 
 def test_frames_of_notebooks_hold_fewer():
-    grown = chain(1500)
+    grown = chain(1500, every=2000)  # what is linearised anew is joined in larger cliques
     frame = pgm.viewer.html(grown)
     page = html.unescape(re.search(r'srcdoc="(.*?)" sandbox="allow-scripts"', frame, re.S)[1])
     data = data_of(page)

@@ -19,15 +19,14 @@ from pgm.inference.growing.added import Contents
 from pgm.inference.growing.cliques import Clique, columns, spread
 from pgm.inference.growing.covariances import Covariances
 from pgm.inference.growing.eliminating import Posed, eliminated
-from pgm.inference.growing.factors import Rows
 from pgm.inference.growing.means import Means
 from pgm.inference.growing.vectors import Vector
 from pgm.kernels.arrays import Array
 from pgm.variables import Variable
 
 Edge = tuple[int, int]
-# Rows, and the columns of a clique that they are over.
-Block = tuple[list[int], Rows]
+# Rows [A b], and the columns of a clique that A is over.
+Block = tuple[list[int], Array]
 
 
 class CliqueTree(Shown, Immutable):
@@ -78,7 +77,7 @@ class CliqueTree(Shown, Immutable):
     _covariances: Covariances
     _contents: Contents
     _touched: Scope
-    _down: dict[int, Rows]
+    _down: dict[int, Array]
 
     def __init__(
         self, means: Means, covariances: Covariances, contents: Contents, touched: Scope
@@ -199,7 +198,7 @@ class CliqueTree(Shown, Immutable):
     def _sizes(self, k: int) -> dict[int, int]:
         return {v: self._covariances.tree.size(v) for v in self._members(k)}
 
-    def _downwards(self, k: int) -> Rows:
+    def _downwards(self, k: int) -> Array:
         """The rows over a clique's separators that its parent sends."""
         way = [k]
         while (above := self._parent[way[-1]]) not in self.roots and above not in self._down:
@@ -209,7 +208,7 @@ class CliqueTree(Shown, Immutable):
                 self._down[child] = self._sent(self._parent[child], child)
         return self._down[k]
 
-    def _sent(self, k: int, child: int) -> Rows:
+    def _sent(self, k: int, child: int) -> Array:
         """The rows that a clique leaves of all but one child's, over that one's separators."""
         size, kept = self._sizes(k), self._cliques[child].separators
         column = columns(self._cliques[k].pivots, self._cliques[k].separators, size)
@@ -219,7 +218,7 @@ class CliqueTree(Shown, Immutable):
         blocks = [
             (order[where].tolist(), rows)
             for where, rows in (*self._own(k), *self._received(k, child))
-            if rows.right.size
+            if rows.size
         ]
         own, total = sum(size[v] for v in gone), len(order)
         found = eliminated([Posed(own, total, blocks, -1, [])], machine=False)
@@ -232,10 +231,10 @@ class CliqueTree(Shown, Immutable):
         point = np.concatenate([tree.points[number].at for number in numbers])
         matrix, right = [np.zeros((0, len(point)))], [np.zeros(0)]
         for where, rows in blocks:
-            wide = np.zeros((len(rows.right), len(point)))
-            wide[:, where] = rows.entries.reshape(len(wide), len(where))
+            wide = np.zeros((len(rows), len(point)))
+            wide[:, where] = rows[:, :-1]
             matrix.append(wide)
-            right.append(rows.right + wide @ point)
+            right.append(rows[:, -1] + wide @ point)
         A, b = np.concatenate(matrix), np.concatenate(right)
         scope = tuple(self._contents.variables.some(numbers))
         return CanonicalForm._make(scope, A.T @ A, A.T @ b, np.asarray(-0.5 * (b @ b)))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from heapq import heapify, heappop, heappush
 from typing import NamedTuple
 
-from pgm.inference.growing.factors import Factor, Rows
+from pgm.inference.growing.factors import Factor
 from pgm.kernels.arrays import Array, Integers
 
 # Cliques are joined while no more than this share of the joined columns' entries are zeros,
@@ -27,13 +27,13 @@ class Clique:
     first : tuple of int
         The columns at which the pivots begin.
     factors : list of pairs
-        The factors that are eliminated here, with their rows.
+        The factors that are eliminated here, with their rows [A b].
     triangle : ndarray
         The rows [R₁₁ R₁₂ c], (own, size + 1), R₁₁ being upper triangular.
     gain, offset : ndarray
         (own, size − own) and (own,).
-    left : Rows
-        What it leaves to its parent.
+    left : ndarray
+        The rows [A b] that it leaves to its parent, over the separators.
     limits : ndarray
         How far each component of the pivots may be from its point, (own,).
     owners : ndarray
@@ -45,11 +45,11 @@ class Clique:
     pivots: tuple[int, ...]
     separators: tuple[int, ...]
     first: tuple[int, ...]
-    factors: list[tuple[Factor, Rows]]
+    factors: list[tuple[Factor, Array]]
     triangle: Array
     gain: Array
     offset: Array
-    left: Rows
+    left: Array
     limits: Array
     owners: Integers
     children: list[tuple[Clique, Integers]] = field(default_factory=list)

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.inference.growing.factors import Rows
 from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.kernels.machine.fronts.plan import KeepingPlan
 from pgm.kernels.rows import NEGLIGIBLE
@@ -22,7 +21,7 @@ class Posed(NamedTuple):
     own, size : int
         How many components are pivots, and how many there are.
     blocks : list of pairs
-        The columns of rows, and the rows.
+        The columns of rows, and the rows [A b].
     parent : int
         The number of the front above, −1 of a root.
     above : list of int
@@ -31,16 +30,16 @@ class Posed(NamedTuple):
 
     own: int
     size: int
-    blocks: list[tuple[list[int], Rows]]
+    blocks: list[tuple[list[int], Array]]
     parent: int
     above: list[int]
 
 
 class Found(NamedTuple):
-    """The triangle [R₁₁ R₁₂ c] of a front that was eliminated, and the rows it leaves."""
+    """The triangle [R₁₁ R₁₂ c] of a front that was eliminated, and the rows [A b] it leaves."""
 
     triangle: Array
-    left: Rows
+    left: Array
 
 
 def eliminated(fronts: Sequence[Posed], *, machine: bool) -> list[Found] | int:
@@ -52,18 +51,16 @@ def _by_numpy(fronts: Sequence[Posed]) -> list[Found] | int:
     from scipy.linalg.lapack import dgeqrf  # here, since it is slow to import
 
     found: list[Found] = []
-    waiting: list[list[tuple[list[int], Rows]]] = [[*front.blocks] for front in fronts]
+    waiting: list[list[tuple[list[int], Array]]] = [[*front.blocks] for front in fronts]
     for k, (own, size, _, parent, above) in enumerate(fronts):
         blocks = waiting[k]
-        count = sum(len(rows.right) for _, rows in blocks)
+        count = sum(len(rows) for _, rows in blocks)
         if count < own:
             return k
         matrix, row = np.zeros((max(count, size), size + 1)), 0
         for where, rows in blocks:
-            height = len(rows.right)
-            matrix[row : row + height, where] = rows.entries.reshape(height, -1)
-            matrix[row : row + height, size] = rows.right
-            row += height
+            matrix[row : row + len(rows), [*where, size]] = rows
+            row += len(rows)
         # The largest rows first, which keeps digits.
         order = np.argsort(-np.abs(matrix[:, :size]).max(axis=1), kind="stable")
         factor = dgeqrf(matrix[order])[0]
@@ -77,9 +74,9 @@ def _by_numpy(fronts: Sequence[Posed]) -> list[Found] | int:
         rest = factor[own:size]
         # A front has no more to leave than it has had rows beyond its pivots.
         rest = rest[: max(min(count - own, size - own), 0)]
-        left = Rows(rest[:, own:size].ravel(), rest[:, size].copy())
+        left = rest[:, own:].copy()
         found.append(Found(sign * factor[:own], left))
-        if parent >= 0 and left.right.size:
+        if parent >= 0 and left.size:
             waiting[parent].append((above, left))
         waiting[k] = []
     return found
@@ -94,16 +91,11 @@ def _upper(size: int) -> Array:
 def _by_machine(fronts: Sequence[Posed]) -> list[Found] | int:
     from pgm.kernels.machine.fronts.solving import Solver  # which takes llvmlite
 
-    columns: list[int] = []
-    widths, entries, right = [], [], []
-    for front in fronts:
-        for where, rows in front.blocks:
-            widths.append(len(where))
-            columns += where
-            entries.append(rows.entries)
-            right.append(rows.right)
-    heights = np.array(list(map(len, right)), dtype=np.intp)
-    wide = np.array(widths, dtype=np.intp)
+    blocks = [block for front in fronts for block in front.blocks]
+    wide = np.array([len(where) for where, _ in blocks], dtype=np.intp)
+    heights = np.array([len(rows) for _, rows in blocks], dtype=np.intp)
+    whole = np.concatenate([np.zeros(0), *(rows.ravel() for _, rows in blocks)])
+    right = _ends(np.repeat(wide + 1, heights))[1:] - 1
     begins = [_ends(part)[:-1] for part in (heights * wide, heights, wide)]
     per_front = [len(front.blocks) for front in fronts]
     parents = np.array([front.parent for front in fronts])
@@ -120,15 +112,14 @@ def _by_machine(fronts: Sequence[Posed]) -> list[Found] | int:
         above=np.array([c for front in fronts for c in front.above], dtype=np.intp),
         first_factor=_ends(np.array(per_front)),
         factors=np.stack([heights, wide, *begins], axis=1),
-        columns=np.array(columns, dtype=np.intp),
+        columns=np.array([c for where, _ in blocks for c in where], dtype=np.intp),
     )
     solver = Solver(plan, 1)
     kept = solver.room()
     kept[:] = 0.0  # below the diagonals nothing is written
     solver.left[:] = 0.0
-    none = np.zeros(0)
-    known = np.concatenate([none, *right])[:, None]
-    _, fault = solver.rows(np.concatenate([none, *entries]), known, kept, NEGLIGIBLE)
+    entries, known = np.delete(whole, right), whole[right, None]
+    _, fault = solver.rows(entries, known, kept, NEGLIGIBLE)
     if fault >= 0:
         return fault
     found = []
@@ -143,8 +134,8 @@ def _by_machine(fronts: Sequence[Posed]) -> list[Found] | int:
         size, width = front.size, front.size - front.own + 1
         end = place + front.own * (size + 1)
         triangle = kept[place:end].reshape(front.own, size + 1).copy()
-        rest = solver.left[wait : wait + sent * width].reshape(sent, width)
-        found.append(Found(triangle, Rows(rest[:, :-1].ravel(), rest[:, -1].copy())))
+        left = solver.left[wait : wait + sent * width].reshape(sent, width).copy()
+        found.append(Found(triangle, left))
     return found
 
 

@@ -19,7 +19,7 @@ from pgm.errors import ModelError, NumericalError
 from pgm.factors.scope import Scope
 from pgm.kernels import roots, solving
 from pgm.kernels.angles import nearest_branch
-from pgm.kernels.arrays import Array, Mask, apply, independent, transpose
+from pgm.kernels.arrays import Array, Mask, independent, transpose
 from pgm.kernels.rows import pivoted
 from pgm.linearisation.family import Family
 from pgm.linearisers import BoundFunction, Lineariser
@@ -104,13 +104,6 @@ class Factor(NamedTuple):
     white: Array
 
 
-class Rows(NamedTuple):
-    """The rows of a factor: their entries, row by row, (rows · columns,), and right sides."""
-
-    entries: Array
-    right: Array
-
-
 def whitened(given: Sequence[Given], taken: Sequence[Mask | None], known: Known) -> Array:
     """The roots W of the information of CPDs of one key, (CPDs, d, d).
 
@@ -170,15 +163,15 @@ def linearised(
     known: Known,
     plates: Plates,
     lineariser: Lineariser,
-) -> list[Rows]:
-    """The rows of factors, linearised at the points of their variables, by number.
+) -> list[Array]:
+    """The rows [A b] of factors, linearised at the points of their variables, by number.
 
     All factors of one key are linearised in one call, by the template of the first of that key.
     """
     alike: dict[Hashable, list[int]] = {}
     for k, factor in enumerate(factors):
         alike.setdefault(factor.given.key, []).append(k)
-    found: list[Rows | None] = [None] * len(factors)
+    found: list[Array | None] = [None] * len(factors)
     for places in alike.values():
         own = [factors[k] for k in places]
         for k, rows in zip(
@@ -284,7 +277,7 @@ def _linearised(
     known: Known,
     plates: Plates,
     lineariser: Lineariser,
-) -> list[Rows]:
+) -> list[Array]:
     given = [factor.given for factor in factors]
     first = given[0]
     hidden = first.reading is None
@@ -304,7 +297,5 @@ def _linearised(
         one = np.broadcast_to(np.eye(len(angles)), (len(factors), len(angles), len(angles)))
         matrix = np.concatenate([one, -slope], axis=2)
     white = np.array([factor.white for factor in factors])
-    entries = (white @ matrix).reshape(len(factors), -1)
-    right = -apply(white, away)
     # Copies, as a view would keep the rows of all others.
-    return [Rows(a.copy(), r.copy()) for a, r in zip(entries, right, strict=True)]
+    return [rows.copy() for rows in white @ np.concatenate([matrix, -away[..., None]], axis=2)]

@@ -52,10 +52,11 @@ class GrowingMap(Shown, Immutable):
     An addition costs what it changes, not what there is. Variables stand in a tree of cliques
     (Kaess et al., 2012, iSAM2): a new CPD touches the cliques on the way from its variables to the
     root, which are eliminated anew, by Householder's reflections; what hangs below keeps its rows.
-    Means are found when they are asked for, and all of them at each tenth addition: variables that
-    have moved by more than `threshold` since their CPDs were linearised then have these linearised
-    anew, which touches every clique that holds one. Below what hardly moves means stay. So the belief is that of Gauss–Newton's last step, or of an earlier one for
-    variables within the threshold; `settled` goes on to the end.
+    Means are found where they are asked for, and all of them at each twentieth addition: variables
+    that have moved by more than `threshold` since their CPDs were linearised have these linearised
+    anew then, which touches every clique that holds one. Below what hardly moves means stay. So the
+    belief is that of Gauss–Newton's last step, or of an earlier one for variables within the
+    threshold; `settled` goes on to the end.
 
     Maps are values: `add` returns another one, which shares with this one all that did not change.
 
@@ -318,6 +319,8 @@ class GrowingMap(Shown, Immutable):
             If means still move after the last step.
         """
         found, every = self, range(len(self._tree.points))
+        if not every:
+            return self
         moves = dict(zip(every, self._means.distances(every), strict=True))
         most = np.inf
         for _ in range(iterations):

@@ -10,7 +10,7 @@ import numpy as np
 
 from pgm.inference.growing.cliques import Clique, Front, columns, ordered, spread
 from pgm.inference.growing.eliminating import Found, Posed, eliminated
-from pgm.inference.growing.factors import Factor, Rows
+from pgm.inference.growing.factors import Factor
 from pgm.inference.growing.vectors import Vector
 from pgm.kernels.arrays import Array
 
@@ -122,7 +122,8 @@ class Tree:
             cliques[lead].children += [(cliques[child], above) for child, above in children]
         homes = {variable: clique for clique in apart for variable in clique.pivots}
         means = {lead: Mean(cliques[lead], value) for lead, value in state["means"].items()}
-        state["homes"], state["means"] = Vector().replaced(homes), Vector().replaced(means)
+        state["homes"] = Vector[Clique]().replaced(homes)
+        state["means"] = Vector[Mean]().replaced(means)
         for name, value in state.items():
             object.__setattr__(self, name, value)
 
@@ -149,7 +150,7 @@ def update(
     tree: Tree,
     touched: Mapping[int, Clique],
     new: Iterable[int],
-    factors: Sequence[tuple[Factor, Rows]],
+    factors: Sequence[tuple[Factor, Array]],
     last: set[int],
     limit: float,
     *,
@@ -228,7 +229,7 @@ class _Posed:
         self.named, self.size = named, size
         self.columns = [columns(front.pivots, front.separators, size) for front in named]
         self.front = {v: k for k, front in enumerate(named) for v in front.pivots}
-        self.factors: list[list[tuple[Factor, Rows]]] = [[] for _ in named]
+        self.factors: list[list[tuple[Factor, Array]]] = [[] for _ in named]
         self.hung: list[tuple[int, list[int]]] = []
         self.fronts = []
         for front in named:
@@ -239,7 +240,7 @@ class _Posed:
                 above = spread(front.separators, self.columns[front.parent])
             self.fronts.append(Posed(own, own + shared, [], front.parent, above))
 
-    def place(self, factors: Sequence[tuple[Factor, Rows]], hanging: Sequence[Clique]) -> None:
+    def place(self, factors: Sequence[tuple[Factor, Array]], hanging: Sequence[Clique]) -> None:
         """Put rows of factors, and what cliques have left, where their first variable leaves."""
         front, every = self.front.__getitem__, self.columns
         for pair in factors:
@@ -251,7 +252,7 @@ class _Posed:
             k = min(map(front, child.separators))
             where = spread(child.separators, every[k])
             self.hung.append((k, where))
-            if child.left.right.size:
+            if child.left.size:
                 self.fronts[k].blocks.append((where, child.left))
 
     def cliques(self, found: Sequence[Found], limits: Mapping[int, float]) -> list[Clique]:

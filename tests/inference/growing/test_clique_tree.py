@@ -20,7 +20,7 @@ def grow(steps, **options):
 
 def several(seed):
     """Maps of poses in rings, and of linear CPDs of variables of any sizes, in several parts."""
-    return grow(rings(seed, 40, closures=0.1)) if seed % 2 else grow(linear(seed, 30))
+    return grow(rings(seed, 45, closures=0.1)) if seed % 2 else grow(linear(seed, 30))
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -28,6 +28,21 @@ def test_vectors_are_lists_that_stay(size):
         some = rng.integers(0, len(values), size=20).tolist()
         assert one.some(some) == [one[k] for k in some] == [values[k] for k in some]
     assert vector.replaced({}) is vector
+    assert [vector.get(k) for k in range(size)] == plain[:size]
+    assert vector.get(len(plain)) is None
+
+
+def test_vectors_with_gaps_have_none_there():
+    vector = Vector().replaced({7: "a", 9000: "b"})
+    assert len(vector) == 9001
+    assert [vector.get(k) for k in (7, 8, 700, 9000, 9001, 10**9)] == [
+        "a",
+        None,
+        None,
+        "b",
+        None,
+        None,
+    ]
 
 
 def test_registers_share_until_they_part():
