@@ -31,6 +31,7 @@ from pgm.cpds import (
     RobustNoise,
     SampledCPD,
     StudentT,
+    SwitchingCPD,
     TableCPD,
     TruncatedLeastSquares,
     noise,
@@ -56,7 +57,7 @@ from pgm.errors import (
     PrecisionWarning,
 )
 from pgm.evidence import constant, records, sightings, soft, unknown
-from pgm.factors import AffineGaussian, CanonicalForm, Gaussian, Table
+from pgm.factors import AffineGaussian, CanonicalForm, Gaussian, GaussianMixture, Table
 from pgm.inference import (
     BeliefFamily,
     Calibration,
@@ -241,6 +242,7 @@ __all__ = [
     "GaussHermite",
     "Gaussian",
     "GaussianCPD",
+    "GaussianMixture",
     "GraphError",
     "Grid",
     "GridWarning",
@@ -283,6 +285,7 @@ __all__ = [
     "StatisticalRegression",
     "StochasticMinFill",
     "StudentT",
+    "SwitchingCPD",
     "Table",
     "TableCPD",
     "Taylor",

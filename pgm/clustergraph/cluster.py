@@ -210,15 +210,24 @@ def extent(variable: Variable) -> int:
 
 
 def size(scope: Scope) -> int:
-    """Entries of a table over discrete variables, or components of continuous ones."""
-    if is_discrete(scope):
-        return math.prod(map(extent, scope))
-    return dimension(scope)
+    """Entries of a table over discrete variables, or components of continuous ones.
+
+    Of both it is their product: the components in all configurations.
+    """
+    return _entries(scope) * (_components(scope) or 1)
 
 
 def work(scope: Scope) -> int:
-    """Entries of a table, or the cube of the components, as of a Cholesky factor."""
-    return size(scope) if is_discrete(scope) else size(scope) ** 3
+    """Entries of a table, or the cube of the components, as of a Cholesky factor, or both."""
+    return _entries(scope) * (_components(scope) ** 3 or 1)
+
+
+def _entries(scope: Scope) -> int:
+    return math.prod(v.size for v in scope if isinstance(v, Discrete))
+
+
+def _components(scope: Scope) -> int:
+    return dimension(v for v in scope if not isinstance(v, Discrete))
 
 
 def is_discrete(scope: Iterable[Variable]) -> bool:

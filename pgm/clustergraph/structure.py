@@ -24,9 +24,9 @@ from pgm.clustergraph.cluster import (
     check_families,
     check_running_intersection,
     extent,
-    is_discrete,
     is_forest,
     neighbourhoods,
+    size,
     spanning_tree,
     work,
 )
@@ -156,6 +156,9 @@ class ClusterGraph(Drawn, Immutable):
         extents = list(map(extent, network.variables))
         combine = math.prod if network.discrete else sum
         sizes = tuple([combine([extents[place] for place in held]) for held in members])
+        if network.mixed:
+            variables = network.variables
+            sizes = tuple([size(tuple([variables[place] for place in held])) for held in members])
         assigned: list[list[int]] = [[] for _ in members]
         for number, home in enumerate(assign(network._families, members, sizes)):
             if home < 0:
@@ -329,7 +332,8 @@ class ClusterGraph(Drawn, Immutable):
 
     @property
     def _title(self) -> str:
-        unit = "table entries" if is_discrete(self._clusters[0].scope) else "components"
+        unit = "table entries" if self.network.discrete else "components"
+        unit = "numbers" if self.network.mixed else unit
         return (
             f"ClusterGraph({count(len(self), 'cluster')}, {count(len(self.sepsets), 'sepset')}, "
             f"width {self.width}, largest cluster {amount(max(self.sizes))} {unit}, "

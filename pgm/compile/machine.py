@@ -92,7 +92,7 @@ def as_choice(compiled: Any, what: str) -> Choice:
 _NO_USE: dict[str, tuple[type[PgmError], str]] = {
     "tables": (
         ModelError,
-        "compiled= is for networks of Gaussian CPDs, and {of} is of tables: leave it out",
+        "compiled= is for networks of Gaussian CPDs, and {of} has tables: leave it out",
     ),
     "rounds": (
         GraphError,

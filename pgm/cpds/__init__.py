@@ -9,6 +9,7 @@ from pgm.cpds.repeated import plate
 from pgm.cpds.robust import Cauchy, Huber, RobustNoise, StudentT, TruncatedLeastSquares
 from pgm.cpds.sampled import SampledCPD
 from pgm.cpds.structured import Kronecker, shifts
+from pgm.cpds.switching import SwitchingCPD
 from pgm.cpds.table import TableCPD
 
 __all__ = [
@@ -27,6 +28,7 @@ __all__ = [
     "RobustNoise",
     "SampledCPD",
     "StudentT",
+    "SwitchingCPD",
     "TableCPD",
     "TruncatedLeastSquares",
     "noise",

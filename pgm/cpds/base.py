@@ -119,7 +119,7 @@ class CPD(Shown, Immutable):
 
     child: Variable
     given: Scope
-    # What kind of variables a CPD is about: mixed networks are not supported.
+    # What kind of variables a CPD is about.
     discrete: ClassVar[bool] = False
     partial: bool = False
     """Whether its density takes readings in which components are NaN, as not measured."""
@@ -148,17 +148,22 @@ class CPD(Shown, Immutable):
                 variable=child,
             )
         one_name_each((child, *given, *noise_given))
-        for variable in (child, *given, *noise_given):
+        self._require_kinds((child, *given, *noise_given))
+        self._set(child=child, given=given)
+
+    def _require_kinds(self, scope: Scope) -> None:
+        """Refuse variables of another kind than the CPD is about."""
+        child = scope[0]
+        for variable in scope:
             if isinstance(variable, Discrete) != self.discrete:
                 found = "continuous" if self.discrete else "discrete"
                 advice = "a Gaussian CPD" if self.discrete else "a TableCPD"
                 raise ModelError(
                     f"{type(self).__name__} of {child!r}: {variable!r} is {found}; {found} "
-                    f"variables take {advice}, and no CPD has variables of both kinds: keep the "
-                    "discrete and the continuous part in networks of their own",
+                    f"variables take {advice}; a continuous child of discrete parents has a "
+                    "SwitchingCPD, and a discrete child of continuous parents has none",
                     variable=variable,
                 )
-        self._set(child=child, given=given)
 
     @property
     def noise_given(self) -> Scope:

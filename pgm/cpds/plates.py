@@ -13,6 +13,7 @@ from functools import lru_cache
 from types import MethodType
 from typing import Any
 
+from pgm.cpds.by_run import ByRunCPD
 from pgm.cpds.conditional import ConditionalGaussian, Noise
 from pgm.cpds.gaussian import AffineCPD, NonlinearGaussianCPD
 from pgm.cpds.robust import LOSSES, RobustNoise
@@ -44,7 +45,7 @@ def plate(cpd: ConditionalGaussian) -> Hashable:
         rule = cpd.lineariser
         own = rule if by_values(rule) else _identity(rule)
         return shape, _identity(cpd.function), jacobians, own
-    if isinstance(cpd, AffineCPD):
+    if isinstance(cpd, AffineCPD) and not isinstance(cpd, ByRunCPD):
         return shape, cpd.offset.shape
     return cpd.origin
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 from pgm.beliefs.markov.family import TABLES
+from pgm.beliefs.mixed import MIXED
 from pgm.beliefs.moments.family import MOMENTS
 from pgm.beliefs.own.family import BeliefFamily, require_family
 from pgm.display import titled
@@ -17,7 +18,7 @@ from pgm.posteriors.posterior import Posterior
 
 
 def family_of(model: Any, belief: BeliefFamily[B] | None = None) -> BeliefFamily[B]:
-    """The given family, or tables of a discrete network, or moments of any other.
+    """The given family, or tables of a discrete network, mixtures of a mixed one, or moments.
 
     A `belief` that is no family, or a model that cannot have it, is a ModelError.
     """
@@ -26,7 +27,7 @@ def family_of(model: Any, belief: BeliefFamily[B] | None = None) -> BeliefFamily
         return belief
     # B is Any here, as it is of every call without belief=: which one the network decides.
     found: BeliefFamily[Any] = TABLES if model.discrete else MOMENTS
-    return found
+    return MIXED if model.mixed else found
 
 
 def answered(family: BeliefFamily[B], outcome: Outcome[B]) -> Posterior[B]:

@@ -137,7 +137,8 @@ class Family(Rows):
         made.plate, made.noise = plate, np.broadcast_to(noise, (rows, runs, height, height))
         if isinstance(cpd, AffineCPD):
             constant, shift = made.affine = affine_rows(cpd, plate, hidden, inputs, lead)
-            made.matrix = np.broadcast_to(constant[..., None, :, :], (rows, runs, height, width))
+            slope = constant if constant.ndim == 4 else constant[..., None, :, :]
+            made.matrix = np.broadcast_to(slope, (rows, runs, height, width))
             made.offset = np.broadcast_to(shift, (rows, runs, height))
         return made
 

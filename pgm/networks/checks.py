@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from pgm.boundary import as_tuple
-from pgm.cpds import CPD, TableCPD
+from pgm.cpds import CPD, SwitchingCPD, TableCPD
 from pgm.errors import ModelError
 from pgm.factors.arrays import clash
 from pgm.factors.scope import MOST, Scope
@@ -119,6 +119,13 @@ def _cycle(before: Sequence[set[int]], left: set[int]) -> list[int]:
 def of_one_kind(cpds: Sequence[CPD]) -> bool:
     """Whether the CPDs of a dynamic network are discrete; refuses mixed ones."""
     for cpd in cpds:
+        if isinstance(cpd, SwitchingCPD):
+            raise ModelError(
+                f"{cpd!r} stands in a dynamic network; discrete variables choose among CPDs in a "
+                "BayesianNetwork alone: unroll the steps into one, x.at(0), x.at(1), ...",
+                variable=cpd.child,
+                cpd=cpd,
+            )
         if cpd.discrete != cpds[0].discrete:
             raise ModelError(
                 f"{cpd!r} stands beside {cpds[0]!r}; a dynamic network is of Gaussian CPDs, or of "

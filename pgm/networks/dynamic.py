@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -94,6 +94,8 @@ class DynamicBayesianNetwork(Drawn, Immutable):
     sensors: Scope
     inputs: Scope
     discrete: bool
+    # Discrete variables choose among CPDs in networks without time alone.
+    mixed: ClassVar[bool] = False
 
     def __init__(
         self,

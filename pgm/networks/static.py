@@ -21,7 +21,7 @@ from pgm.factors.scope import Scope, as_scope, listed, one_name_each, unknown_na
 from pgm.immutable import Immutable
 from pgm.networks import checks, sampling
 from pgm.resources import uncollected
-from pgm.variables import Variable
+from pgm.variables import Discrete, Variable
 
 if TYPE_CHECKING:
     import networkx as nx
@@ -34,8 +34,8 @@ FEW = 12
 class BayesianNetwork(Drawn, Immutable):
     """A joint density as a product of CPDs, one for each variable.
 
-    Its variables are all continuous (Gaussian CPDs, linear or not) or all `Discrete`
-    (`TableCPD`).
+    Its variables are continuous (Gaussian CPDs, linear or not), `Discrete` (`TableCPD`), or both:
+    discrete parents choose among the CPDs of a continuous child by a `SwitchingCPD`.
 
     Parameters
     ----------
@@ -52,8 +52,8 @@ class BayesianNetwork(Drawn, Immutable):
         All variables: the CPDs' children in their order, then the inputs.
     inputs : tuple of Variable
         Parents that no CPD explains.
-    discrete : bool
-        Whether the variables are discrete.
+    discrete, mixed : bool
+        Whether all variables are discrete; whether some are discrete and some continuous.
 
     Examples
     --------
@@ -67,6 +67,7 @@ class BayesianNetwork(Drawn, Immutable):
     variables: Scope
     inputs: Scope
     discrete: bool
+    mixed: bool
     _by_child: Mapping[Variable, CPD]
 
     def __init__(self, cpds: Iterable[CPD]) -> None:
@@ -82,33 +83,26 @@ class BayesianNetwork(Drawn, Immutable):
         one_name_each(v for cpd in found for v in cpd.scope)
         checks.one_cpd_each(found)
         kinds = {cpd.discrete for cpd in found}
-        if len(kinds) > 1:
-            odd = next(cpd for cpd in found if cpd.discrete != found[0].discrete)
-            raise ModelError(
-                f"{found[0]!r} and {odd!r}: a network is discrete or continuous, not both; keep "
-                "the two parts in networks of their own, or make one kind of all variables (cells "
-                "of a continuous one as states)",
-                cpd=odd,
-            )
         checks.runs(found)
         checks.no_step_before(found)
         ordered = checks.in_order(found, lambda cpd: cpd.parents)
         by_child = {cpd.child: cpd for cpd in ordered}
         parents = dict.fromkeys(v for cpd in ordered for v in cpd.parents)
         inputs = tuple(v for v in parents if v not in by_child)
-        discrete = kinds.pop()
-        if discrete and inputs:
-            cpd = next(cpd for cpd in ordered if inputs[0] in cpd.parents)
-            raise ModelError(
-                f"{cpd!r}: its parent {inputs[0]!r} has no CPD; add one",
-                variable=inputs[0],
-                cpd=cpd,
-            )
+        for cpd in ordered if True in kinds or any(isinstance(v, Discrete) for v in inputs) else ():
+            for parent in cpd.parents:
+                if parent not in by_child and (cpd.discrete or isinstance(parent, Discrete)):
+                    raise ModelError(
+                        f"{cpd!r}: its parent {parent!r} has no CPD; add one",
+                        variable=parent,
+                        cpd=cpd,
+                    )
         return {
             "cpds": ordered,
             "variables": (*by_child, *inputs),
             "inputs": inputs,
-            "discrete": discrete,
+            "discrete": kinds == {True},
+            "mixed": len(kinds) > 1,
             "_by_child": MappingProxyType(by_child),
         }
 
@@ -247,8 +241,11 @@ class BayesianNetwork(Drawn, Immutable):
     def _title(self) -> str:
         if len(self.cpds) <= FEW:
             return f"BayesianNetwork({'  '.join(map(density, self.cpds))})"
-        kind = "discrete" if self.discrete else "continuous"
-        return f"BayesianNetwork({len(self.cpds)} CPDs, {kind})"
+        return f"BayesianNetwork({len(self.cpds)} CPDs, {self._kind})"
+
+    @property
+    def _kind(self) -> str:
+        return "mixed" if self.mixed else "discrete" if self.discrete else "continuous"
 
     def _summary(self) -> Summary:
         few = len(self.cpds) <= FEW

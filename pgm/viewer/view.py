@@ -16,7 +16,7 @@ from pgm.arguments import public
 from pgm.compile import DynamicGraph
 from pgm.errors import GraphError
 from pgm.inference import GrowingMap, Posterior
-from pgm.posteriors.outcome import CHAIN, MARGINALS, SLICES
+from pgm.posteriors.outcome import CHAIN, MARGINALS, MIXTURES, SLICES
 from pgm.viewer import chain, graph, growing
 from pgm.viewer.numbers import CELL, FILE, Limits, Numbers, Run, chosen_runs, chosen_steps
 from pgm.viewer.scripts import script
@@ -82,6 +82,8 @@ def view(
 @public
 def html(posterior: Posterior[Any] | GrowingMap) -> str:
     """The page of a posterior or map in a frame, for notebooks: small, and cut where it says so."""
+    if isinstance(posterior, Posterior) and posterior._outcome.form == MIXTURES:
+        return posterior._summary().html()
     whole = assembled(*_content(posterior, None, None, CELL))
     return (
         f'<iframe srcdoc="{escape(whole, quote=True)}" sandbox="allow-scripts" '
@@ -101,6 +103,11 @@ def _content(
             f"not {type(posterior).__name__}"
         )
     outcome = posterior._outcome
+    if outcome.form == MIXTURES:
+        raise GraphError(
+            f"view shows beliefs of clusters, and {posterior._title} has mixtures over the "
+            "configurations of its discrete variables: print it, or plot its beliefs"
+        )
     lead = np.asarray(posterior.log_evidence).shape
     runs, few = chosen_runs(run, lead, limits)
     numbers = Numbers()

@@ -351,7 +351,7 @@ WEIGHED = listed(
     {"kernels/semidefinite.py": "semidefinite", f"{DIGITS}careful_chain.py": "regular"},
     # The information of scalars, expected counts, and distances.
     {f"{DIGITS}careful_belief.py": "informed", "learning/steps.py": "likeliest at"},
-    {"viewer/placing.py": "_stressed"},
+    {"viewer/placing.py": "_stressed", "factors/gaussian_mixture.py": "cov"},
 )
 KINDS = listed(
     {"kernels/numbers.py": "Matrix", "kernels/dense.py": "Dense Runs Stack"},
@@ -386,7 +386,7 @@ SOLUTIONS = listed(
     {"beliefs/moments/passes/messages.py": "likelihoods"},
     # Unknown directions, exact relations, bounds of rounding, and whether messages settle.
     {f"{DIGITS}careful_belief.py": "solved", f"{DIGITS}reversal_rounding.py": "injected"},
-    {"beliefs/gaussian/walks.py": "spectral_radius"},
+    {"beliefs/gaussian/walks.py": "spectral_radius", "beliefs/mixed/weighing.py": "_lost"},
     # The points of a rule, and the cells of a grid.
     {"kernels/regression.py": "_line fit range_inverse"},
     {"beliefs/grid/belief.py": "non_gaussianity", "beliefs/grid/groups.py": "parted"},

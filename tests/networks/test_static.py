@@ -211,10 +211,12 @@ def test_noise_may_depend_on_a_variable_that_evidence_may_be_given_of():
     assert BayesianNetwork([linear(A), noisy]).inputs == ()
 
 
-def test_kinds_are_not_mixed():
-    with pytest.raises(pgm.ModelError, match="in networks of their own") as caught:
-        BayesianNetwork([linear(A), table(RAIN)])
-    assert caught.value.cpd.child == RAIN
+def test_kinds_may_be_mixed():
+    assert BayesianNetwork([linear(A), table(RAIN)]).mixed
+    for cpd in (linear(A), table(RAIN)):
+        assert not BayesianNetwork([cpd]).mixed
+    named = BayesianNetwork([table(RAIN), *(linear(pgm.Variable(f"x{k}")) for k in range(20))])
+    assert repr(named).startswith("BayesianNetwork(21 CPDs, mixed)")
 
 
 def test_discrete_parents_need_cpds():

@@ -16,14 +16,18 @@ from pgm.kernels.rows import NEGLIGIBLE
 MOST, SHOWN = 1500, 6
 
 
-def contradiction(model: Model, cluster: int, run: int) -> NumericalError:
+class Contradiction(NumericalError):
+    """Measurements that contradict CPDs without noise."""
+
+
+def contradiction(model: Model, cluster: int, run: int) -> Contradiction:
     """The error that measurements contradict CPDs without noise, naming the cluster and the run.
 
     `cluster` and `run` are their numbers; without axes of runs the run is not named.
     """
     scope = model.layout.graph.clusters[cluster].scope
     which = f", run {run}" if model.lead else ""
-    return NumericalError(
+    return Contradiction(
         f"evidence contradicts an exact model at cluster {cluster}, {names(scope)}{which}: "
         "CPDs without noise determine a value in two ways that differ; give one of them, or "
         "the prior, some noise",

@@ -15,7 +15,7 @@ from pgm.inference.audit.chain import ChainDraws
 from pgm.inference.audit.innovation_checks import checks
 from pgm.inference.audit.result import Audit
 from pgm.inference.audit.tree import TreeDraws
-from pgm.posteriors.outcome import BALANCED, CHAIN, NETWORK, SLICES, TABLES
+from pgm.posteriors.outcome import BALANCED, CHAIN, MIXTURES, NETWORK, SLICES, TABLES
 from pgm.posteriors.posterior import Posterior
 from pgm.progress import Progress, reporting
 from pgm.schedules.limits import require_runs
@@ -136,6 +136,8 @@ def _advice(posterior: Any) -> str:
     """The text of the error for an argument that is no Gaussian posterior with all its beliefs."""
     if isinstance(posterior, Posterior) and posterior._outcome.form in (SLICES, TABLES):
         return f"{posterior._title} is of a discrete network; of a tree its log-evidence is exact"
+    if isinstance(posterior, Posterior) and posterior._outcome.form == MIXTURES:
+        return f"{posterior._title} is of a mixed network, which no audit draws from"
     if isinstance(posterior, Posterior):
         return (
             f"{posterior._title} has kept marginals alone; leave keep= out, and belief=, to have "

@@ -229,8 +229,8 @@ def most_probable(
             return _most_probable_path(graph, evidence)
     if isinstance(graph, DynamicGraph) or not graph.network.discrete:
         raise GraphError(
-            "the network is continuous; the most probable values of Gaussian variables are the "
-            "means of pgm.infer(...)"
+            "most_probable is for discrete networks; of continuous variables that are Gaussian the "
+            "most probable values are the means of pgm.infer(...)"
         )
     if not graph.is_tree:
         raise GraphError(

@@ -172,7 +172,7 @@ def _discrete(network: Any) -> tuple[BayesianNetwork, ClusterGraph | None]:
         )
     if not asked.discrete:
         raise GraphError(
-            "query is for discrete networks, and this one is continuous; its joints are "
+            f"query is for discrete networks, and this one is {asked._kind}; its joints are "
             "pgm.infer(pgm.compile(network), evidence).joint(...)"
         )
     return asked, graph

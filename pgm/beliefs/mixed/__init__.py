@@ -1,0 +1,12 @@
+"""Networks of discrete and continuous variables: a Gaussian network for each configuration.
+
+Given its discrete variables, a mixed network is a Gaussian one. Where evidence cuts it, it falls
+into parts; the configurations of a part's discrete parents are runs of one Gaussian tree (`parts`,
+`configurations`, `weighing`), and the log-evidence of each is a factor of the network of tables
+(`run`). A marginal is then a mixture over configurations (`outcome`). It is what a strong junction
+tree computes (Lauritzen, 1992).
+"""
+
+from pgm.beliefs.mixed.family import MIXED
+
+__all__ = ["MIXED"]

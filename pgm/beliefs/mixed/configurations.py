@@ -1,0 +1,158 @@
+"""The configurations of a part's discrete parents, and its CPDs in all of them, as runs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+
+import numpy as np
+
+from pgm.beliefs.discrete.run import run as run_tables
+from pgm.beliefs.mixed.parts import Part
+from pgm.clustergraph import ClusterGraph
+from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, GaussianCPD, Noise, SwitchingCPD
+from pgm.cpds.by_run import ByRunCPD
+from pgm.cpds.mixture import by_run
+from pgm.errors import GraphError
+from pgm.factors.axes import States, sizes
+from pgm.factors.scope import listed
+from pgm.kernels import roots
+from pgm.kernels.arrays import Array, Integers
+from pgm.variables import Variable
+
+# So many configurations are looked through for those that tables and evidence leave possible.
+MOST = 2**22
+
+
+def fits(part: Part, states: Collection[Variable]) -> bool:
+    """Whether a part has so few configurations that they can be looked through."""
+    return math.prod(sizes(tuple(v for v in part.boundary if v not in states))) <= MOST
+
+
+def possible(boundary: States, tables: ClusterGraph, states: Mapping[Variable, int]) -> Integers:
+    """The configurations of discrete variables that are possible, (configurations, variables).
+
+    `tables` is the graph of the network's tables, and `states` are those that all runs observe. Too
+    many are a GraphError.
+    """
+    hidden = tuple(v for v in boundary if v not in states)
+    total = math.prod(sizes(hidden))
+    if total > MOST:
+        raise GraphError(
+            f"the discrete variables ({listed(boundary)}) choose CPDs of continuous variables that "
+            f"hang together, and have {total:,} configurations, each of which would be a Gaussian "
+            "network; observe continuous variables between them, which cuts the network, or some "
+            "of the discrete ones",
+            variable=hidden[0],
+        )
+    if not hidden:
+        return np.array([[states[v] for v in boundary]], dtype=np.intp).reshape(1, -1)
+    share = run_tables(tables, dict(states), None).joint(*hidden).probabilities
+    places = np.argwhere(share > 0.0)
+    found = np.empty((len(places), len(boundary)), dtype=np.intp)
+    for column, variable in enumerate(boundary):
+        own = variable in states
+        found[:, column] = states[variable] if own else places[:, hidden.index(variable)]
+    return found
+
+
+class Cases:
+    """A part's CPDs in each of some configurations.
+
+    Attributes
+    ----------
+    part : Part
+    configurations : ndarray
+        (configurations, discrete parents), indices of states.
+    """
+
+    def __init__(self, part: Part, configurations: Integers) -> None:
+        self.part, self.configurations = part, configurations
+        column = {v: k for k, v in enumerate(part.boundary)}
+        # By switching CPD its cases by number, and the number of that in each configuration.
+        self._cases: dict[CPD, tuple[list[CPD], Integers]] = {}
+        for cpd in part.cpds:
+            if isinstance(cpd, SwitchingCPD):
+                places = configurations[:, [column[v] for v in cpd.switches]]
+                number = np.ravel_multi_index(tuple(places.T), sizes(cpd.switches))
+                self._cases[cpd] = list(cpd.cases.values()), np.asarray(number)
+
+    def alike(self) -> list[Integers]:
+        """The configurations, by number, in groups whose CPDs one call takes as runs.
+
+        Affine cases differ in numbers alone where they have the same components without noise;
+        other cases are each for themselves.
+        """
+        keys = np.zeros((len(self.configurations), len(self._cases)), dtype=np.intp)
+        for k, (cases, number) in enumerate(self._cases.values()):
+            kinds: dict[object, int] = {}
+            each = [kinds.setdefault(_kind(case), len(kinds)) for case in cases]
+            keys[:, k] = np.array(each)[number]
+        _, group = np.unique(keys, axis=0, return_inverse=True)
+        order = np.argsort(group, kind="stable")
+        return np.split(order, np.flatnonzero(np.diff(group[order])) + 1)
+
+    def cpds(
+        self, which: Integers, lead: tuple[int, ...] = (), runs: Integers | None = None
+    ) -> list[CPD]:
+        """The CPDs at some configurations of one group and some of the user's runs.
+
+        `lead` are the user's axes of runs, and `runs` numbers of them, all of them without. The
+        CPDs' axis of runs is (configurations · runs,).
+        """
+        runs = np.arange(math.prod(lead)) if runs is None else runs
+        return [self._at(cpd, which, lead, runs) for cpd in self.part.cpds]
+
+    def _at(self, cpd: CPD, which: Integers, lead: tuple[int, ...], runs: Integers) -> CPD:
+        if cpd not in self._cases:
+            return _repeated(cpd, which.size, lead, runs) if cpd._lead() else cpd
+        cases, number = self._cases[cpd]
+        own = number[which]
+        used, place = np.unique(own, return_inverse=True)
+        if used.size == 1:
+            return cases[int(used[0])]
+        own_cases = [case for k in used if isinstance(case := cases[k], AffineCPD)]
+        return _stacked(own_cases, np.repeat(place, runs.size))
+
+
+def _kind(case: CPD) -> object:
+    """A key that cases have in common which differ in numbers alone."""
+    if not isinstance(case, AffineCPD) or isinstance(case.cov, Noise) or case.noise is not None:
+        return id(case)
+    return roots.determined(roots.root(case.cov)).tobytes()
+
+
+def _stacked(cases: Sequence[AffineCPD], number: Integers) -> AffineCPD:
+    """The affine CPD of a child that is one of some cases, by number, in each run."""
+    child = cases[0].child
+    given = tuple(dict.fromkeys(v for case in cases for v in case.given))
+    offset = np.array([case.offset for case in cases])[number]
+    cov = np.array([case.cov for case in cases])[number]
+    if not given:
+        return GaussianCPD(child, offset, cov)
+    matrices: dict[object, Array] = {}
+    for parent in given:
+        none = np.zeros((child.dimension, parent.dimension))
+        every = np.array([case.matrices.get(parent, none) for case in cases])
+        matrices[parent] = every[number]
+    return ByRunCPD(child, given, matrices, offset, cov)  # type: ignore[arg-type]
+
+
+def _repeated(cpd: CPD, count: int, lead: tuple[int, ...], runs: Integers) -> CPD:
+    """A prior with axes of runs, repeated for each of some configurations."""
+    own = by_run(cpd, lead)
+    assert isinstance(own, GaussianCPD)
+    assert isinstance(own.cov, np.ndarray)
+    size = own.child.dimension
+    mean = np.tile(own.mean.reshape(-1, size)[runs], (count, 1))
+    cov = np.tile(own.cov.reshape(-1, size, size)[runs], (count, 1, 1))
+    return GaussianCPD(own.child, mean, cov)
+
+
+def has_exact(case: CPD) -> bool:
+    """Whether a Gaussian CPD has no noise in some direction."""
+    if not isinstance(case, ConditionalGaussian) or isinstance(case.cov, Noise):
+        return False
+    if not np.isfinite(case.cov).all():  # a flat prior
+        return False
+    return bool(roots.determined(roots.root(case.cov)).any())

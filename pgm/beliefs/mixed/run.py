@@ -1,0 +1,143 @@
+"""Inference in a mixed network: parts in all configurations, then the tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pgm.beliefs.mixed.configurations import fits, possible
+from pgm.beliefs.mixed.outcome import MixedOutcome
+from pgm.beliefs.mixed.parts import fitting
+from pgm.beliefs.mixed.tabled import Tabled
+from pgm.beliefs.mixed.weighing import Asked, Weighed, weighed
+from pgm.clustergraph import ClusterGraph
+from pgm.compile.methods import JunctionTree
+from pgm.cpds import CPD, ConditionalGaussian, SwitchingCPD
+from pgm.errors import ModelError, NumericalError
+from pgm.evidence import Evidence
+from pgm.evidence.rows import as_rows, no_evidence_for, require_finite
+from pgm.evidence.static import BoundValues, bind_discrete, bind_values
+from pgm.factors.arrays import common_runs, flat
+from pgm.factors.scope import Scope
+from pgm.kernels.arrays import Array, Mask
+from pgm.networks import BayesianNetwork
+from pgm.schedules.argument_checks import require_gaussian
+from pgm.schedules.options import Call
+from pgm.schedules.starting_points import Start, require_hidden
+from pgm.variables import Discrete, Variable
+
+
+class _Split(NamedTuple):
+    """The CPDs of a mixed network by kind, and the graph of its tables alone."""
+
+    tables: Sequence[CPD]
+    continuous: Sequence[CPD]
+    graph: ClusterGraph
+    needed: Scope
+
+
+def run(graph: ClusterGraph, evidence: Evidence, call: Call) -> MixedOutcome:
+    """The beliefs of a network of discrete and continuous variables, given its evidence."""
+    split: _Split = graph.derived(_split)
+    known = frozenset(graph.network.variables)
+    for variable in evidence:
+        if variable not in known:
+            raise no_evidence_for(variable, known)
+    discrete: dict[Variable, Any] = {v: e for v, e in evidence.items() if isinstance(v, Discrete)}
+    others: dict[Variable, Any] = {
+        v: value for v, value in evidence.items() if not isinstance(v, Discrete)
+    }
+    states = bind_discrete(frozenset(v for v in known if isinstance(v, Discrete)), discrete)
+    bound = bind_values(split.continuous, others, graph.network.lead, split.needed)
+    owners = ("continuous variables", bound.lead), ("discrete variables", states.lead)
+    lead = common_runs([(f"the evidence of {what}", shape) for what, shape in owners])
+    if bound.lead != lead:
+        bound = bind_values(split.continuous, others, lead, split.needed)
+    fixed: dict[Variable, int] = {
+        v: state for v, state in states.states.items() if isinstance(state, int)
+    }
+    parts = [
+        (part, possible(part.boundary, split.graph, fixed))
+        for part in fitting(split.continuous, bound.values, lambda part: fits(part, fixed))
+    ]
+    hidden = [v for part, _ in parts for v in part.hidden]
+    start = None if call.start is None else _start(call.start, hidden, lead)
+    asked = Asked(_with_gaps(bound), start, lead, call.lineariser, call.schedule)
+    found = [weighed(part, configurations, asked) for part, configurations in parts]
+    tabled = Tabled.of(split.tables, discrete, parts, lead)
+    logs = [each.log for each in found]
+    allowed = _allowed(tabled, found)
+    beliefs, total = tabled.solved(logs, allowed)
+    return MixedOutcome(graph, beliefs, found, tabled.choices, frozenset(asked.values), lead, total)
+
+
+def _split(graph: ClusterGraph) -> _Split:
+    cpds = graph.network.cpds
+    tables = [cpd for cpd in cpds if cpd.discrete]
+    continuous = [cpd for cpd in cpds if not cpd.discrete]
+    for cpd in continuous:
+        own = cpd.cases.values() if isinstance(cpd, SwitchingCPD) else (cpd,)
+        require_gaussian(own, "the Gaussian beliefs of a mixed network")
+        for case in own:
+            if isinstance(case, ConditionalGaussian) and case.noise is not None:
+                raise ModelError(
+                    f"{case!r} has robust noise, {case.noise!r}, and what a network with discrete "
+                    "variables weighs them by are densities, which robust noise gives but a bound "
+                    "of: make outliers a state of a discrete variable, with a case of larger noise",
+                    variable=case.child,
+                    cpd=case,
+                )
+    noise = (v for cpd in continuous for v in cpd.noise_given)
+    needed = tuple(dict.fromkeys([*graph.network.inputs, *noise]))
+    return _Split(tables, continuous, JunctionTree()(BayesianNetwork(tables)), needed)
+
+
+def _with_gaps(bound: BoundValues) -> dict[Variable, Array]:
+    """The values of continuous variables, (runs or 1, d), NaN where a component is missing."""
+    return {
+        v: np.where(bound.taken[v], value, np.nan) if v in bound.taken else value
+        for v, value in bound.values.items()
+    }
+
+
+def _start(
+    start: Start, hidden: Sequence[Variable], lead: tuple[int, ...]
+) -> dict[Variable, Array]:
+    """The means to begin at, (runs or 1, d)."""
+    require_hidden(start, dict.fromkeys(hidden))
+    found = {}
+    for variable, value in start.items():
+        row = require_finite(variable, as_rows(variable, value, None)[..., None, :])[..., 0, :]
+        common_runs([(f"the start of {variable!r}", row.shape[:-1]), ("the evidence", lead)])
+        found[variable] = flat(row, lead, 1)
+    return found
+
+
+def _allowed(tabled: Tabled, parts: Sequence[Weighed]) -> list[Mask]:
+    """By part the configurations that count, (configurations, runs).
+
+    They are those that the evidence does not contradict, and, of these that all parts and tables
+    leave possible, those that make the most of the evidence certain.
+    """
+    possible = [np.isfinite(each.log) for each in parts]
+    if not any((each.certain != each.certain[:1]).any() for each in parts):
+        return possible
+    beliefs, _ = tabled.solved([np.where(mask, 0.0, -np.inf) for mask in possible], possible)
+    found = []
+    for choice, each, mask in zip(tabled.choices, parts, possible, strict=True):
+        if choice is not None:
+            share = beliefs[choice].probabilities.reshape(-1, choice.size).T
+            certain = np.where(mask & (share > 0.0), each.certain, -1)
+            mask = mask & (certain == certain.max(axis=0))
+        found.append(mask)
+    try:
+        tabled.solved([np.where(mask, 0.0, -np.inf) for mask in found], found)
+    except Exception as error:
+        raise NumericalError(
+            "parts of the network make evidence certain in configurations that exclude one "
+            "another; which of them outweighs the other is not known here: give their CPDs some "
+            "noise"
+        ) from error
+    return found

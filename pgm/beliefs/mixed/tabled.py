@@ -1,0 +1,142 @@
+"""The network of tables, with the configurations of the parts as variables of their own.
+
+A part's *choice* is a variable whose states are the part's possible configurations, all alike
+before. For each discrete parent of the part there is an *agreement*, which is observed to be true:
+that the parent has the state that the chosen configuration has. The log-evidence of configurations
+is then soft evidence of the choice, run by run, and its belief their probability.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgm.beliefs.discrete.outcome import DiscreteOutcome
+from pgm.beliefs.discrete.run import run as run_tables
+from pgm.beliefs.mixed.parts import Part
+from pgm.clustergraph import ClusterGraph
+from pgm.compile.methods import JunctionTree
+from pgm.cpds import CPD, TableCPD
+from pgm.errors import EvidenceError, NumericalError
+from pgm.evidence.values import Soft
+from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.networks import BayesianNetwork
+from pgm.schedules.impossible import ImpossibleEvidence
+from pgm.variables import Discrete, Variable
+
+# Weights are told to the tables to this power of e below the largest, beyond which they are zero.
+RANGE = 700.0
+
+
+@dataclass(frozen=True, eq=False)
+class Tabled:
+    """A network of tables and choices.
+
+    Attributes
+    ----------
+    graph : ClusterGraph
+    evidence : mapping of Discrete
+        What is known of the discrete variables, and that choices agree with them.
+    choices : sequence of Discrete or None
+        By part its choice; None where there is one configuration alone.
+    lead : tuple of int
+        The user's axes of runs.
+    """
+
+    graph: ClusterGraph
+    evidence: Mapping[Variable, object]
+    choices: Sequence[Discrete | None]
+    lead: tuple[int, ...]
+
+    @classmethod
+    def of(
+        cls,
+        tables: Sequence[CPD],
+        evidence: Mapping[Variable, object],
+        parts: Sequence[tuple[Part, Integers]],
+        lead: tuple[int, ...],
+    ) -> Tabled:
+        """The network of some tables, and of parts with their possible configurations."""
+        names = {cpd.child.name for cpd in tables}
+        cpds, known = list(tables), dict(evidence)
+        choices: list[Discrete | None] = []
+        for part, configurations in parts:
+            count = len(configurations)
+            if count == 1 or not part.boundary:
+                choices.append(None)
+                continue
+            choice = Discrete(_name(f"choice {len(choices)}", names), count)
+            choices.append(choice)
+            cpds.append(TableCPD(choice, table=np.full(count, 1.0 / count)))
+            for k, parent in enumerate(part.boundary):
+                own = configurations[:, k]
+                if (own == own[0]).all() and parent in evidence:
+                    continue  # it is observed to be that
+                agreement = Discrete(_name(f"{choice.name} {parent.name}", names), 2)
+                agrees = (own[:, None] == np.arange(parent.size)).astype(np.float64)
+                table = np.stack([1.0 - agrees, agrees], axis=-1)
+                cpds.append(TableCPD(agreement, given=(choice, parent), table=table))
+                known[agreement] = 1
+        return cls(JunctionTree()(BayesianNetwork(cpds)), known, choices, lead)
+
+    def solved(
+        self, logs: Sequence[Array], allowed: Sequence[Mask]
+    ) -> tuple[DiscreteOutcome, Array]:
+        """The beliefs of all tables and choices, and the log-evidence of all evidence, (runs,).
+
+        `logs` are by part the log-evidence of its configurations, (configurations, runs), of which
+        `allowed` count.
+        """
+        known, total = dict(self.evidence), np.zeros(math.prod(self.lead))
+        cut = False
+        for choice, log, mask in zip(self.choices, logs, allowed, strict=True):
+            own = np.where(mask, log, -np.inf)
+            top = own.max(axis=0)
+            total = total + top
+            if choice is not None:
+                weights = np.exp(own - top)
+                cut = cut or bool((mask & (own < top - RANGE)).any())
+                total = total + math.log(choice.size)
+                known[choice] = Soft(weights.T.reshape(*self.lead, choice.size))
+        if self.lead and all(choice is None for choice in self.choices):
+            # Runs that differ in what tables do not hang on have tables of their own all the same.
+            free = (v for v in self.graph.network.variables if v not in known)
+            if isinstance(variable := next(free, None), Discrete):
+                known[variable] = Soft(np.ones((*self.lead, variable.size)))
+        try:
+            found = run_tables(self.graph, known, None)
+        except ImpossibleEvidence as error:
+            if cut:
+                raise _too_far() from None
+            raise _impossible(error, bool(self.lead)) from None
+        own = np.broadcast_to(np.ravel(found.log_evidence), total.shape)
+        if cut and (own < -0.5 * RANGE).any():
+            raise _too_far()
+        return found, total + own
+
+
+def _name(name: str, taken: set[str]) -> str:
+    """The name, with as many primes as it takes for no other variable to have it."""
+    while name in taken:
+        name += "′"
+    taken.add(name)
+    return name
+
+
+def _impossible(error: ImpossibleEvidence, several: bool) -> EvidenceError:
+    where = f", in run {error.run}" if several else ""
+    return EvidenceError(
+        f"the evidence has probability zero{where}: each configuration of the discrete variables "
+        "is impossible by the tables, or contradicted by what continuous variables are known to be",
+        run=error.run,
+    )
+
+
+def _too_far() -> NumericalError:
+    return NumericalError(
+        "what parts of the network say of the discrete variables contradicts itself by more than "
+        f"{RANGE:g} nats, which is beyond the range of float64; give CPDs more noise"
+    )

@@ -1,0 +1,213 @@
+"""The Gaussian beliefs of a part in all configurations, and the log-evidence of each.
+
+A configuration that the evidence contradicts has a log-evidence of −∞. Where a configuration makes
+some of the evidence certain that another gives a density, the two are no numbers of one kind: a
+point mass outweighs every density. So each configuration is also told how many dimensions of the
+evidence it makes certain.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgm.beliefs.gaussian.outcome import GaussianOutcome
+from pgm.beliefs.gaussian.refusals import Contradiction
+from pgm.beliefs.gaussian.run import run
+from pgm.beliefs.mixed.configurations import Cases, has_exact
+from pgm.beliefs.mixed.parts import Part
+from pgm.compile.methods import JunctionTree
+from pgm.cpds import CPD, AffineCPD, SwitchingCPD
+from pgm.errors import GraphError, NumericalError
+from pgm.factors.scope import listed
+from pgm.kernels import roots
+from pgm.kernels.arrays import Array, Integers, independent
+from pgm.linearisers import Lineariser
+from pgm.networks import BayesianNetwork
+from pgm.resources import require_memory
+from pgm.schedules.schedule import Schedule
+from pgm.variables import Variable
+
+# A direction of the evidence is certain if its deviation is this share of its components'.
+CERTAIN = 1e-13
+TREE = JunctionTree()
+
+
+@dataclass(frozen=True)
+class Asked:
+    """The evidence of continuous variables, and the options of a call.
+
+    Attributes
+    ----------
+    values : mapping of Variable to ndarray
+        (runs or 1, d), NaN where a component is missing.
+    start : mapping of Variable to ndarray
+        (runs or 1, d): means of hidden variables to begin at.
+    lead : tuple of int
+        The user's axes of runs, which are flattened to one.
+    lineariser, schedule
+        As of `infer`.
+    """
+
+    values: Mapping[Variable, Array]
+    start: Mapping[Variable, Array] | None
+    lead: tuple[int, ...]
+    lineariser: Lineariser
+    schedule: Schedule | None
+
+    @property
+    def runs(self) -> int:
+        """How many runs there are."""
+        return math.prod(self.lead)
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """A part solved in its configurations.
+
+    Attributes
+    ----------
+    part : Part
+    configurations : ndarray
+        (configurations, discrete parents), indices of states.
+    log : ndarray
+        The log-evidence, (configurations, runs); −∞ where the evidence contradicts one.
+    certain : ndarray
+        How many dimensions of the evidence a configuration makes certain, (configurations, runs).
+    beliefs : sequence of triples
+        Numbers of configurations, numbers of runs, and the beliefs of all pairs of them, the runs
+        of one configuration after those of another.
+    """
+
+    part: Part
+    configurations: Integers
+    log: Array
+    certain: Integers
+    beliefs: Sequence[tuple[Integers, Integers, GaussianOutcome]]
+
+    def moments(self, scope: Sequence[Variable]) -> tuple[Array, Array]:
+        """The means (configurations, runs, n), and covariances, of hidden variables.
+
+        They are those of N(0, I) where the evidence contradicts a configuration.
+        """
+        size = sum(v.dimension for v in scope)
+        means = np.zeros((*self.log.shape, size))
+        covs = np.tile(np.eye(size), (*self.log.shape, 1, 1))
+        for which, runs, belief in self.beliefs:
+            found = belief[scope[0]] if len(scope) == 1 else belief.joint(*scope)
+            shape, at = (which.size, runs.size), np.ix_(which, runs)
+            count = math.prod(shape)
+            means[at] = np.broadcast_to(found.mean, (count, size)).reshape(*shape, size)
+            covs[at] = np.broadcast_to(found.cov, (count, size, size)).reshape(*shape, size, size)
+        return means, covs
+
+
+def weighed(part: Part, configurations: Integers, asked: Asked) -> Weighed:
+    """The beliefs and the log-evidence of a part in its possible configurations."""
+    size = sum(v.dimension for v in part.hidden)
+    require_memory(
+        len(configurations) * asked.runs * (size + len(part.cpds)) * max(size, 1),
+        f"the beliefs of {len(configurations):,} configurations of ({listed(part.boundary)}) in "
+        f"{asked.runs:,} runs",
+        "give fewer runs at a time, or evidence that leaves fewer configurations",
+        error=GraphError,
+    )
+    cases = Cases(part, configurations)
+    log = np.full((len(configurations), asked.runs), -np.inf)
+    beliefs: list[tuple[Integers, Integers, GaussianOutcome]] = []
+    refused: Contradiction | None = None
+    waiting = [(which, np.arange(asked.runs)) for which in cases.alike()]
+    while waiting:
+        which, runs = waiting.pop()
+        try:
+            found = _solved(cases, which, runs, asked)
+        except Contradiction as error:
+            refused = error
+            if which.size > 1:
+                waiting += [(some, runs) for some in np.array_split(which, 2)]
+            elif runs.size > 1:
+                waiting += [(which, some) for some in np.array_split(runs, 2)]
+            continue
+        shape = which.size, runs.size
+        value = np.broadcast_to(found.log_evidence.ravel(), (math.prod(shape),))
+        log[np.ix_(which, runs)] = value.reshape(shape)
+        beliefs.append((which, runs, found))
+    if refused is not None and not np.isfinite(log).any(axis=0).all():
+        raise refused  # whatever the discrete variables are
+    return Weighed(part, configurations, log, _certain(part, cases, asked), beliefs)
+
+
+def _solved(cases: Cases, which: Integers, runs: Integers, asked: Asked) -> GaussianOutcome:
+    """The beliefs of a part in some configurations of one group, times some runs, as runs."""
+    cpds = cases.cpds(which, asked.lead, runs)
+    scope = {v for cpd in cpds for v in cpd.scope}
+
+    def repeated(values: Mapping[Variable, Array]) -> dict[Variable, Array]:
+        found = {}
+        for variable, value in values.items():
+            if variable in scope:
+                alone = len(value) == 1
+                found[variable] = value[0] if alone else np.tile(value[runs], (which.size, 1))
+        return found
+
+    start = None if asked.start is None else repeated(asked.start)
+    graph = TREE(BayesianNetwork(cpds))
+    return run(graph, repeated(asked.values), asked.schedule, asked.lineariser, start)
+
+
+def _certain(part: Part, cases: Cases, asked: Asked) -> Integers:
+    """How many dimensions of the evidence each configuration makes certain, (.., runs)."""
+    count = len(cases.configurations)
+    found = np.zeros((count, asked.runs), dtype=np.intp)
+    every = [
+        case
+        for cpd in part.cpds
+        for case in (cpd.cases.values() if isinstance(cpd, SwitchingCPD) else (cpd,))
+    ]
+    seen = [cpd.child for cpd in part.cpds if cpd.child in asked.values]
+    if not part.boundary or not seen or not any(map(has_exact, every)):
+        return found
+    taken = np.concatenate(
+        [np.broadcast_to(~np.isnan(asked.values[v]), (asked.runs, v.dimension)) for v in seen],
+        axis=1,
+    )
+    patterns, pattern = np.unique(taken, axis=0, return_inverse=True)
+    for k in range(count):
+        spread = _spread(cases.cpds(np.array([k]), asked.lead, np.zeros(1, dtype=np.intp)), seen)
+        found[k] = np.array([_lost(spread[own]) for own in patterns])[pattern.ravel()]
+    return found
+
+
+def _spread(cpds: Sequence[CPD], seen: Sequence[Variable]) -> Array:
+    """A root A of the covariance A Aᵀ of some variables before all evidence, (n, sources)."""
+    blocks: dict[Variable, Array] = {}
+    width, column = sum(cpd.child.dimension for cpd in cpds), 0
+    for cpd in cpds:
+        if not isinstance(cpd, AffineCPD) or not isinstance(cpd.cov, np.ndarray):
+            raise NumericalError(
+                f"{cpd!r} stands beside CPDs without noise, among which discrete variables choose; "
+                "how a value that is certain weighs against a density is known where all are "
+                "linear: give each some noise",
+                variable=cpd.child,
+            )
+        size = cpd.child.dimension
+        rows = np.zeros((size, width))
+        cov = cpd.cov.reshape(-1, size, size)[0]
+        flat = ~np.isfinite(np.diagonal(cov))
+        rows[:, column : column + size] = roots.root(independent(cov, ~flat))
+        for parent in cpd.given:
+            if parent in blocks:
+                rows += cpd.matrices[parent].reshape(-1, size, parent.dimension)[0] @ blocks[parent]
+        blocks[cpd.child] = rows
+        column += size
+    return np.concatenate([blocks[v] for v in seen])
+
+
+def _lost(rows: Array) -> int:
+    """The number of rows less their rank."""
+    length = np.sqrt((rows * rows).sum(axis=1))
+    values = np.linalg.svd(rows / np.where(length > 0.0, length, 1.0)[:, None], compute_uv=False)
+    return int(len(rows) - (values > CERTAIN).sum())

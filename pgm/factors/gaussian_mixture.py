@@ -1,0 +1,217 @@
+"""Mixtures of Gaussians: what is known of continuous variables beside discrete ones."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.arguments import public
+from pgm.boundary import as_generator, as_lengths
+from pgm.display import Listing, NoArray, Shown, Summary, few, number
+from pgm.errors import ModelError
+from pgm.factors.gaussian import Gaussian
+from pgm.factors.scope import Scope, angle_mask, distinct_labels
+from pgm.immutable import Immutable
+from pgm.kernels.angles import nearest_branch
+from pgm.kernels.arrays import Array, apply, deviation, frozen, transpose
+from pgm.kernels.semirings import log_sum
+from pgm.resources import require_memory
+
+# The most components that are shown.
+SHOWN = 8
+
+
+@public
+class GaussianMixture(Shown, NoArray, Immutable):
+    r"""A weighted sum of Gaussian densities, Σ_k w_k N(x; μ_k, P_k).
+
+    .. math:: p(x) = \sum_k w_k \, N(x; \mu_k, P_k), \quad \mu = \sum_k w_k \mu_k, \quad
+              P = \sum_k w_k \big(P_k + (\mu_k - \mu)(\mu_k - \mu)^\top\big)
+
+    What inference answers of a continuous variable in a network that has discrete ones, too: a
+    Gaussian for each configuration of the discrete variables that it depends on, weighed by the
+    probability of that. Angles of the components are on the branches nearest to the likeliest one.
+
+    Parameters
+    ----------
+    weights : array_like
+        (..., K): w_k, not negative, of sum one.
+    components : Gaussian
+        The K Gaussians, (..., K, n), along the last of its leading axes.
+
+    Attributes
+    ----------
+    scope : tuple of Variable
+    weights : ndarray
+        (..., K).
+    components : Gaussian
+        (..., K, n).
+    mean, cov, std : ndarray
+        The moments of the whole mixture, (..., n), (..., n, n) and (..., n).
+
+    Raises
+    ------
+    ModelError
+        If shapes do not fit, or the weights are none.
+
+    Examples
+    --------
+    >>> x = pgm.Variable("x")
+    >>> found = pgm.GaussianMixture([0.25, 0.75], pgm.Gaussian(x, [[0.0], [4.0]], [[1.0]]))
+    >>> found.mean, found.cov
+    (array([3.]), array([[4.]]))
+    >>> found.log_density([[0.0], [4.0]]).round(3)
+    array([-2.304, -1.207])
+    """
+
+    weights: Array
+    components: Gaussian
+
+    def __init__(self, weights: npt.ArrayLike, components: Gaussian) -> None:
+        if not isinstance(components, Gaussian):
+            raise ModelError(f"the components of a mixture are a Gaussian; found {components!r}")
+        found = np.array(weights, dtype=np.float64)
+        if found.ndim < 1 or found.shape != components.mean.shape[:-1]:
+            raise ModelError(
+                f"a mixture has a weight for each component: weights of shape {found.shape} and "
+                f"Gaussians (..., K) of shape {components.mean.shape[:-1]} do not fit"
+            )
+        if not (found >= 0.0).all() or not (abs(found.sum(axis=-1) - 1.0) <= 1e-9).all():
+            raise ModelError(
+                "the weights of a mixture are not negative, and their sum is one; found sums of "
+                f"{found.sum(axis=-1)}"
+            )
+        self._put(found, components)
+
+    def _put(self, weights: Array, components: Gaussian) -> None:
+        angles = angle_mask(components.scope)
+        if angles.any():
+            best = weights.argmax(axis=-1)[..., None, None]
+            middle = np.take_along_axis(components.mean, best, axis=-2)
+            mean = nearest_branch(components.mean, middle, angles)
+            components = Gaussian._make(components.scope, mean, components.cov)
+        self._set(weights=frozen(weights), components=components)
+
+    @classmethod
+    def _make(cls, weights: Array, components: Gaussian) -> GaussianMixture:
+        found = object.__new__(cls)
+        found._put(weights, components)
+        return found
+
+    @property
+    def scope(self) -> Scope:
+        """The variables, whose components are stacked in this order."""
+        return self.components.scope
+
+    @property
+    def mean(self) -> Array:
+        """The mean of the whole mixture, (..., n)."""
+        return apply(transpose(self.components.mean), self.weights)
+
+    @property
+    def cov(self) -> Array:
+        """The covariance of the whole mixture, (..., n, n)."""
+        away = self.components.mean - self.mean[..., None, :]
+        spread = transpose(away) @ (self.weights[..., None] * away)
+        inside = np.einsum("...k,...kij->...ij", self.weights, self.components.cov)
+        return np.asarray(inside + spread)
+
+    @property
+    def std(self) -> Array:
+        """The standard deviations of the whole mixture, (..., n)."""
+        return deviation(self.cov)
+
+    @property
+    def angles(self) -> npt.NDArray[np.bool_]:
+        """The mask of components that are angles, (n,)."""
+        return angle_mask(self.scope)
+
+    @property
+    def gaussian(self) -> Gaussian:
+        """The Gaussian with the mixture's mean and covariance: of all, the nearest by KL."""
+        return Gaussian._make(self.scope, self.mean, self.cov)
+
+    def log_density(self, x: npt.ArrayLike) -> Array:
+        """The log-density ln Σ_k w_k N(x; μ_k, P_k) at values (..., n), in nats, (...)."""
+        value = np.asarray(x, dtype=np.float64)
+        each = self.components.log_density(value[..., None, :])
+        with np.errstate(divide="ignore"):
+            return log_sum(each + np.log(self.weights), -1)
+
+    @public
+    def sample(self, size: int | tuple[int, ...] = (), *, rng: np.random.Generator | int) -> Array:
+        """Draws, each of a component that is drawn by its weight.
+
+        Parameters
+        ----------
+        size : int or tuple of int
+            How many draws of each mixture.
+        rng : numpy.random.Generator or int
+            The generator of draws, or its seed.
+
+        Returns
+        -------
+        ndarray
+            (*size, ..., n).
+        """
+        shape = (*as_lengths(size, "of each mixture"), *self.weights.shape[:-1])
+        generator = as_generator(rng)
+        require_memory(
+            math.prod(shape) * self.components.mean.shape[-1] * self.weights.shape[-1],
+            f"{size} draws of {self._title}",
+            "draw fewer at a time",
+        )
+        ends = np.cumsum(self.weights, axis=-1)[..., :-1]
+        which = (generator.random(shape)[..., None] >= ends).sum(axis=-1)
+        extra = shape[: len(shape) - (self.weights.ndim - 1)]
+        drawn = self.components.sample(extra, rng=generator)
+        return np.take_along_axis(drawn, which[..., None, None], axis=-2)[..., 0, :]
+
+    def __getitem__(self, index: Any) -> GaussianMixture:
+        """Some of the mixtures, by their places along the leading axes, of runs."""
+        lead = self.weights.ndim - 1
+        places = index if isinstance(index, tuple) else (index,)
+        if len(places) > lead:
+            raise ModelError(f"{self._title} has {lead} axes of runs, not {len(places)}")
+        parts = self.components
+        mean, cov = parts.mean[index], parts.cov[index]
+        return self._make(self.weights[index], Gaussian._make(self.scope, mean, cov))
+
+    __iter__ = None  # else Python would go through places until one is refused
+
+    @property
+    def lead(self) -> tuple[int, ...]:
+        """The axes of runs."""
+        return self.weights.shape[:-1]
+
+    @property
+    def _title(self) -> str:
+        runs = f", runs {self.lead}" if self.lead else ""
+        names = ", ".join(map(repr, self.scope))
+        return f"GaussianMixture({names}: {self.weights.shape[-1]} Gaussians{runs})"
+
+    def _summary(self) -> Summary:
+        if self.weights.shape[-1] == 1:
+            return self.components[..., 0]._summary()
+        if self.lead:
+            return Summary(self._title, [])
+        heads = distinct_labels(self.scope)
+        order = np.argsort(-self.weights, kind="stable")
+        rows: list[Any] = [["all", "1", *_shown(self.mean, self.std)]]
+        std = self.components.std
+        for k in few(order.size, SHOWN):
+            if k is None:
+                rows.append(None)
+                continue
+            own = order[k]
+            weight = number(float(self.weights[own]))
+            rows.append([str(own), weight, *_shown(self.components.mean[own], std[own])])
+        return Summary(self._title, [Listing(["", "weight", *heads], rows)])
+
+
+def _shown(mean: Array, std: Array) -> list[str]:
+    pairs = zip(mean.tolist(), std.tolist(), strict=True)
+    return [f"{number(middle)} ± {number(width)}" for middle, width in pairs]

@@ -1,0 +1,357 @@
+"""Networks of discrete and continuous variables, against enumeration and published figures."""
+
+import pickle
+from itertools import product
+
+import numpy as np
+import pytest
+from mixed.enumerated import drawn, enumerated, observed
+from numpy.testing import assert_allclose
+
+import pgm
+
+MODE = pgm.Discrete("mode", states=("calm", "wild"))
+FAIR = pgm.TableCPD(MODE, table=[0.5, 0.5])
+X, Z = pgm.variables("x z")
+
+
+def switched(child, calm, wild):
+    return pgm.SwitchingCPD(child, given=MODE, cases={"calm": calm, "wild": wild})
+
+
+def inferred(cpds, evidence, **options):
+    return pgm.infer(pgm.compile(pgm.BayesianNetwork(cpds)), evidence, **options)
+
+
+def assert_enumerated(network, evidence):
+    total, tables, beliefs = enumerated(network, evidence)
+    posterior = pgm.infer(pgm.compile(network), evidence)
+    if total is not None:
+        assert_allclose(posterior.log_evidence, total, atol=1e-10, rtol=1e-10)
+    for variable, due in tables.items():
+        assert_allclose(posterior[variable].probabilities, due, atol=1e-12)
+    for variable, (mean, cov) in beliefs.items():
+        size = max(1.0, np.abs(cov).max() ** 0.5)
+        assert_allclose(posterior[variable].mean / size, mean / size, atol=1e-9)
+        assert_allclose(posterior[variable].cov / size**2, cov / size**2, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("exact", [0.0, 0.25])
+def test_drawn_networks(seed, exact):
+    network, rng = drawn(seed, exact)
+    assert_enumerated(network, observed(network, rng))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("exact", [0.0, 0.25])
+@pytest.mark.parametrize("part", range(10))
+def test_many_drawn_networks(part, exact):
+    for seed in range(1000 + 50 * part, 1050 + 50 * part):
+        network, rng = drawn(seed, exact)
+        assert_enumerated(network, observed(network, rng))
+
+
+def incinerator():
+    """The emission of a waste incinerator (Lauritzen, 1992, section 5)."""
+    filters = pgm.Discrete("filter", states=("intact", "defect"))
+    waste = pgm.Discrete("waste", states=("industrial", "household"))
+    burning = pgm.Discrete("burning", states=("stable", "unstable"))
+    named = {name: pgm.Variable(name) for name in ("E", "C", "D", "L", "Min", "Mout")}
+    E, C, D, L, inward, outward = named.values()
+    emitted = {
+        ("intact", "industrial"): (-3.9, 2e-5),
+        ("defect", "industrial"): (-0.4, 1e-4),
+        ("intact", "household"): (-3.2, 2e-5),
+        ("defect", "household"): (-0.5, 1e-4),
+    }
+    dust = {
+        ("stable", "industrial"): (6.5, 0.03),
+        ("unstable", "industrial"): (7.5, 0.1),
+        ("stable", "household"): (6.0, 0.04),
+        ("unstable", "household"): (7.0, 0.1),
+    }
+    metals = {"industrial": (0.5, 0.01), "household": (-0.5, 0.005)}
+    dioxide = {"stable": (-2.0, 0.1), "unstable": (-1.0, 0.3)}
+
+    def priors(child, given, numbers):
+        cases = {k: pgm.GaussianCPD(child, *moments) for k, moments in numbers.items()}
+        return pgm.SwitchingCPD(child, given, cases)
+
+    through = {
+        k: pgm.LinearGaussianCPD(D, {E: 1.0}, cov, offset=offset)
+        for k, (offset, cov) in dust.items()
+    }
+    network = pgm.BayesianNetwork(
+        [
+            pgm.TableCPD(filters, table=[0.95, 0.05]),
+            pgm.TableCPD(waste, table=[2 / 7, 5 / 7]),
+            pgm.TableCPD(burning, table=[0.85, 0.15]),
+            priors(E, (filters, waste), emitted),
+            priors(C, burning, dioxide),
+            pgm.SwitchingCPD(D, (burning, waste), through),
+            pgm.LinearGaussianCPD(L, {D: -0.5}, 0.25, offset=3.0),
+            priors(inward, waste, metals),
+            pgm.LinearGaussianCPD(outward, {D: 1.0, inward: 1.0}, 0.002),
+        ]
+    )
+    return network, named, (filters, waste, burning)
+
+
+def test_published_figures_of_the_incinerator():
+    network, named, (filters, waste, burning) = incinerator()
+    graph = pgm.compile(network)
+    before = pgm.infer(graph, {})
+    due = {
+        "E": (-3.25, 0.709),
+        "D": (3.04, 0.770),
+        "C": (-1.85, 0.507),
+        "L": (1.48, 0.631),
+        "Min": (-0.214, 0.459),
+        "Mout": (2.83, 0.860),
+    }
+    for name, (mean, std) in due.items():
+        assert_allclose(before[named[name]].mean, mean, atol=6e-3)
+        assert_allclose(before[named[name]].std, std, atol=6e-4)
+    seen = {waste: "industrial", named["L"]: 1.1, named["C"]: -0.9}
+    after = pgm.infer(graph, seen)
+    for name, mean, std in [
+        ("E", -3.90, 0.076),
+        ("D", 3.61, 0.326),
+        ("Min", 0.50, 0.100),
+        ("Mout", 4.11, 0.344),
+    ]:
+        assert_allclose(after[named[name]].mean, mean, atol=6e-3)
+        assert_allclose(after[named[name]].std, std, atol=6e-4)
+    assert_allclose(after[burning].probabilities[0], 0.0123, atol=6e-5)
+    assert_allclose(after[filters].probabilities[0], 0.9995, atol=6e-5)
+    assert after.log_evidence_kind == "exact"
+
+
+def test_runs_are_those_of_one_at_a_time():
+    network, named, (filters, waste, burning) = incinerator()
+    graph = pgm.compile(network)
+    light = np.array([[[1.1], [1.0], [np.nan]], [[0.7], [1.4], [1.5]]])
+    kinds = np.array([0, -1, 1])
+    posterior = pgm.infer(graph, {named["L"]: light, waste: kinds, named["C"]: -0.9})
+    assert posterior[burning].probabilities.shape == (2, 3, 2)
+    assert posterior[named["E"]].lead == (2, 3)
+    for i, j in product(range(2), range(3)):
+        seen = {named["L"]: light[i, j], named["C"]: -0.9}
+        if kinds[j] >= 0:
+            seen[waste] = int(kinds[j])
+        alone = pgm.infer(graph, seen)
+        assert_allclose(posterior.log_evidence[i, j], alone.log_evidence, rtol=1e-12)
+        for variable in (burning, filters):
+            found = posterior[variable].probabilities[i, j]
+            assert_allclose(found, alone[variable].probabilities, atol=1e-13)
+        for variable in (named["E"], named["Mout"]):
+            found = posterior[variable][i, j]
+            assert_allclose(found.mean, alone[variable].mean, rtol=1e-10)
+            assert_allclose(found.cov, alone[variable].cov, rtol=1e-9)
+
+
+def test_priors_may_have_runs():
+    cpds = [FAIR, pgm.GaussianCPD(X, [[0.0], [3.0]], 1.0)]
+    sensor = switched(
+        Z, pgm.LinearGaussianCPD(Z, {X: 1.0}, 1.0), pgm.LinearGaussianCPD(Z, {X: -1.0}, 2.0)
+    )
+    found = inferred([*cpds, sensor], {Z: 1.0})
+    for run, mean in enumerate((0.0, 3.0)):
+        alone = inferred([FAIR, pgm.GaussianCPD(X, mean, 1.0), sensor], {Z: 1.0})
+        assert_allclose(found[MODE].probabilities[run], alone[MODE].probabilities)
+        assert_allclose(found[X][run].mean, alone[X].mean)
+
+
+def test_a_long_row_of_hidden_states_and_readings():
+    """A hidden Markov model with Gaussian readings, unrolled: each reading is a part of its own."""
+    table, means, stds = np.array([[0.9, 0.1], [0.2, 0.8]]), (0.0, 3.0), (1.0, 1.5)
+    readings = [0.1, 3.0, np.nan, 60.0, -0.4, 2.2]
+    states = [pgm.Discrete(f"s{k}", 2) for k in range(len(readings))]
+    cpds, evidence = [pgm.TableCPD(states[0], table=[0.5, 0.5])], {}
+    for k, (state, value) in enumerate(zip(states, readings, strict=True)):
+        z = pgm.Variable(f"z{k}")
+        if k:
+            cpds.append(pgm.TableCPD(state, states[k - 1], table=table))
+        cases = {j: pgm.GaussianCPD(z, means[j], stds[j] ** 2) for j in range(2)}
+        cpds.append(pgm.SwitchingCPD(z, state, cases))
+        evidence[z] = value
+    posterior = inferred(cpds, evidence)
+    forward, total = np.array([0.5, 0.5]), 0.0
+    for k, value in enumerate(readings):
+        forward = forward @ table if k else forward
+        if np.isfinite(value):
+            logs = [
+                -0.5 * ((value - m) / s) ** 2 - np.log(s) for m, s in zip(means, stds, strict=True)
+            ]
+            logs = np.array(logs) - 0.5 * np.log(2 * np.pi)
+            forward = forward * np.exp(logs - logs.max())
+            total += logs.max() + np.log(forward.sum())
+            forward /= forward.sum()
+    assert_allclose(posterior[states[-1]].probabilities, forward, atol=1e-13)
+    assert_allclose(posterior.log_evidence, total, rtol=1e-13)
+
+
+def test_cases_that_are_not_linear_are_weighed_as_networks_of_their_own():
+    prior = switched(X, pgm.GaussianCPD(X, 0.2, 0.1), pgm.GaussianCPD(X, 1.0, 0.3))
+    calm = pgm.NonlinearGaussianCPD(Z, X, np.sin, 0.1, lineariser=pgm.Unscented())
+    wild = pgm.NonlinearGaussianCPD(Z, X, np.cosh, 0.2)
+    schedule = pgm.Calibration(iterations=60)
+    found = inferred([FAIR, prior, switched(Z, calm, wild)], {Z: 0.7}, schedule=schedule)
+    logs, means = [], []
+    for first, sensor in ((pgm.GaussianCPD(X, 0.2, 0.1), calm), (pgm.GaussianCPD(X, 1, 0.3), wild)):
+        alone = inferred([first, sensor], {Z: 0.7}, schedule=schedule)
+        logs.append(alone.log_evidence)
+        means.append(alone[X].mean)
+    weights = np.exp(logs) / np.exp(logs).sum()
+    assert_allclose(found[MODE].probabilities, weights, atol=1e-12)
+    assert_allclose(found[X].mean, weights @ means, atol=1e-12)
+    assert_allclose(found.log_evidence, np.log(0.5 * np.exp(logs).sum()), atol=1e-12)
+    assert found.log_evidence_kind == "linearised"
+    assert found.status.iterations > 1
+    started = inferred([FAIR, prior, switched(Z, calm, wild)], {Z: 0.7}, start={X: [0.9]})
+    assert not started.status.converged
+
+
+def test_joints():
+    network, named, (filters, waste, burning) = incinerator()
+    posterior = pgm.infer(pgm.compile(network), {named["L"]: 1.1})
+    outward, E, C = named["Mout"], named["E"], named["C"]
+    joint = posterior.joint(outward, C, E)  # C is of a part of its own
+    assert joint.scope == (outward, C, E)
+    for k, variable in enumerate(joint.scope):
+        assert_allclose(joint.mean[k], posterior[variable].mean[0])
+        assert_allclose(joint.cov[k, k], posterior[variable].cov[0, 0])
+    total = 0.0  # their covariance is that of the means of configurations
+    for states in product(filters.states, waste.states, burning.states):
+        seen = {named["L"]: 1.1, **dict(zip((filters, waste, burning), states, strict=True))}
+        alone = pgm.infer(pgm.compile(network), seen)
+        weight = np.exp(alone.log_evidence - posterior.log_evidence)
+        total += weight * alone[outward].mean[0] * alone[C].mean[0]
+    assert_allclose(joint.cov[0, 1], total - joint.mean[0] * joint.mean[1], atol=1e-10)
+    tables = posterior.joint(waste, burning)
+    assert_allclose(tables.probabilities.sum(axis=0), posterior[burning].probabilities)
+    with pytest.raises(pgm.EvidenceError, match="neither a table nor a mixture"):
+        posterior.joint(waste, C)
+
+
+def test_a_value_that_is_certain_outweighs_a_density():
+    sensor = switched(Z, pgm.GaussianCPD(Z, 5.0, 0.0), pgm.GaussianCPD(Z, 5.0, 1.0))
+    readings = [[5.0], [4.0], [np.nan]]
+    found = inferred([FAIR, sensor], {Z: readings})
+    assert_allclose(found[MODE].probabilities, [[1, 0], [0, 1], [0.5, 0.5]])
+    density = -0.5 - 0.5 * np.log(2 * np.pi)
+    assert_allclose(found.log_evidence, [np.log(0.5), np.log(0.5) + density, 0.0], atol=1e-14)
+    # No point mass where the reading's own source is uncertain.
+    exact, noisy = pgm.LinearGaussianCPD(Z, {X: 1.0}, 0.0), pgm.LinearGaussianCPD(Z, {X: 1.0}, 1.0)
+    found = inferred([FAIR, pgm.GaussianCPD(X, 0, 1), switched(Z, exact, noisy)], {Z: 1.0})
+    densities = np.exp([-0.5, -0.25]) / np.sqrt([1.0, 2.0])
+    assert_allclose(found[MODE].probabilities, densities / densities.sum())
+    # Two sharp readings of one source are not certain.
+    other = pgm.Variable("other")
+    sharp = [pgm.LinearGaussianCPD(v, {X: 1.0}, 1e-16) for v in (Z, other)]
+    prior = switched(X, pgm.GaussianCPD(X, 0, 1), pgm.GaussianCPD(X, 1, 1))
+    found = inferred([FAIR, prior, *sharp], {Z: 1.0, other: 1.0 + 1e-8})
+    assert_allclose(found[MODE].probabilities[0], 1 / (1 + np.exp(0.5)), rtol=1e-6)
+
+
+def test_parts_that_are_certain_of_what_excludes_one_another_are_refused():
+    other = pgm.Variable("other")
+    one = switched(Z, pgm.GaussianCPD(Z, 5.0, 0.0), pgm.GaussianCPD(Z, 5.0, 1.0))
+    two = switched(other, pgm.GaussianCPD(other, 1.0, 1.0), pgm.GaussianCPD(other, 1.0, 0.0))
+    with pytest.raises(pgm.NumericalError, match="exclude one another"):
+        inferred([FAIR, one, two], {Z: 5.0, other: 1.0})
+    bent = pgm.NonlinearGaussianCPD(other, Z, np.sin, 1.0)
+    hidden = switched(X, pgm.GaussianCPD(X, 5.0, 0.0), pgm.GaussianCPD(X, 5.0, 1.0))
+    bent = pgm.NonlinearGaussianCPD(other, X, np.sin, 1.0)
+    with pytest.raises(pgm.NumericalError, match="all are linear"):
+        inferred([FAIR, hidden, bent], {other: 1.0})
+
+
+def test_what_no_configuration_allows_is_refused():
+    both = switched(Z, pgm.GaussianCPD(Z, 5.0, 0.0), pgm.GaussianCPD(Z, 6.0, 0.0))
+    found = inferred([FAIR, both], {Z: [[5.0], [6.0]]})
+    assert_allclose(found[MODE].probabilities, np.eye(2))
+    with pytest.raises(pgm.NumericalError, match="contradicts an exact model"):
+        inferred([FAIR, both], {Z: [[5.0], [4.0]]})
+    other = pgm.Variable("other")
+    again = switched(other, pgm.GaussianCPD(other, 5.0, 0.0), pgm.GaussianCPD(other, 6.0, 0.0))
+    with pytest.raises(pgm.EvidenceError, match="probability zero, in run 1"):
+        inferred([FAIR, both, again], {Z: [[5.0], [5.0]], other: [[5.0], [6.0]]})
+    wide = [pgm.GaussianCPD(v, m, 1.0) for v in (Z, other) for m in (0.0, 100.0)]
+    apart = [switched(Z, *wide[:2]), switched(other, *wide[:1:-1])]
+    with pytest.raises(pgm.NumericalError, match="700 nats"):
+        inferred([FAIR, *apart], {Z: 0.0, other: 0.0})
+
+
+def test_too_many_configurations_are_refused_before_any_work():
+    modes = [pgm.Discrete(f"m{k}", 4) for k in range(12)]
+    each = [pgm.Variable(f"x{k}") for k in range(12)]
+    cpds = [pgm.TableCPD(mode, table=np.full(4, 0.25)) for mode in modes]
+    for mode, x in zip(modes, each, strict=True):
+        cases = {k: pgm.GaussianCPD(x, k, 1.0) for k in range(4)}
+        cpds.append(pgm.SwitchingCPD(x, mode, cases))
+    cpds.append(pgm.LinearGaussianCPD(Z, dict.fromkeys(each, 1.0), 1.0))
+    graph = pgm.compile(pgm.BayesianNetwork(cpds))
+    with pytest.raises(pgm.GraphError, match="16,777,216 configurations"):
+        pgm.infer(graph, {Z: 3.0})
+    known = dict.fromkeys(modes[:9], 0)
+    assert pgm.infer(graph, {Z: 3.0, **known})[modes[9]].probabilities.shape == (4,)
+    # Without the reading each is a part by itself.
+    assert_allclose(pgm.infer(graph, {})[each[0]].mean, 1.5)
+
+
+def test_shows_itself():
+    posterior = inferred(
+        [FAIR, switched(X, pgm.GaussianCPD(X, 0, 1), pgm.GaussianCPD(X, 8, 4))], {}
+    )
+    assert "mode  calm 0.5, wild 0.5" in repr(posterior)
+    assert "4.00 ± 4.30" in repr(posterior)
+    assert "mode" in posterior._repr_html_()
+    assert_allclose(pickle.loads(pickle.dumps(posterior))[X].mean, 4.0)
+    known = inferred([FAIR, posterior.graph.network.cpds[1]], {MODE: "wild"})
+    assert repr(known[X]) == repr(pgm.Gaussian(X, [8.0], [4.0]))
+
+
+@pytest.mark.parametrize(
+    ("ask", "error", "words"),
+    [
+        (lambda p: p[Z], pgm.EvidenceError, "z is observed"),
+        (lambda p: p[pgm.Variable("q")], pgm.EvidenceError, "q is not in the network"),
+        (lambda p: p.joint(), pgm.EvidenceError, "one or more"),
+        (lambda p: p.belief(0), pgm.GraphError, "mixtures of a mixed network have none"),
+        (lambda p: pgm.audit(p, rng=0), pgm.ModelError, "mixed network"),
+        (lambda p: pgm.view(p, "page.html"), pgm.GraphError, "mixtures"),
+        (lambda p: pgm.query(p.graph.network, MODE), pgm.GraphError, "this one is mixed"),
+        (lambda p: pgm.most_probable(p.graph, {}), pgm.GraphError, "discrete networks"),
+        (lambda p: pgm.infer(p.graph, {Z: 1}, keep=[X]), pgm.GraphError, "keep="),
+        (lambda p: pgm.infer(p.graph, {}, schedule=pgm.Flooding()), pgm.GraphError, "loops"),
+        (lambda p: pgm.infer(p.graph, {}, start={Z: 1}), pgm.EvidenceError, None),
+        (lambda p: pgm.infer(p.graph, {Z: [[1.0]] * 2, MODE: [0] * 3}), pgm.EvidenceError, "axes"),
+        (lambda p: pgm.infer(p.graph, {pgm.Variable("q"): 1.0}), pgm.EvidenceError, "q"),
+        (lambda p: pgm.compile(p.graph.network, compiled=True), pgm.ModelError, "tables"),
+    ],
+)
+def test_what_it_cannot_answer_is_refused(ask, error, words):
+    cpds = [FAIR, switched(X, pgm.GaussianCPD(X, 0, 1), pgm.GaussianCPD(X, 8, 4))]
+    posterior = inferred([*cpds, pgm.LinearGaussianCPD(Z, {X: 1.0}, 1.0)], {Z: 1.0})
+    with pytest.raises(error, match=words):
+        ask(posterior)
+
+
+def test_robust_noise_is_refused():
+    bent = pgm.LinearGaussianCPD(Z, {X: 1.0}, 1.0, noise=pgm.StudentT(4.0))
+    with pytest.raises(pgm.ModelError, match="robust noise"):
+        inferred([FAIR, pgm.GaussianCPD(X, 0, 1), bent], {Z: 1.0})
+
+
+def test_the_tree_is_a_strong_one():
+    """Continuous variables leave first, or their separators would join more discrete ones."""
+    network, _, discrete = incinerator()
+    graph = pgm.compile(network)
+    graph.check()
+    assert max(graph.sizes) == 48  # eight configurations of six numbers
+    others = [v for v in network.variables if v not in discrete]
+    orders = [*discrete, *others], [*others, *discrete]  # whatever an order says
+    one, other = (pgm.compile(network, method=pgm.JunctionTree(order=o)).sizes for o in orders)
+    assert one == other
