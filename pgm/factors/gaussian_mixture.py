@@ -11,17 +11,22 @@ import numpy.typing as npt
 from pgm.arguments import public
 from pgm.boundary import as_generator, as_lengths
 from pgm.display import Listing, NoArray, Shown, Summary, few, number
-from pgm.errors import ModelError
+from pgm.errors import ModelError, NumericalError
 from pgm.factors.gaussian import Gaussian
 from pgm.factors.scope import Scope, angle_mask, distinct_labels
 from pgm.immutable import Immutable
+from pgm.kernels import roots
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, apply, deviation, frozen, transpose
 from pgm.kernels.semirings import log_sum
+from pgm.kernels.solving import solve_lower
 from pgm.resources import require_memory
 
 # The most components that are shown.
 SHOWN = 8
+# A mode is climbed to in at most so many steps, until one moves by less than this share of the
+# least deviation of a component; places are one mode if they are closer than a larger share.
+CLIMBS, SETTLED, ONE = 10_000, 1e-9, 1e-3
 
 
 @public
@@ -140,6 +145,65 @@ class GaussianMixture(Shown, NoArray, Immutable):
         each = self.components.log_density(value[..., None, :])
         with np.errstate(divide="ignore"):
             return log_sum(each + np.log(self.weights), -1)
+
+    def modes(self) -> Array:
+        r"""The places where the density is greatest around, the highest first, (modes, n).
+
+        From the mean of each component of a weight the iteration
+
+        .. math:: x \leftarrow \Big(\sum_k q_k P_k^{-1}\Big)^{-1} \sum_k q_k P_k^{-1} \mu_k,
+                  \quad q_k \propto w_k N(x; \mu_k, P_k)
+
+        climbs until x stays; places that are one are told once. In some mixtures of several
+        dimensions there are modes that no mean leads to.
+
+        Raises
+        ------
+        ModelError
+            If the mixture has axes of runs: ask one of them, ``mixture[3].modes()``.
+        NumericalError
+            If a covariance is singular.
+
+        References
+        ----------
+        Carreira-Perpiñán, Mode-finding for mixtures of Gaussian distributions, 2000.
+
+        Examples
+        --------
+        >>> x = pgm.Variable("x")
+        >>> found = pgm.GaussianMixture([0.25, 0.75], pgm.Gaussian(x, [[0.0], [4.0]], [[1.0]]))
+        >>> found.modes().round(3)
+        array([[4.   ],
+               [0.004]])
+        """
+        if self.lead:
+            raise ModelError(
+                f"{self._title} has axes of runs; ask one of them for its modes, mixture[0].modes()"
+            )
+        some = self.weights > 0.0
+        log_weights, parts = np.log(self.weights[some]), self.components[some]
+        lower = roots.root(parts.cov)
+        if roots.determined(lower).any():
+            raise NumericalError(f"{self._title}: no modes, since a covariance is singular")
+        white = solve_lower(lower, np.broadcast_to(np.eye(lower.shape[-1]), lower.shape))
+        information = transpose(white) @ white
+        pulls = apply(information, parts.mean)
+        at: Array = parts.mean.copy()
+        size = at.shape[-1]
+        for _ in range(CLIMBS):
+            logs = parts.log_density(at[:, None, :]) + log_weights
+            share = np.exp(logs - log_sum(logs, 1)[:, None])
+            whole = (share @ information.reshape(len(pulls), -1)).reshape(-1, size, size)
+            new = np.asarray(np.linalg.solve(whole, (share @ pulls)[..., None]))[..., 0]
+            away, at = np.abs(new - at) / parts.std.min(axis=0), new
+            if away.max() <= SETTLED:
+                break
+        order = np.argsort(-self.log_density(at), kind="stable")
+        found: list[Array] = []
+        for place in at[order]:
+            if all(np.abs((place - other) / parts.std.min(axis=0)).max() > ONE for other in found):
+                found.append(place)
+        return np.array(found)
 
     @public
     def sample(self, size: int | tuple[int, ...] = (), *, rng: np.random.Generator | int) -> Array:

@@ -77,3 +77,29 @@ def test_what_does_not_fit_is_refused(weights, parts, words):
 def test_one_run_too_many_is_refused():
     with pytest.raises(pgm.ModelError, match="axes of runs"):
         mixture((3,))[0, 1]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_modes_are_where_a_fine_grid_has_them(seed):
+    rng = np.random.default_rng(seed)
+    x = pgm.Variable("x")
+    parts = pgm.Gaussian(x, rng.uniform(0, 10, (4, 1)), rng.uniform(0.1, 2.0, (4, 1, 1)))
+    found = pgm.GaussianMixture(rng.dirichlet(np.ones(4)), parts)
+    at = np.linspace(-3, 13, 160001)
+    density = found.log_density(at[:, None])
+    inner = (density[1:-1] > density[:-2]) & (density[1:-1] > density[2:])
+    due = at[1:-1][inner]
+    assert_allclose(np.sort(found.modes()[:, 0]), due, atol=2e-4)
+    assert (np.diff(found.log_density(found.modes())) <= 0.0).all()
+
+
+def test_modes_that_are_one_are_told_once():
+    close = pgm.Gaussian(X, [[0.0, 0.0], [0.5, 0.0], [9.0, 0.0]], np.eye(2))
+    found = pgm.GaussianMixture([0.3, 0.3, 0.4], close).modes()
+    assert_allclose(found, [[0.25, 0.0], [9.0, 0.0]], atol=1e-6)
+    none = pgm.GaussianMixture([0.5, 0.5, 0.0], close).modes()
+    assert_allclose(none, [[0.25, 0.0]], atol=1e-6)
+    with pytest.raises(pgm.ModelError, match="axes of runs"):
+        mixture((2,)).modes()
+    with pytest.raises(pgm.NumericalError, match="singular"):
+        pgm.GaussianMixture([0.5, 0.5], pgm.Gaussian(X, np.zeros((2, 2)), 0.0)).modes()

@@ -15,7 +15,7 @@ from pgm.beliefs.mixed.weighing import Asked, Weighed, weighed
 from pgm.clustergraph import ClusterGraph
 from pgm.compile.methods import JunctionTree
 from pgm.cpds import CPD, ConditionalGaussian, SwitchingCPD
-from pgm.errors import ModelError, NumericalError
+from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.evidence import Evidence
 from pgm.evidence.rows import as_rows, no_evidence_for, require_finite
 from pgm.evidence.static import BoundValues, bind_discrete, bind_values
@@ -134,7 +134,7 @@ def _allowed(tabled: Tabled, parts: Sequence[Weighed]) -> list[Mask]:
         found.append(mask)
     try:
         tabled.solved([np.where(mask, 0.0, -np.inf) for mask in found], found)
-    except Exception as error:
+    except EvidenceError as error:
         raise NumericalError(
             "parts of the network make evidence certain in configurations that exclude one "
             "another; which of them outweighs the other is not known here: give their CPDs some "
