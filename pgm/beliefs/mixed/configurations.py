@@ -7,9 +7,8 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
-from pgm.beliefs.discrete.run import run as run_tables
+from pgm.beliefs.discrete.outcome import DiscreteOutcome
 from pgm.beliefs.mixed.parts import Part
-from pgm.clustergraph import ClusterGraph
 from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, GaussianCPD, Noise, SwitchingCPD
 from pgm.cpds.by_run import ByRunCPD
 from pgm.cpds.mixture import by_run
@@ -29,11 +28,11 @@ def fits(part: Part, states: Collection[Variable]) -> bool:
     return math.prod(sizes(tuple(v for v in part.boundary if v not in states))) <= MOST
 
 
-def possible(boundary: States, tables: ClusterGraph, states: Mapping[Variable, int]) -> Integers:
+def possible(boundary: States, tables: DiscreteOutcome, states: Mapping[Variable, int]) -> Integers:
     """The configurations of discrete variables that are possible, (configurations, variables).
 
-    `tables` is the graph of the network's tables, and `states` are those that all runs observe. Too
-    many are a GraphError.
+    `tables` are the beliefs by the tables and by the `states` that all runs observe. Too many are a
+    GraphError.
     """
     hidden = tuple(v for v in boundary if v not in states)
     total = math.prod(sizes(hidden))
@@ -47,7 +46,7 @@ def possible(boundary: States, tables: ClusterGraph, states: Mapping[Variable, i
         )
     if not hidden:
         return np.array([[states[v] for v in boundary]], dtype=np.intp).reshape(1, -1)
-    share = run_tables(tables, dict(states), None).joint(*hidden).probabilities
+    share = tables.joint(*hidden).probabilities
     places = np.argwhere(share > 0.0)
     found = np.empty((len(places), len(boundary)), dtype=np.intp)
     for column, variable in enumerate(boundary):
@@ -92,16 +91,31 @@ class Cases:
         order = np.argsort(group, kind="stable")
         return np.split(order, np.flatnonzero(np.diff(group[order])) + 1)
 
+    @property
+    def proper(self) -> bool:
+        """Whether no prior is flat."""
+        every = (cpd.cov for cpd in self.part.cpds if isinstance(cpd, ConditionalGaussian))
+        return all(isinstance(cov, Noise) or bool(np.isfinite(cov).all()) for cov in every)
+
     def cpds(
-        self, which: Integers, lead: tuple[int, ...] = (), runs: Integers | None = None
+        self,
+        which: Integers,
+        lead: tuple[int, ...] = (),
+        runs: Integers | None = None,
+        *,
+        switched: bool = True,
     ) -> list[CPD]:
         """The CPDs at some configurations of one group and some of the user's runs.
 
         `lead` are the user's axes of runs, and `runs` numbers of them, all of them without. The
-        CPDs' axis of runs is (configurations · runs,).
+        CPDs' axis of runs is (configurations · runs,). Without `switched` CPDs that discrete
+        variables choose stay as they are.
         """
         runs = np.arange(math.prod(lead)) if runs is None else runs
-        return [self._at(cpd, which, lead, runs) for cpd in self.part.cpds]
+        return [
+            self._at(cpd, which, lead, runs) if switched or cpd not in self._cases else cpd
+            for cpd in self.part.cpds
+        ]
 
     def _at(self, cpd: CPD, which: Integers, lead: tuple[int, ...], runs: Integers) -> CPD:
         if cpd not in self._cases:

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pgm.beliefs.discrete.run import run as run_tables
 from pgm.beliefs.mixed.configurations import fits, possible
 from pgm.beliefs.mixed.outcome import MixedOutcome
 from pgm.beliefs.mixed.parts import fitting
@@ -58,8 +59,9 @@ def run(graph: ClusterGraph, evidence: Evidence, call: Call) -> MixedOutcome:
     fixed: dict[Variable, int] = {
         v: state for v, state in states.states.items() if isinstance(state, int)
     }
+    tables = run_tables(split.graph, fixed, None)
     parts = [
-        (part, possible(part.boundary, split.graph, fixed))
+        (part, possible(part.boundary, tables, fixed))
         for part in fitting(split.continuous, bound.values, lambda part: fits(part, fixed))
     ]
     hidden = [v for part, _ in parts for v in part.hidden]

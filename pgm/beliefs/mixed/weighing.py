@@ -116,6 +116,9 @@ def weighed(part: Part, configurations: Integers, asked: Asked) -> Weighed:
         error=GraphError,
     )
     cases = Cases(part, configurations)
+    if not part.hidden and cases.proper:
+        log = _likelihoods(cases, asked)
+        return Weighed(part, configurations, log, _certain(part, cases, asked), ())
     log = np.full((len(configurations), asked.runs), -np.inf)
     beliefs: list[tuple[Integers, Integers, GaussianOutcome]] = []
     refused: Contradiction | None = None
@@ -138,6 +141,28 @@ def weighed(part: Part, configurations: Integers, asked: Asked) -> Weighed:
     if refused is not None and not np.isfinite(log).any(axis=0).all():
         raise refused  # whatever the discrete variables are
     return Weighed(part, configurations, log, _certain(part, cases, asked), beliefs)
+
+
+def _likelihoods(cases: Cases, asked: Asked) -> Array:
+    """The log-densities of a part without hidden variables, (configurations, runs).
+
+    No tree is solved for them: a long hidden Markov model has a part for each reading.
+    """
+    part, configurations = cases.part, cases.configurations
+    states = {v: configurations[:, [k]] for k, v in enumerate(part.boundary)}
+    log = np.zeros((len(configurations), asked.runs))
+    for cpd in cases.cpds(np.zeros(1, dtype=np.intp), asked.lead, switched=False):
+        known = {v: states[v] if v in states else asked.values[v] for v in cpd.parents}
+        log += cpd.log_density(asked.values[cpd.child], known)
+    impossible = ~np.isfinite(log).any(axis=0)
+    if impossible.any():
+        which = f" in run {int(impossible.argmax())}" if asked.lead else ""
+        raise Contradiction(
+            f"evidence contradicts an exact model: {list(part.cpds)} determine a value that is not "
+            f"the evidence's{which}, whatever the discrete variables are; give one of them some "
+            "noise"
+        )
+    return log
 
 
 def _solved(cases: Cases, which: Integers, runs: Integers, asked: Asked) -> GaussianOutcome:
