@@ -128,7 +128,8 @@ class SwitchingCPD(CPD):
 
     def _log_density(self, child: Values, known: Known) -> Array:
         lead = np.broadcast_shapes(child.shape[:-1], known.lead)
-        values = np.broadcast_to(child, (*lead, child.shape[-1])).reshape(-1, child.shape[-1])
+        size = child.shape[-1]
+        values = np.broadcast_to(child, (*lead, size)).reshape(math.prod(lead), size)
         found = np.empty(len(values))
         for part, rows, own in self._parted(known, known.lead, lead):
             found[rows] = part._log_density(values[rows], own)
@@ -150,8 +151,8 @@ class SwitchingCPD(CPD):
         """
 
         def rows_of(values: Values, width: tuple[int, ...]) -> Values:
-            whole = np.broadcast_to(values, (math.prod(shape), *width)).reshape(*shape, *width)
-            return np.broadcast_to(whole, (*lead, *width)).reshape(-1, *width)
+            whole = np.broadcast_to(values, (math.prod(shape), *width)).reshape((*shape, *width))
+            return np.broadcast_to(whole, (*lead, *width)).reshape((math.prod(lead), *width))
 
         states = [rows_of(known.values[v], ()) for v in self.switches]
         for case, part in self.cases.items():

@@ -9,9 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.arguments import public
-from pgm.boundary import as_generator, as_lengths
+from pgm.boundary import as_floats, as_generator, as_lengths
 from pgm.display import Listing, NoArray, Shown, Summary, few, number
 from pgm.errors import ModelError, NumericalError
+from pgm.factors.arrays import lead_index
 from pgm.factors.gaussian import Gaussian
 from pgm.factors.scope import Scope, angle_mask, distinct_labels
 from pgm.immutable import Immutable
@@ -78,7 +79,7 @@ class GaussianMixture(Shown, NoArray, Immutable):
     def __init__(self, weights: npt.ArrayLike, components: Gaussian) -> None:
         if not isinstance(components, Gaussian):
             raise ModelError(f"the components of a mixture are a Gaussian; found {components!r}")
-        found = np.array(weights, dtype=np.float64)
+        found = as_floats(weights, "the weights of a mixture").copy()
         if found.ndim < 1 or found.shape != components.mean.shape[:-1]:
             raise ModelError(
                 f"a mixture has a weight for each component: weights of shape {found.shape} and "
@@ -141,7 +142,7 @@ class GaussianMixture(Shown, NoArray, Immutable):
 
     def log_density(self, x: npt.ArrayLike) -> Array:
         """The log-density ln Σ_k w_k N(x; μ_k, P_k) at values (..., n), in nats, (...)."""
-        value = np.asarray(x, dtype=np.float64)
+        value = np.atleast_1d(as_floats(x, f"values of {self._title}"))
         each = self.components.log_density(value[..., None, :])
         with np.errstate(divide="ignore"):
             return log_sum(each + np.log(self.weights), -1)
@@ -236,13 +237,11 @@ class GaussianMixture(Shown, NoArray, Immutable):
 
     def __getitem__(self, index: Any) -> GaussianMixture:
         """Some of the mixtures, by their places along the leading axes, of runs."""
-        lead = self.weights.ndim - 1
-        places = index if isinstance(index, tuple) else (index,)
-        if len(places) > lead:
-            raise ModelError(f"{self._title} has {lead} axes of runs, not {len(places)}")
-        parts = self.components
-        mean, cov = parts.mean[index], parts.cov[index]
-        return self._make(self.weights[index], Gaussian._make(self.scope, mean, cov))
+        weights, mean, cov = self.weights, self.components.mean, self.components.cov
+        for axis, item in reversed(list(enumerate(lead_index(index, self.lead, self)))):
+            at = (slice(None),) * axis + (item,)
+            weights, mean, cov = weights[at], mean[at], cov[at]
+        return self._make(weights, Gaussian._make(self.scope, mean, cov))
 
     __iter__ = None  # else Python would go through places until one is refused
 

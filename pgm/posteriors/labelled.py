@@ -50,12 +50,13 @@ class Labelled:
         steps = self.graph.steps if isinstance(self.graph, DynamicGraph) else None
         coords = {} if steps is None else {"step": np.arange(steps + 1)}
         dims = [*runs, *coords]
-        tables = any(isinstance(belief, Table) for belief in marginals.values())
-        if tables:
-            data, more = _tables(marginals, dims, steps)
-        else:
+        tables = {v: belief for v, belief in marginals.items() if isinstance(belief, Table)}
+        data, more = _tables(tables, dims, steps)
+        if len(tables) < len(marginals) or not tables:
             lead = (*np.shape(self.log_evidence), *map(len, coords.values()))
-            data, more = _moments(marginals, dims, lead, steps)
+            others = {v: belief for v, belief in marginals.items() if v not in tables}
+            moments, named = _moments(others, dims, lead, steps)
+            data, more = data | moments, more | named
         data["log_evidence"] = (runs, np.asarray(self.log_evidence))
         attributes = {"log_evidence_kind": self.log_evidence_kind}
         if steps is not None:

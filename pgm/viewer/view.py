@@ -14,6 +14,7 @@ import numpy as np
 
 from pgm.arguments import public
 from pgm.compile import DynamicGraph
+from pgm.display import Shown
 from pgm.errors import GraphError
 from pgm.inference import GrowingMap, Posterior
 from pgm.posteriors.outcome import CHAIN, MARGINALS, MIXTURES, SLICES
@@ -83,7 +84,7 @@ def view(
 def html(posterior: Posterior[Any] | GrowingMap) -> str:
     """The page of a posterior or map in a frame, for notebooks: small, and cut where it says so."""
     if isinstance(posterior, Posterior) and posterior._outcome.form == MIXTURES:
-        return posterior._summary().html()
+        return Shown._repr_html_(posterior)
     whole = assembled(*_content(posterior, None, None, CELL))
     return (
         f'<iframe srcdoc="{escape(whole, quote=True)}" sandbox="allow-scripts" '

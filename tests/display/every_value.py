@@ -92,6 +92,12 @@ def factors():
         "number": pgm.CanonicalForm((), np.zeros((0, 0)), [], 2.0),
         "forms": pgm.CanonicalForm(X, np.zeros((9, 3, 3)), np.zeros(3)),
         "no forms": pgm.CanonicalForm(X, np.zeros((0, 3, 3)), np.zeros(3)),
+        "gaussians mixed": pgm.GaussianMixture(
+            np.full(40, 0.025), pgm.Gaussian(X, np.arange(120.0).reshape(40, 3), np.eye(3))
+        ),
+        "mixtures": pgm.GaussianMixture(
+            np.full((9, 2), 0.5), pgm.Gaussian(X, np.zeros((9, 2, 3)), np.eye(3))
+        ),
         "affine": pgm.AffineGaussian(np.ones((2, 3)), [0.0, np.nan], np.eye(2)),
         "affines": pgm.AffineGaussian(np.ones((5, 30, 30)), np.zeros(30), np.eye(30)),
         "table": pgm.Table(RAIN, [0.25, 0.75]),
@@ -120,6 +126,9 @@ def cpds():
         "nonlinear": robot()[0].transition[0],
         "derivatives": robot()[0].observation[0].derivatives,
         "robust": pgm.LinearGaussianCPD(B, {A: 1.0}, cov=1.0, noise=pgm.StudentT(4.0)),
+        "switching": pgm.SwitchingCPD(
+            linear.child, pgm.Discrete("mode", 60), dict.fromkeys(range(60), linear)
+        ),
         "mixture": pgm.MixtureCPD([linear] * 50, weights=np.full(50, 0.02)),
         "sampled": pgm.SampledCPD(B, A, sample=lambda a, size, rng: a),
         "tables": pgm.TableCPD(DAY, (DAY.previous, WET), table=np.full((40, 2, 40), 1 / 40)),

@@ -75,8 +75,11 @@ def test_what_does_not_fit_is_refused(weights, parts, words):
 
 
 def test_one_run_too_many_is_refused():
-    with pytest.raises(pgm.ModelError, match="axes of runs"):
+    with pytest.raises(pgm.ModelError, match="leading axes"):
         mixture((3,))[0, 1]
+    with pytest.raises(pgm.ModelError):
+        mixture((3,))["a"]
+    assert_allclose(mixture((3, 2))[..., 0].mean, mixture((3, 2)).mean[:, 0])
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -265,8 +265,7 @@ def _read(
         allowed = allowed + OF_ROUNDING * rounded[:, None]
         read = joint.read(place, value[:, k], allowed)
         if read.contradiction.any():
-            v, n = (int(axis[0]) for axis in np.nonzero(read.contradiction))
-            raise contradiction(model, int(group.clusters[row]), max(v, n))
+            raise contradiction(model, int(group.clusters[row]), np.nonzero(read.contradiction))
         total += np.where(open_[:, k, None], read.log_density, 0.0)
         moved = np.maximum(moved, read.moved)
     joint.forget(places)

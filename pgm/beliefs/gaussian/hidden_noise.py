@@ -228,8 +228,8 @@ class HiddenNoise:
             rows = Rows(*rows[:2], pairs.gathered(assembly, given.exact), right)
         done = eliminate(rows, size)
         if done.contradiction is not None and done.contradiction.any():
-            v, b, n = (int(axis[0]) for axis in np.nonzero(done.contradiction))
-            raise contradiction(model, int(pairs.clusters[b]), max(v, n))
+            v, b, n = np.nonzero(done.contradiction)
+            raise contradiction(model, int(pairs.clusters[b[0]]), (v, n))
         return done
 
     def _scales(self, model: Model, given: Potentials, pairs: Pairs) -> Array:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from pgm.beliefs.gaussian.assembly import Assembly
@@ -9,7 +11,7 @@ from pgm.beliefs.gaussian.model import Model
 from pgm.cpds import CPD
 from pgm.errors import NumericalError
 from pgm.factors.scope import components, names
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.rows import NEGLIGIBLE
 
 # Components up to which an open direction is looked for, and the most that are shown of one.
@@ -17,14 +19,25 @@ MOST, SHOWN = 1500, 6
 
 
 class Contradiction(NumericalError):
-    """Measurements that contradict CPDs without noise."""
+    """Measurements that contradict CPDs without noise, in the runs `lost`, as far as was found."""
+
+    lost: Integers
 
 
-def contradiction(model: Model, cluster: int, run: int) -> Contradiction:
+def contradiction(model: Model, cluster: int, runs: Sequence[Integers]) -> Contradiction:
     """The error that measurements contradict CPDs without noise, naming the cluster and the run.
 
-    `cluster` and `run` are their numbers; without axes of runs the run is not named.
+    `cluster` is its number; `runs` are the numbers of the runs that were found, once by the axis of
+    runs that differ in their matrices and once by that of those that share them, zero in the other.
+    Without axes of runs none is named.
     """
+    lost = np.unique(np.maximum(*runs))
+    found = _contradiction(model, cluster, int(lost[0]))
+    found.lost = lost
+    return found
+
+
+def _contradiction(model: Model, cluster: int, run: int) -> Contradiction:
     scope = model.layout.graph.clusters[cluster].scope
     which = f", run {run}" if model.lead else ""
     return Contradiction(

@@ -136,9 +136,9 @@ class Buffer(Generic[Standing]):
             done = done._replace(rest=Rows(done.rest.matrix, done.rest.right, *none))
         self.largest = float(np.maximum(self.largest, done.largest))  # NaN stays
         if done.contradiction is not None and done.contradiction.any():
-            v, b, n = (int(axis[0]) for axis in np.nonzero(done.contradiction))
-            where = stack.clusters[b] if clusters is None else clusters[stack.clusters[b]]
-            raise contradiction(self.model, int(where), max(v, n))
+            v, b, n = np.nonzero(done.contradiction)
+            where = stack.clusters[b[0]] if clusters is None else clusters[stack.clusters[b[0]]]
+            raise contradiction(self.model, int(where), (v, n))
         scale = np.append(self.model.frame.scale, 1.0)
         unit = np.log(scale[stack.components[:, : stack.drop]]).sum(axis=1)
         unit = unit - 0.5 * LOG_2PI * stack.padded

@@ -54,13 +54,15 @@ def run(
     schedule: Schedule | None,
     lineariser: Lineariser,
     start: Start | None,
+    *,
+    warn: bool = True,
 ) -> GaussianOutcome:
     """The posterior of a Gaussian network given evidence, by the messages of a schedule.
 
     Without a schedule the graph, a tree, is calibrated. `start` has the means of hidden variables
     at which nonlinear CPDs are linearised first; if it is None, they are linearised at the prior's
     moments. The posterior's status tells of convergence and of correct digits; fewer than six
-    digits give a `PrecisionWarning`.
+    digits give a `PrecisionWarning`, unless `warn` leaves that to the caller.
     """
     network = graph.network
     linear = graph.derived(_linear)
@@ -86,7 +88,8 @@ def run(
         for judge in judged():
             with judge:
                 found = _solved(graph, plan, bound, schedule, lineariser, at, again, judge)
-    found.status._warn()
+    if warn:
+        found.status._warn()
     return found
 
 

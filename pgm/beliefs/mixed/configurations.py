@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -19,13 +20,18 @@ from pgm.kernels import roots
 from pgm.kernels.arrays import Array, Integers
 from pgm.variables import Variable
 
-# So many configurations are looked through for those that tables and evidence leave possible.
-MOST = 2**22
+# So many configurations are looked through for those that tables and evidence leave possible,
+MOST = 2**18
+# and so many are solved for beliefs that nothing known depends on.
+FEW = 2**13
+# From so many of the user's runs on it takes less time to solve configurations one by one, as all
+# runs of one have the same matrices.
+RUNS = 8
 
 
 def fits(part: Part, states: Collection[Variable]) -> bool:
-    """Whether a part has so few configurations that they can be looked through."""
-    return math.prod(sizes(tuple(v for v in part.boundary if v not in states))) <= MOST
+    """Whether a part has so few configurations that all its beliefs are found."""
+    return math.prod(sizes(tuple(v for v in part.boundary if v not in states))) <= FEW
 
 
 def possible(boundary: States, tables: DiscreteOutcome, states: Mapping[Variable, int]) -> Integers:
@@ -76,12 +82,21 @@ class Cases:
                 number = np.ravel_multi_index(tuple(places.T), sizes(cpd.switches))
                 self._cases[cpd] = list(cpd.cases.values()), np.asarray(number)
 
-    def alike(self) -> list[Integers]:
+    @cached_property
+    def exact(self) -> bool:
+        """Whether a CPD has no noise in some direction, in some case."""
+        cases = [case for own, _ in self._cases.values() for case in own]
+        return any(map(has_exact, (*cases, *self.part.cpds)))
+
+    def alike(self, runs: int) -> list[Integers]:
         """The configurations, by number, in groups whose CPDs one call takes as runs.
 
-        Affine cases differ in numbers alone where they have the same components without noise;
-        other cases are each for themselves.
+        Affine cases differ in numbers alone; other cases are each for themselves, as are all beside
+        CPDs without noise, where which relations are exact is decided for all runs of a call.
+        `runs` are how many the user has.
         """
+        if self.exact or runs >= RUNS:
+            return list(np.arange(len(self.configurations))[:, None])
         keys = np.zeros((len(self.configurations), len(self._cases)), dtype=np.intp)
         for k, (cases, number) in enumerate(self._cases.values()):
             kinds: dict[object, int] = {}
@@ -133,7 +148,7 @@ def _kind(case: CPD) -> object:
     """A key that cases have in common which differ in numbers alone."""
     if not isinstance(case, AffineCPD) or isinstance(case.cov, Noise) or case.noise is not None:
         return id(case)
-    return roots.determined(roots.root(case.cov)).tobytes()
+    return AffineCPD
 
 
 def _stacked(cases: Sequence[AffineCPD], number: Integers) -> AffineCPD:

@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pgm.beliefs.discrete.outcome import DiscreteOutcome
+from pgm.beliefs.mixed.configurations import FEW
 from pgm.beliefs.mixed.weighing import Weighed
 from pgm.clustergraph import ClusterGraph
 from pgm.display import Summary
@@ -20,7 +21,7 @@ from pgm.factors.scope import Scope, as_scope, dimension, namesake, positions
 from pgm.kernels.arrays import Array, frozen
 from pgm.posteriors.outcome import MIXTURES, Outcome
 from pgm.posteriors.posterior import require_variable
-from pgm.posteriors.status import Status
+from pgm.posteriors.status import FAR_APART, Status
 from pgm.posteriors.summaries import of_network
 from pgm.resources import require_memory
 from pgm.variables import Discrete, Variable
@@ -76,8 +77,8 @@ class MixedOutcome(Outcome[Any]):
         known = self._observed
         if not isinstance(variable, Discrete) and variable not in (*self._homes, *known):
             raise GraphError(
-                f"{variable!r} was left out, since nothing known depends on it, and it joins too "
-                "many discrete variables: its belief would be a mixture over millions of "
+                f"{variable!r} was left out, since nothing known depends on it, and it joins so "
+                f"many discrete variables that its belief would be over more than {FEW:,} "
                 "configurations; give some of them evidence",
                 variable=variable,
             )
@@ -163,24 +164,33 @@ class MixedOutcome(Outcome[Any]):
 
     @cached_property
     def status(self) -> Status:
-        """How the linearisations of all configurations went: for each run the worst."""
-        every = [found for each in self._parts for found in each.beliefs]
+        """How linearisations went: for each run the worst of configurations of a probability."""
+        every = [
+            (self._weights([k])[runs][:, which].T > 0.0, which, runs, belief)
+            for k, each in enumerate(self._parts)
+            for which, runs, belief in each.beliefs
+        ]
         runs = math.prod(self._lead)
         most = max((belief.status.iterations for *_, belief in every), default=1)
         converged, digits = np.ones(runs, dtype=bool), np.full(runs, np.inf)
         residuals = np.zeros((most - 1, runs))
-        for which, own, belief in every:
+        cause = FAR_APART
+        for counts, which, own, belief in every:
             status, shape = belief.status, (which.size, own.size)
-            converged[own] &= _by_run(np.ravel(status.converged), shape).all(axis=0)
+            went = _by_run(np.ravel(status.converged), shape)
+            converged[own] &= (went | ~counts).all(axis=0)
             if status.digits is not None:
-                left = _by_run(np.ravel(status.digits), shape).min(axis=0)
+                left = _by_run(np.ravel(status.digits), shape)
+                left = np.where(counts, left, np.inf).min(axis=0)
+                cause = status._cause if (left < digits[own]).any() else cause
                 digits[own] = np.minimum(digits[own], left)
             if count := len(status.residuals):
-                worst = _by_run(status.residuals.reshape(count, -1), shape).max(axis=1)
+                moves = _by_run(status.residuals.reshape(count, -1), shape)
+                worst = np.where(counts, moves, 0.0).max(axis=1)
                 residuals[:count, own] = np.maximum(residuals[:count, own], worst)
         told = digits.reshape(self._lead) if np.isfinite(digits).any() else None
         record = residuals.reshape(most - 1, *self._lead)
-        return Status(most, record, converged.reshape(self._lead), digits=told)
+        return Status(most, record, converged.reshape(self._lead), digits=told, _cause=cause)
 
     @property
     def _title(self) -> str:

@@ -64,17 +64,21 @@ def parts_of(cpds: Sequence[CPD], observed: Iterable[Variable]) -> list[Part]:
 
 
 def fitting(
-    cpds: Sequence[CPD], observed: Collection[Variable], fits: Callable[[Part], bool]
+    cpds: Sequence[CPD],
+    observed: Collection[Variable],
+    told: Collection[Variable],
+    fits: Callable[[Part], bool],
 ) -> list[Part]:
     """The parts, without variables that nothing known depends on where a part does not fit.
 
-    Such a variable, one that only joins its parents, is left out, then the next ones.
+    Such a variable, one that only joins its parents, is left out, then the next ones. `told` are
+    those of the observed variables of which something was measured.
     """
     found: list[Part] = []
     waiting = parts_of(cpds, observed)
     while waiting:
         part = waiting.pop()
-        needed = {v for cpd in part.cpds for v in cpd.parents}.union(observed)
+        needed = {v for cpd in part.cpds for v in cpd.parents}.union(told)
         kept = [cpd for cpd in part.cpds if cpd.child in needed]
         if fits(part) or len(kept) == len(part.cpds):
             found.append(part)

@@ -42,15 +42,15 @@ class _Split(NamedTuple):
 def run(graph: ClusterGraph, evidence: Evidence, call: Call) -> MixedOutcome:
     """The beliefs of a network of discrete and continuous variables, given its evidence."""
     split: _Split = graph.derived(_split)
-    known = frozenset(graph.network.variables)
+    variables = frozenset(graph.network.variables)
     for variable in evidence:
-        if variable not in known:
-            raise no_evidence_for(variable, known)
+        if variable not in variables:
+            raise no_evidence_for(variable, variables)
     discrete: dict[Variable, Any] = {v: e for v, e in evidence.items() if isinstance(v, Discrete)}
     others: dict[Variable, Any] = {
         v: value for v, value in evidence.items() if not isinstance(v, Discrete)
     }
-    states = bind_discrete(frozenset(v for v in known if isinstance(v, Discrete)), discrete)
+    states = bind_discrete(frozenset(v for v in variables if isinstance(v, Discrete)), discrete)
     bound = bind_values(split.continuous, others, graph.network.lead, split.needed)
     owners = ("continuous variables", bound.lead), ("discrete variables", states.lead)
     lead = common_runs([(f"the evidence of {what}", shape) for what, shape in owners])
@@ -60,19 +60,25 @@ def run(graph: ClusterGraph, evidence: Evidence, call: Call) -> MixedOutcome:
         v: state for v, state in states.states.items() if isinstance(state, int)
     }
     tables = run_tables(split.graph, fixed, None)
+    # What was measured nowhere is as barren as what was not observed.
+    values = _with_gaps(bound)
+    told = {v for v, value in values.items() if not np.isnan(value).all()}
     parts = [
         (part, possible(part.boundary, tables, fixed))
-        for part in fitting(split.continuous, bound.values, lambda part: fits(part, fixed))
+        for part in fitting(split.continuous, values, told, lambda part: fits(part, fixed))
     ]
     hidden = [v for part, _ in parts for v in part.hidden]
     start = None if call.start is None else _start(call.start, hidden, lead)
-    asked = Asked(_with_gaps(bound), start, lead, call.lineariser, call.schedule)
+    asked = Asked(values, start, lead, call.lineariser, call.schedule)
     found = [weighed(part, configurations, asked) for part, configurations in parts]
     tabled = Tabled.of(split.tables, discrete, parts, lead)
     logs = [each.log for each in found]
     allowed = _allowed(tabled, found)
     beliefs, total = tabled.solved(logs, allowed)
-    return MixedOutcome(graph, beliefs, found, tabled.choices, frozenset(asked.values), lead, total)
+    known = frozenset(asked.values)
+    outcome = MixedOutcome(graph, beliefs, found, tabled.choices, known, lead, total)
+    outcome.status._warn()
+    return outcome
 
 
 def _split(graph: ClusterGraph) -> _Split:
@@ -112,7 +118,13 @@ def _start(
     found = {}
     for variable, value in start.items():
         row = require_finite(variable, as_rows(variable, value, None)[..., None, :])[..., 0, :]
-        common_runs([(f"the start of {variable!r}", row.shape[:-1]), ("the evidence", lead)])
+        owners = (f"the start of {variable!r}", row.shape[:-1]), ("the evidence", lead)
+        if common_runs(owners) != lead:
+            raise EvidenceError(
+                f"start for {variable!r} has the axes of runs {row.shape[:-1]}, which do not "
+                f"broadcast to those of the evidence, {lead}",
+                variable=variable,
+            )
         found[variable] = flat(row, lead, 1)
     return found
 

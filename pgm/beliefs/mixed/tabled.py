@@ -29,6 +29,8 @@ from pgm.variables import Discrete, Variable
 
 # Weights are told to the tables to this power of e below the largest, beyond which they are zero.
 RANGE = 700.0
+# What is so left out is no more than this power of e of all that is left.
+LOST = -100.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +44,8 @@ class Tabled:
         What is known of the discrete variables, and that choices agree with them.
     choices : sequence of Discrete or None
         By part its choice; None where there is one configuration alone.
+    every : Discrete
+        A variable of which nothing is known in each run, so that tables have all axes of runs.
     lead : tuple of int
         The user's axes of runs.
     """
@@ -49,6 +53,7 @@ class Tabled:
     graph: ClusterGraph
     evidence: Mapping[Variable, object]
     choices: Sequence[Discrete | None]
+    every: Discrete
     lead: tuple[int, ...]
 
     @classmethod
@@ -80,7 +85,9 @@ class Tabled:
                 table = np.stack([1.0 - agrees, agrees], axis=-1)
                 cpds.append(TableCPD(agreement, given=(choice, parent), table=table))
                 known[agreement] = 1
-        return cls(JunctionTree()(BayesianNetwork(cpds)), known, choices, lead)
+        every = Discrete(_name("every run", names), 1)
+        cpds.append(TableCPD(every, table=[1.0]))
+        return cls(JunctionTree()(BayesianNetwork(cpds)), known, choices, every, lead)
 
     def solved(
         self, logs: Sequence[Array], allowed: Sequence[Mask]
@@ -91,29 +98,26 @@ class Tabled:
         `allowed` count.
         """
         known, total = dict(self.evidence), np.zeros(math.prod(self.lead))
-        cut = False
+        cut, prior = np.full(total.shape, -np.inf), 0.0
         for choice, log, mask in zip(self.choices, logs, allowed, strict=True):
             own = np.where(mask, log, -np.inf)
             top = own.max(axis=0)
             total = total + top
             if choice is not None:
                 weights = np.exp(own - top)
-                cut = cut or bool((mask & (own < top - RANGE)).any())
-                total = total + math.log(choice.size)
+                small = np.where(own < top - RANGE, own - top, -np.inf)
+                cut = np.maximum(cut, small.max(axis=0))
+                prior += math.log(choice.size)
                 known[choice] = Soft(weights.T.reshape(*self.lead, choice.size))
-        if self.lead and all(choice is None for choice in self.choices):
-            # Runs that differ in what tables do not hang on have tables of their own all the same.
-            free = (v for v in self.graph.network.variables if v not in known)
-            if isinstance(variable := next(free, None), Discrete):
-                known[variable] = Soft(np.ones((*self.lead, variable.size)))
+        known[self.every] = Soft(np.ones((*self.lead, self.every.size)))
         try:
             found = run_tables(self.graph, known, None)
         except ImpossibleEvidence as error:
-            if cut:
+            if (cut > -np.inf).any():
                 raise _too_far() from None
             raise _impossible(error, bool(self.lead)) from None
-        own = np.broadcast_to(np.ravel(found.log_evidence), total.shape)
-        if cut and (own < -0.5 * RANGE).any():
+        own = np.broadcast_to(np.ravel(found.log_evidence), total.shape) + prior
+        if (own + LOST < cut).any():
             raise _too_far()
         return found, total + own
 

@@ -20,11 +20,11 @@ from pgm.beliefs.gaussian.run import run
 from pgm.beliefs.mixed.configurations import Cases, has_exact
 from pgm.beliefs.mixed.parts import Part
 from pgm.compile.methods import JunctionTree
-from pgm.cpds import CPD, AffineCPD, SwitchingCPD
+from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, SwitchingCPD
 from pgm.errors import GraphError, NumericalError
 from pgm.factors.scope import listed
 from pgm.kernels import roots
-from pgm.kernels.arrays import Array, Integers, independent
+from pgm.kernels.arrays import Array, Integers, independent, variances
 from pgm.linearisers import Lineariser
 from pgm.networks import BayesianNetwork
 from pgm.resources import require_memory
@@ -109,7 +109,7 @@ def weighed(part: Part, configurations: Integers, asked: Asked) -> Weighed:
     """The beliefs and the log-evidence of a part in its possible configurations."""
     size = sum(v.dimension for v in part.hidden)
     require_memory(
-        len(configurations) * asked.runs * (size + len(part.cpds)) * max(size, 1),
+        8 * len(configurations) * asked.runs * (size + len(part.cpds)) * max(size, 1),
         f"the beliefs of {len(configurations):,} configurations of ({listed(part.boundary)}) in "
         f"{asked.runs:,} runs",
         "give fewer runs at a time, or evidence that leaves fewer configurations",
@@ -118,21 +118,20 @@ def weighed(part: Part, configurations: Integers, asked: Asked) -> Weighed:
     cases = Cases(part, configurations)
     if not part.hidden and cases.proper:
         log = _likelihoods(cases, asked)
-        return Weighed(part, configurations, log, _certain(part, cases, asked), ())
+        return Weighed(part, configurations, log, _certain(part, cases, asked, log), ())
     log = np.full((len(configurations), asked.runs), -np.inf)
     beliefs: list[tuple[Integers, Integers, GaussianOutcome]] = []
     refused: Contradiction | None = None
-    waiting = [(which, np.arange(asked.runs)) for which in cases.alike()]
+    waiting = [(which, np.arange(asked.runs)) for which in cases.alike(asked.runs)]
     while waiting:
         which, runs = waiting.pop()
         try:
             found = _solved(cases, which, runs, asked)
         except Contradiction as error:
-            refused = error
-            if which.size > 1:
-                waiting += [(some, runs) for some in np.array_split(which, 2)]
-            elif runs.size > 1:
-                waiting += [(which, some) for some in np.array_split(runs, 2)]
+            refused, left = error, np.delete(runs, error.lost)
+            assert which.size == 1  # as are all beside CPDs without noise
+            if left.size:
+                waiting.append((which, left))
             continue
         shape = which.size, runs.size
         value = np.broadcast_to(found.log_evidence.ravel(), (math.prod(shape),))
@@ -140,7 +139,7 @@ def weighed(part: Part, configurations: Integers, asked: Asked) -> Weighed:
         beliefs.append((which, runs, found))
     if refused is not None and not np.isfinite(log).any(axis=0).all():
         raise refused  # whatever the discrete variables are
-    return Weighed(part, configurations, log, _certain(part, cases, asked), beliefs)
+    return Weighed(part, configurations, log, _certain(part, cases, asked, log), beliefs)
 
 
 def _likelihoods(cases: Cases, asked: Asked) -> Array:
@@ -180,11 +179,16 @@ def _solved(cases: Cases, which: Integers, runs: Integers, asked: Asked) -> Gaus
 
     start = None if asked.start is None else repeated(asked.start)
     graph = TREE(BayesianNetwork(cpds))
-    return run(graph, repeated(asked.values), asked.schedule, asked.lineariser, start)
+    options = asked.schedule, asked.lineariser, start
+    return run(graph, repeated(asked.values), *options, warn=False)
 
 
-def _certain(part: Part, cases: Cases, asked: Asked) -> Integers:
-    """How many dimensions of the evidence each configuration makes certain, (.., runs)."""
+def _certain(part: Part, cases: Cases, asked: Asked, log: Array) -> Integers:
+    """How many components of the evidence each configuration makes certain, (.., runs).
+
+    Evidence that repeats other evidence exactly, which has no density of its own, is refused where
+    there are several configurations to be weighed by it, as `log` tells.
+    """
     count = len(cases.configurations)
     found = np.zeros((count, asked.runs), dtype=np.intp)
     every = [
@@ -200,14 +204,40 @@ def _certain(part: Part, cases: Cases, asked: Asked) -> Integers:
         axis=1,
     )
     patterns, pattern = np.unique(taken, axis=0, return_inverse=True)
+    for cpd in part.cpds:
+        _require_alike(cpd)
+    repeats = np.zeros(found.shape, dtype=bool)
     for k in range(count):
         spread = _spread(cases.cpds(np.array([k]), asked.lead, np.zeros(1, dtype=np.intp)), seen)
-        found[k] = np.array([_lost(spread[own]) for own in patterns])[pattern.ravel()]
+        lost = np.array([_lost(spread[own]) for own in patterns]).reshape(-1, 2)[pattern.ravel()]
+        found[k], repeats[k] = lost[:, 0], lost[:, 1] > 0
+    several = np.isfinite(log) & (np.isfinite(log).sum(axis=0) > 1)
+    if (repeats & several).any():
+        raise NumericalError(
+            f"evidence for {list(seen)} repeats itself exactly, by CPDs without noise, where "
+            f"states of ({listed(part.boundary)}) are weighed by its density, of which there is "
+            "none; leave out what repeats, or give it some noise",
+            variable=seen[0],
+        )
     return found
 
 
+def _require_alike(cpd: CPD) -> None:
+    """Refuse a prior that has no noise in some direction in some runs, and noise in others."""
+    if not cpd._lead() or not isinstance(cpd, ConditionalGaussian):
+        return
+    cov = np.asarray(cpd.cov)
+    fixed = roots.determined(roots.root(independent(cov, np.isfinite(variances(cov)))))
+    if (fixed != fixed.reshape(-1, fixed.shape[-1])[0]).any():
+        raise NumericalError(
+            f"{cpd!r} has no noise in some direction in some runs, and noise in others, where a "
+            "value that is certain outweighs a density; give these runs to calls of their own",
+            variable=cpd.child,
+        )
+
+
 def _spread(cpds: Sequence[CPD], seen: Sequence[Variable]) -> Array:
-    """A root A of the covariance A Aᵀ of some variables before all evidence, (n, sources)."""
+    """Rows A of some variables over the sources of noise, of the rank of their covariance."""
     blocks: dict[Variable, Array] = {}
     width, column = sum(cpd.child.dimension for cpd in cpds), 0
     for cpd in cpds:
@@ -222,7 +252,10 @@ def _spread(cpds: Sequence[CPD], seen: Sequence[Variable]) -> Array:
         rows = np.zeros((size, width))
         cov = cpd.cov.reshape(-1, size, size)[0]
         flat = ~np.isfinite(np.diagonal(cov))
-        rows[:, column : column + size] = roots.root(independent(cov, ~flat))
+        # Columns of any length have the same rank.
+        root = roots.root(independent(cov, ~flat))
+        length = np.sqrt((root * root).sum(axis=0))
+        rows[:, column : column + size] = root / np.where(length > 0.0, length, 1.0)
         for parent in cpd.given:
             if parent in blocks:
                 rows += cpd.matrices[parent].reshape(-1, size, parent.dimension)[0] @ blocks[parent]
@@ -231,8 +264,9 @@ def _spread(cpds: Sequence[CPD], seen: Sequence[Variable]) -> Array:
     return np.concatenate([blocks[v] for v in seen])
 
 
-def _lost(rows: Array) -> int:
-    """The number of rows less their rank."""
+def _lost(rows: Array) -> tuple[int, int]:
+    """How many rows are zero, and how many more there are than their rank."""
     length = np.sqrt((rows * rows).sum(axis=1))
-    values = np.linalg.svd(rows / np.where(length > 0.0, length, 1.0)[:, None], compute_uv=False)
-    return int(len(rows) - (values > CERTAIN).sum())
+    some = length > 0.0
+    values = np.linalg.svd(rows[some] / length[some, None], compute_uv=False)
+    return int((~some).sum()), int(some.sum() - (values > CERTAIN).sum())
