@@ -146,4 +146,6 @@ def _dense(network, states, others, evidence):
     means = {v: mean[start[v]] for v in others}
     covs = {(v, w): cov[start[v], start[w]] for v in others for w in others}
     plain = bool(((np.abs(vectors[:, ~kept]) > 1e-9).sum(axis=0) == 1).all())
+    # Nor does a dense covariance keep the digits of what is all but certain.
+    plain = plain and bool((values[kept] > 1e-7 * values.max(initial=0.0)).all())
     return log, int((~kept).sum()), means, covs, plain
