@@ -81,6 +81,7 @@ def everywhere(tree: Tree, tolerance: float) -> tuple[Tree, dict[int, Array]]:
     These are the variables that are beyond their limits.
     """
     found: dict[int, Mean] = {}
+    cliques: list[Clique] = []
     least, join, before = tolerance**2, np.concatenate, tree.means.get
     waiting = [(tree.homes[root], np.zeros(0)) for root in tree.renewed]
     while waiting:
@@ -90,12 +91,12 @@ def everywhere(tree: Tree, tolerance: float) -> tuple[Tree, dict[int, Array]]:
         mean = _mean(last, clique, known, least)
         if mean is not last:
             found[lead] = mean
+            cliques.append(clique)
             waiting += [(child, mean.value.take(at)) for child, at in clique.children]
     tree = replace(tree, means=tree.means.replaced(found), renewed=frozenset())
     if not found:
         return tree, {}
-    cliques = [mean.clique for mean in found.values()]
-    owns = [mean.value[: len(mean.clique.offset)] for mean in found.values()]
+    owns = [mean.value[: len(mean.offset)] for mean in found.values()]
     far = np.abs(join(owns)) > join([clique.limits for clique in cliques])
     moved = dict.fromkeys(join([clique.owners for clique in cliques])[far].tolist())
     return tree, dict(zip(moved, Means(tree, tolerance).distances(list(moved)), strict=True))
@@ -103,10 +104,10 @@ def everywhere(tree: Tree, tolerance: float) -> tuple[Tree, dict[int, Array]]:
 
 def _mean(last: Mean | None, clique: Clique, known: Array, least: float) -> Mean:
     """The mean of a clique by that of its separators; the one found last, where that stands."""
-    if last is not None and last.clique is clique:
+    if last is not None and last.offset is clique.offset:
         away = known - last.value[len(clique.offset) :]
         if away.dot(away) <= least:
             return last
     own = clique.gain.dot(known)
     own += clique.offset
-    return Mean(clique, np.concatenate((own, known)))
+    return Mean(clique.offset, np.concatenate((own, known)))

@@ -33,10 +33,11 @@ class Point(NamedTuple):
 class Mean(NamedTuple):
     """The mean of a clique, its pivots' and then its separators', counted from their points.
 
-    The pivots' were found by those of the separators, (size,).
+    The pivots' were found by those of the separators, (size,). `offset` is the clique's, by which
+    it is known: a mean outlives its clique, which would keep all below it alive.
     """
 
-    clique: Clique
+    offset: Array
     value: Array
 
 
@@ -110,7 +111,7 @@ class Tree:
         state["means"] = {
             lead: mean.value
             for lead, mean in means.items()
-            if mean is not None and mean.clique is cliques[lead]
+            if mean is not None and mean.offset is cliques[lead].offset
         }
         apart = [replace(clique, children=[]) for clique in cliques.values()]
         return state | {"apart": apart, "below": below}
@@ -121,7 +122,7 @@ class Tree:
         for lead, children in below.items():
             cliques[lead].children += [(cliques[child], above) for child, above in children]
         homes = {variable: clique for clique in apart for variable in clique.pivots}
-        means = {lead: Mean(cliques[lead], value) for lead, value in state["means"].items()}
+        means = {lead: Mean(cliques[lead].offset, value) for lead, value in state["means"].items()}
         state["homes"] = Vector[Clique]().replaced(homes)
         state["means"] = Vector[Mean]().replaced(means)
         for name, value in state.items():

@@ -1,5 +1,6 @@
 """Maps that grow, against all rows at once, and against `infer`."""
 
+import gc
 import pickle
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.testing import assert_allclose
 import pgm
 from models import motion
 from pgm.inference.growing import growing_map
+from pgm.inference.growing.cliques import Clique
 
 
 @pytest.fixture(params=["numpy", "machine"])
@@ -337,3 +339,22 @@ def test_nothing_is_added_in_vain():
     assert held.variables == ()
     assert a not in held
     assert held.evidence[a] == 3.0
+
+
+def test_cliques_that_are_no_more_are_forgotten():
+    """A map keeps its own alone, though means are found by those of before."""
+
+    def alive():
+        gc.collect()
+        return sum(isinstance(each, Clique) for each in gc.get_objects())
+
+    before = alive()
+    poses = [pgm.Variable(f"x{k}", **POSE) for k in range(120)]
+    grown = pgm.GrowingMap(every=7).add(free(poses[0]), {poses[0]: np.zeros(3)})
+    for k in range(1, 120):
+        z = edge(f"z{k}", poses[k - 1], poses[k])
+        grown = grown.add(
+            [free(poses[k]), z], {z.child: [1.0, 0.0, 0.1]}, start={poses[k]: [k, 0, 0]}
+        )
+        assert np.isfinite(grown[poses[k]].mean).all()
+    assert alive() - before == grown.status.cliques
