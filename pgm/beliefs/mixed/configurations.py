@@ -82,11 +82,16 @@ class Cases:
                 number = np.ravel_multi_index(tuple(places.T), sizes(cpd.switches))
                 self._cases[cpd] = list(cpd.cases.values()), np.asarray(number)
 
+    @property
+    def every(self) -> list[CPD]:
+        """The CPDs that nothing chooses, and all cases of the others."""
+        fixed = [cpd for cpd in self.part.cpds if cpd not in self._cases]
+        return fixed + [case for own, _ in self._cases.values() for case in own]
+
     @cached_property
     def exact(self) -> bool:
         """Whether a CPD has no noise in some direction, in some case."""
-        cases = [case for own, _ in self._cases.values() for case in own]
-        return any(map(has_exact, (*cases, *self.part.cpds)))
+        return any(map(_is_exact, self.every))
 
     def alike(self, runs: int) -> list[Integers]:
         """The configurations, by number, in groups whose CPDs one call takes as runs.
@@ -178,7 +183,7 @@ def _repeated(cpd: CPD, count: int, lead: tuple[int, ...], runs: Integers) -> CP
     return GaussianCPD(own.child, mean, cov)
 
 
-def has_exact(case: CPD) -> bool:
+def _is_exact(case: CPD) -> bool:
     """Whether a Gaussian CPD has no noise in some direction."""
     if not isinstance(case, ConditionalGaussian) or isinstance(case.cov, Noise):
         return False

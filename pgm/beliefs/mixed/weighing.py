@@ -17,10 +17,11 @@ import numpy as np
 from pgm.beliefs.gaussian.outcome import GaussianOutcome
 from pgm.beliefs.gaussian.refusals import Contradiction
 from pgm.beliefs.gaussian.run import run
-from pgm.beliefs.mixed.configurations import Cases, has_exact
+from pgm.beliefs.mixed.configurations import Cases
 from pgm.beliefs.mixed.parts import Part
 from pgm.compile.methods import JunctionTree
-from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, SwitchingCPD
+from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, Noise
+from pgm.cpds.conditional import evaluate
 from pgm.errors import GraphError, NumericalError
 from pgm.factors.scope import listed
 from pgm.kernels import roots
@@ -191,13 +192,12 @@ def _certain(part: Part, cases: Cases, asked: Asked, log: Array) -> Integers:
     """
     count = len(cases.configurations)
     found = np.zeros((count, asked.runs), dtype=np.intp)
-    every = [
-        case
-        for cpd in part.cpds
-        for case in (cpd.cases.values() if isinstance(cpd, SwitchingCPD) else (cpd,))
-    ]
     seen = [cpd.child for cpd in part.cpds if cpd.child in asked.values]
-    if not part.boundary or not seen or not any(map(has_exact, every)):
+    if not part.boundary or not seen:
+        return found
+    for case in cases.every:
+        _require_noise(case, asked)
+    if not cases.exact:
         return found
     taken = np.concatenate(
         [np.broadcast_to(~np.isnan(asked.values[v]), (asked.runs, v.dimension)) for v in seen],
@@ -220,6 +220,22 @@ def _certain(part: Part, cases: Cases, asked: Asked, log: Array) -> Integers:
             variable=seen[0],
         )
     return found
+
+
+def _require_noise(case: CPD, asked: Asked) -> None:
+    """Refuse a noise that is a function of inputs and zero in some direction at some of these."""
+    if not isinstance(case, ConditionalGaussian) or not isinstance(case.cov, Noise):
+        return
+    known = {v: asked.values[v] for v in case.cov.given}
+    noise = evaluate(case, known, (asked.runs,), None)
+    if roots.determined(roots.root(noise)).any():
+        raise NumericalError(
+            f"{case!r} has a noise that is zero in some direction, where states are weighed by "
+            "densities, which a value that is certain outweighs; let its function return some "
+            "noise, or give the case a covariance of numbers",
+            variable=case.child,
+            cpd=case,
+        )
 
 
 def _require_alike(cpd: CPD) -> None:

@@ -295,6 +295,13 @@ def test_evidence_that_repeats_itself_exactly_is_refused():
     assert_allclose(inferred(cpds, {Z: 1.0, other: 1.5})[MODE].probabilities, [0, 1])
 
 
+def test_noise_that_a_function_makes_zero_is_refused():
+    driven = pgm.LinearGaussianCPD(Z, {X: 1.0}, pgm.noise(lambda x: 0 * x[..., None], given=X))
+    cpds = [FAIR, switched(Z, pgm.GaussianCPD(Z, 5, 4), driven)]
+    with pytest.raises(pgm.NumericalError, match="zero in some direction"):
+        inferred(cpds, {Z: 5.0, X: 5.0})
+
+
 def test_a_wide_prior_is_not_certain():
     a, b, w = pgm.variables("a b w")
     read = pgm.LinearGaussianCPD(a, {X: 1.0}, 1.0)
@@ -394,6 +401,8 @@ def test_too_many_configurations_are_refused_before_any_work():
         pgm.infer(graph, {Z: 3.0})
     known = dict.fromkeys(modes[:9], 0)
     assert pgm.infer(graph, {Z: 3.0, **known})[modes[9]].probabilities.shape == (4,)
+    with pytest.raises(pgm.GraphError, match="z was left out"):
+        pgm.infer(graph, {})[Z]
     # Without the reading each is a part by itself.
     assert_allclose(pgm.infer(graph, {})[each[0]].mean, 1.5)
 
@@ -424,6 +433,7 @@ def test_shows_itself():
         (lambda p: pgm.infer(p.graph, {Z: 1}, keep=[X]), pgm.GraphError, "keep="),
         (lambda p: pgm.infer(p.graph, {}, schedule=pgm.Flooding()), pgm.GraphError, "loops"),
         (lambda p: pgm.infer(p.graph, {}, start={Z: 1}), pgm.EvidenceError, None),
+        (lambda p: pgm.infer(p.graph, {Z: 1}, start={X: [[1.0]] * 2}), pgm.EvidenceError, "start"),
         (lambda p: pgm.infer(p.graph, {Z: [[1.0]] * 2, MODE: [0] * 3}), pgm.EvidenceError, "axes"),
         (lambda p: pgm.infer(p.graph, {pgm.Variable("q"): 1.0}), pgm.EvidenceError, "q"),
         (lambda p: pgm.compile(p.graph.network, compiled=True), pgm.ModelError, "tables"),
