@@ -33,9 +33,10 @@ class SwitchingCPD(CPD):
     - s: the states of the discrete parents;
     - p_s: the CPD of y in these states, its *case*, with continuous parents x_s of its own.
 
-    A group that one belongs to and a height, a mode and a motion, a fault and a reading. For now it
-    stands in networks without time; `pgm.infer` sums over all states that the tables and the
-    evidence leave possible.
+    A group that one belongs to and a height, a mode and a motion, a fault and a reading. It stands
+    in networks without time, where `pgm.infer` sums over all states that the tables and the
+    evidence leave possible; and as a sensor of a `DynamicBayesianNetwork` of tables, a hidden
+    Markov model that reads numbers.
 
     Parameters
     ----------
@@ -151,7 +152,7 @@ class SwitchingCPD(CPD):
         """
 
         def rows_of(values: Values, width: tuple[int, ...]) -> Values:
-            whole = np.broadcast_to(values, (math.prod(shape), *width)).reshape((*shape, *width))
+            whole = np.broadcast_to(values, (*known.shape, *width)).reshape((*shape, *width))
             return np.broadcast_to(whole, (*lead, *width)).reshape((math.prod(lead), *width))
 
         states = [rows_of(known.values[v], ()) for v in self.switches]

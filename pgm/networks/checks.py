@@ -116,24 +116,34 @@ def _cycle(before: Sequence[set[int]], left: set[int]) -> list[int]:
     return [at, *reversed(loop)]
 
 
-def of_one_kind(cpds: Sequence[CPD]) -> bool:
-    """Whether the CPDs of a dynamic network are discrete; refuses mixed ones."""
-    for cpd in cpds:
+def of_one_kind(hidden: Sequence[CPD], observation: Sequence[CPD]) -> bool:
+    """Whether the hidden variables of a dynamic network are discrete; refuses mixed ones.
+
+    `hidden` are the CPDs of its prior and transition. A sensor of discrete ones is a table, or a
+    SwitchingCPD, which they choose.
+    """
+    every = (*hidden, *observation)
+    discrete = bool(every) and every[0].discrete
+    for cpd in every:
         if isinstance(cpd, SwitchingCPD):
+            if discrete and cpd in observation:
+                continue
             raise ModelError(
-                f"{cpd!r} stands in a dynamic network; discrete variables choose among CPDs in a "
-                "BayesianNetwork alone: unroll the steps into one, x.at(0), x.at(1), ...",
+                f"{cpd!r} stands in a dynamic network; there discrete variables choose among the "
+                "CPDs of sensors alone, and all hidden variables are discrete: unroll the steps "
+                "into a BayesianNetwork, x.at(0), x.at(1), ...",
                 variable=cpd.child,
                 cpd=cpd,
             )
-        if cpd.discrete != cpds[0].discrete:
+        if cpd.discrete != discrete:
             raise ModelError(
-                f"{cpd!r} stands beside {cpds[0]!r}; a dynamic network is of Gaussian CPDs, or of "
-                "tables: keep the discrete and the continuous part in networks of their own",
+                f"{cpd!r} stands beside {every[0]!r}; a dynamic network is of Gaussian CPDs, or of "
+                "tables, whose sensors may be SwitchingCPDs: keep the discrete and the continuous "
+                "part in networks of their own",
                 variable=cpd.child,
                 cpd=cpd,
             )
-    return bool(cpds) and cpds[0].discrete
+    return discrete
 
 
 def _carried(cpd: CPD) -> str:

@@ -36,7 +36,8 @@ class DynamicBayesianNetwork(Drawn, Immutable):
     """A prior over the states, a transition from each slice to the next, and sensors.
 
     States are x[0..T]. The prior holds at step 0, transition CPDs at steps 1..T, observation
-    CPDs at 0..T. All CPDs are Gaussian, or all are tables: of a hidden Markov model.
+    CPDs at 0..T. All CPDs are Gaussian, or all are tables: of a hidden Markov model, whose sensors
+    may also be `SwitchingCPD` of continuous readings.
 
     Parameters
     ----------
@@ -62,7 +63,7 @@ class DynamicBayesianNetwork(Drawn, Immutable):
     inputs : tuple of Variable
         Parents that no CPD explains: they must have evidence.
     discrete : bool
-        Whether its CPDs are tables rather than Gaussian.
+        Whether its hidden variables are discrete, and their CPDs tables rather than Gaussian.
 
     Raises
     ------
@@ -94,7 +95,7 @@ class DynamicBayesianNetwork(Drawn, Immutable):
     sensors: Scope
     inputs: Scope
     discrete: bool
-    # Discrete variables choose among CPDs in networks without time alone.
+    # Discrete and continuous variables are hidden together in networks without time alone.
     mixed: ClassVar[bool] = False
 
     def __init__(
@@ -107,7 +108,7 @@ class DynamicBayesianNetwork(Drawn, Immutable):
         transition = checks.as_cpds(transition, "transition")
         observation = checks.as_cpds(observation, "observation")
         everything = (*prior, *transition, *observation)
-        discrete = checks.of_one_kind(everything)
+        discrete = checks.of_one_kind((*prior, *transition), observation)
         checks.check_templates(everything)
         for cpd in (*transition, *observation):
             cpd.require_proper("only the prior of a dynamic network takes flat priors")

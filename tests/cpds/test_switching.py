@@ -115,7 +115,7 @@ def test_networks_are_drawn_from():
         (lambda: pgm.LinearGaussianCPD(H, {GROUP: 1.0}, 1.0), "SwitchingCPD"),
         (
             lambda: pgm.DynamicBayesianNetwork(
-                [pgm.TableCPD(GROUP, table=[0.5, 0.5])], [], [by_group()]
+                [pgm.TableCPD(GROUP, table=[0.5, 0.5]), by_group()], [], []
             ),
             "dynamic network",
         ),

@@ -18,7 +18,9 @@ from typing import Any, NoReturn, cast
 
 import numpy as np
 
+from pgm.beliefs.markov.density_weights import DensityWeights
 from pgm.beliefs.markov.input_tables import InputTables, smallest_entry
+from pgm.beliefs.markov.sensor_weights import SensorWeights
 from pgm.beliefs.markov.weights import Weights
 from pgm.compile import SliceLayout
 from pgm.cpds import TableCPD
@@ -163,8 +165,8 @@ class SlicePlan:
         ways = (self.prior, self.onward, self.back)
         found = [self.slice, *(self.scope(step.scope) for way in ways for step in way.steps)]
         for cpd in self.model.observation:
-            observed = tuple(v for v in cpd.given if v not in self.labels)
-            found.append((*self.slice, *discrete(observed)))
+            given = (v for v in cpd.given if isinstance(v, Discrete))
+            found.append((*self.slice, *(v for v in given if v not in self.labels)))
         return max(found, key=len)
 
     @cached_property
@@ -318,9 +320,10 @@ class TableSlices:
             RowTables(plan, cast(TableCPD, cpd), inputs, first)
             for cpd, inputs in zip(plan.model.transition, bound.transition, strict=False)
         ]
-        self.weights = [
-            Weights(plan, reading, bound.runs, bool(bound.lead)) for reading in bound.readings
-        ]
+        self.weights: list[SensorWeights] = []
+        for reading in bound.readings:
+            kind = Weights if isinstance(reading.cpd, TableCPD) else DensityWeights
+            self.weights.append(kind(plan, reading, bound.runs, bool(bound.lead)))
 
     def within(self, semiring: Semiring) -> TableSlices:
         """The same slices with entries of another semiring."""

@@ -10,14 +10,14 @@ weights w(z) of a sensor's states, in place of a state that was measured.
 from __future__ import annotations
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pgm.beliefs.markov.input_tables import InputTables, smallest_entry
+from pgm.beliefs.markov.sensor_weights import SensorWeights
 from pgm.cpds import TableCPD
 from pgm.elimination import Plan, TableAlgebra, eliminate, next_smallest
-from pgm.errors import EvidenceError
 from pgm.evidence import Reading
 from pgm.kernels.arrays import Array
 from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
@@ -26,48 +26,21 @@ if TYPE_CHECKING:
     from pgm.beliefs.markov.plan import SlicePlan
 
 
-class Weights:
-    """The likelihood weights p(z | x) of one sensor's measurements, on the axes of a belief.
+class Weights(SensorWeights):
+    """The likelihood weights of one table's measurements, on the axes of a belief.
 
-    A *row* is the place of a measurement among the sensor's, which are sorted by step.
-
-    runs: How many runs there are.
-    batch: Whether beliefs have an axis of runs.
-    observed: The sensor's parents that evidence gives.
-    shape: The shape of the weights without runs: an axis for each variable of the slice, of length
-        one for a variable that is no parent.
     soft: Whether the measurements are soft evidence, weights of the sensor's states.
     """
 
+    cpd: TableCPD
+
     def __init__(self, plan: SlicePlan, reading: Reading, runs: int, batch: bool) -> None:
-        self.reading, self.runs, self.batch = reading, runs, batch
-        self.cpd = cast(TableCPD, reading.cpd)
+        super().__init__(plan, reading, runs, batch)
         self.called = InputTables(self.cpd, reading.inputs, reading.step)
-        self.observed = tuple(v for v in self.cpd.given if v not in plan.labels)
-        hidden = [v for v in self.cpd.given if v in plan.labels]
-        self.order = [v for v in plan.slice if v in hidden]
-        self.shape = tuple(v.size if v in hidden else 1 for v in plan.slice)
-        late = [v for v in hidden if v not in plan.states]
-        if late and reading.step.size and reading.step[0] == 0:
-            raise EvidenceError(
-                f"a measurement of {self.cpd.child!r} at step 0, but its parent {late[0]!r} is a "
-                "control, which there is from step 1 on",
-                variable=self.cpd.child,
-                cpd=self.cpd,
-                step=0,
-            )
         self.soft = reading.values.dtype.kind == "f"
         if self.soft:  # of any size; as numbers they are used with their largest one
             self._tops = reading.values.max(axis=-1)
             self._scaled = reading.values / self._tops[:, :, None]
-        self.complete = bool(reading.taken.all())
-        self.starts = np.searchsorted(reading.step, np.arange(_last(reading) + 2)).tolist()
-
-    def at(self, step: int) -> range:
-        """The rows of the measurements of a step."""
-        if step + 1 >= len(self.starts):
-            return range(0)
-        return range(self.starts[step], self.starts[step + 1])
 
     @cached_property
     def _columns(self) -> Array:
@@ -156,31 +129,6 @@ class Weights:
         nothing = np.ones((1, *self._columns.shape[1:]))
         return np.concatenate([self._columns / top, nothing]), np.append(np.log(top), 0.0)
 
-    def _rows(self, part: range) -> range:
-        """The rows of the measurements at some consecutive steps."""
-        last = len(self.starts) - 1
-        return range(self.starts[min(part.start, last)], self.starts[min(part.stop, last)])
-
-    def multiply(self, found: Array, scales: Array, part: range) -> None:
-        """Multiply the weights `found` of some steps by those of this sensor, in place.
-
-        `found` (steps, *slice, [runs]) and `scales` (steps, [runs]) are the weights and log-scales
-        by other sensors; this sensor's log-scales are added to `scales`. `part` are the steps,
-        consecutive ones.
-        """
-        picked = self.picked(part)
-        if picked is not None:
-            found *= picked[0]
-            scales += picked[1]
-            return
-        rows = self._rows(part)
-        steps = self.reading.step[rows.start : rows.stop] - part.start
-        for step, row in zip(steps.tolist(), rows, strict=True):
-            weights = self.row(row)
-            if weights is not None:
-                found[step] *= weights
-                scales[step] += self.log_scale(row)
-
     def log_scale(self, row: int) -> Array | float:
         """The log-scale of a measurement's weights where they are numbers; 0 if it is not soft.
 
@@ -217,10 +165,6 @@ class Weights:
         sizes = dict(enumerate((self.cpd.child.size, *self.shape)))
         return next_smallest([(0,), tuple(sizes)], tuple(sizes)[1:], sizes)
 
-    def _over_runs(self, single: Array) -> Array:
-        """Weights (*slice) that all runs share, as (*slice, 1) if beliefs have an axis of runs."""
-        return single[..., None] if self.batch else single
-
     def _called(self, row: int) -> tuple[Array, list[Any]]:
         """The table p(z | parents) that the function gives at a row, and indices into it.
 
@@ -247,8 +191,3 @@ class Weights:
     def _least(self) -> float:
         """The smallest positive entry of the table."""
         return smallest_entry(self._columns)
-
-
-def _last(reading: Reading) -> int:
-    """The last step at which there is a measurement; −1 if there is none."""
-    return int(reading.step[-1]) if reading.step.size else -1
