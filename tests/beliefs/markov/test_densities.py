@@ -120,8 +120,8 @@ def test_the_most_probable_path_is_the_likeliest_of_all(rng):
     path = pgm.most_probable(pgm.compile(model(), steps=4), given)
     modes, faults, logs = enumerated(given)
     best = np.unravel_index(logs.argmax(), logs.shape)
-    assert list(path.states(MODE)) == list(MODE.states[k] for k in modes[best[0]])
-    assert list(path.states(FAULT)) == list(FAULT.states[k] for k in faults[best[1]])
+    assert list(path.states(MODE)) == [MODE.states[k] for k in modes[best[0]]]
+    assert list(path.states(FAULT)) == [FAULT.states[k] for k in faults[best[1]]]
     assert_allclose(path.log_probability, logs.max(), rtol=1e-12)
 
 
