@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pgm.beliefs.markov.sensor_weights import SensorWeights
-from pgm.cpds import CPD, ConditionalGaussian, Noise, SwitchingCPD
+from pgm.cpds import CPD, ConditionalGaussian, MixtureCPD, Noise, SwitchingCPD
 from pgm.cpds.base import Known
 from pgm.cpds.conditional import evaluate
 from pgm.errors import ModelError
@@ -73,22 +73,28 @@ class DensityWeights(SensorWeights):
         return np.where(np.isfinite(top), top, 0.0)
 
     @cached_property
+    def _log_scaled(self) -> Array:
+        """The log-densities of all rows less the largest one of each row and run."""
+        own: Array = self._logs - np.expand_dims(self._tops, tuple(range(1, 1 + len(self.shape))))
+        return own
+
+    @cached_property
     def _scaled(self) -> Array:
         """The densities of all rows over the largest one of each row and run."""
-        tops = np.expand_dims(self._tops, tuple(range(1, 1 + len(self.shape))))
         with np.errstate(under="ignore"):
-            scaled: Array = np.exp(self._logs - tops)
+            scaled: Array = np.exp(self._log_scaled)
         return scaled
 
     def row(self, row: int, semiring: Semiring = SUM_PRODUCT) -> Array:
         """The densities of the reading at a row, (*slice, [runs or 1]), as entries of the semiring.
 
-        As numbers they are divided by the largest, whose logarithm `log_scale` gives.
+        They are divided by the largest, whose logarithm `log_scale` gives: beside the logarithm of
+        a far reading's density those of a belief would lose their digits.
         """
-        found: Array = (self._scaled if semiring.linear else self._logs)[row]
+        found: Array = (self._scaled if semiring.linear else self._log_scaled)[row]
         return found
 
-    def log_scale(self, row: int) -> Array | float:
+    def log_scale(self, row: int, semiring: Semiring = SUM_PRODUCT) -> Array | float:
         """The largest log-density of a row, (runs or 1,), or one number without axes of runs."""
         top: Array = self._tops[row]
         return top if self.batch else float(top)
@@ -120,7 +126,10 @@ class DensityWeights(SensorWeights):
 
 
 def _require_noise(cpd: SwitchingCPD, case: tuple[int, ...], part: CPD, reading: Reading) -> None:
-    """Refuse a case of a Gaussian CPD that has no noise in some direction, by a ModelError."""
+    """Refuse a case, or part of a mixture, without noise in some direction, by a ModelError."""
+    if isinstance(part, MixtureCPD):
+        for each in part.parts:
+            _require_noise(cpd, case, each, reading)
     if not isinstance(part, ConditionalGaussian):
         return
     cov = part.cov

@@ -501,11 +501,10 @@ class TableSlices:
                 found = own
                 continue
             found = self.semiring.times(found, own)
-            if self.semiring.linear:
-                # So that the product of many small numbers stays above zero.
-                top = found.max(axis=tuple(range(len(self.plan.shape))))
-                top = np.where(top > 0.0, top, 1.0)
-                found, log_scale = found / top, log_scale + np.log(top)
+            # So that the product of many small numbers stays above zero, and that of logarithms
+            # near it: beside large ones those of a belief would lose their digits.
+            top = self.semiring.divisor(found.max(axis=tuple(range(len(self.plan.shape)))))
+            found, log_scale = self.semiring.over(found, top), log_scale + self.semiring.logs(top)
         return found, log_scale
 
     def _weights_at(self, step: int) -> Iterator[tuple[Array, Array | float]]:
@@ -514,7 +513,7 @@ class TableSlices:
             for row in weights.at(step):
                 own = weights.row(row, self.semiring)
                 if own is not None:
-                    yield own, weights.log_scale(row) if self.semiring.linear else 0.0
+                    yield own, weights.log_scale(row, self.semiring)
 
     def refuse(self, step: int, belief: Array, run: int) -> NoReturn:
         """Raise `ImpossibleEvidence` for measurements that a predicted belief makes impossible.

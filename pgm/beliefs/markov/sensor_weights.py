@@ -69,12 +69,12 @@ class SensorWeights(ABC):
         """The weights of the measurement at a row, (*slice, [runs]), as entries of the semiring.
 
         In runs that lack the measurement the weights are the semiring's one. The result may be None
-        if all runs lack it. Where entries are numbers, `log_scale` is that of the row.
+        if all runs lack it. What they have been divided by `log_scale` tells.
         """
 
     @abstractmethod
-    def log_scale(self, row: int) -> Array | float:
-        """The log-scale of a row's weights where they are numbers, (runs or 1,) or one number."""
+    def log_scale(self, row: int, semiring: Semiring = SUM_PRODUCT) -> Array | float:
+        """The log-scale of a row's weights, (runs or 1,), or one number without axes of runs."""
 
     @abstractmethod
     def picked(self, part: range) -> tuple[Array, Array] | None:

@@ -129,13 +129,13 @@ class Weights(SensorWeights):
         nothing = np.ones((1, *self._columns.shape[1:]))
         return np.concatenate([self._columns / top, nothing]), np.append(np.log(top), 0.0)
 
-    def log_scale(self, row: int) -> Array | float:
-        """The log-scale of a measurement's weights where they are numbers; 0 if it is not soft.
+    def log_scale(self, row: int, semiring: Semiring = SUM_PRODUCT) -> Array | float:
+        """The log-scale of a measurement's weights; 0 unless they are numbers and it is soft.
 
         Soft evidence is divided by its largest weight, so that this is the largest one's logarithm.
         The result is (runs or 1,), or one number where beliefs have no axis of runs.
         """
-        if not self.soft:
+        if not self.soft or not semiring.linear:
             return 0.0
         logs: Array = np.log(self._tops[row])
         return logs if self.batch else float(logs[0])

@@ -160,6 +160,32 @@ def test_readings_far_from_all_states_and_several_a_step():
     assert posterior[h.at(2)].probabilities[1] == 1.0
 
 
+@pytest.mark.parametrize("far", [1e3, 1e6, 1e9, 1e12])
+def test_far_readings_leave_the_odds_that_they_say_nothing_of(far):
+    a, b, z = pgm.Discrete("a", states=2), pgm.Discrete("b", states=2), pgm.Variable("z")
+    moves = [[0.9, 0.1], [0.2, 0.8]]
+    chain = pgm.DynamicBayesianNetwork(
+        [pgm.TableCPD(a, table=[0.5, 0.5]), pgm.TableCPD(b, table=[0.1, 0.9])],
+        [pgm.TableCPD(a, a.previous, table=moves), pgm.TableCPD(b, b.previous, table=np.eye(2))],
+        [pgm.SwitchingCPD(z, a, {k: pgm.GaussianCPD(z, k, 1.0) for k in range(2)})],
+    )
+    for posterior in (pgm.filter(chain, {z: [[far]]}), pgm.smooth(chain, {z: [[far], [-far]]})):
+        assert_allclose(posterior[b.at(1)].probabilities, [0.1, 0.9], rtol=1e-12)
+    online = pgm.OnlineFilter(chain)
+    belief = online.update(online.predict(online.initial()), {z: [far]})
+    assert_allclose(belief[b].probabilities, [0.1, 0.9], rtol=1e-12)
+    path = pgm.most_probable(pgm.compile(chain, steps=1), {z: [[far]]})
+    assert list(path.states(b)) == ["1", "1"]
+    posterior = pgm.smooth(chain, {z: [[np.nan], [-far]]})
+    due = np.array([0.55 * 0.9, 0.45 * 0.2]) / (0.55 * 0.9 + 0.45 * 0.2)
+    assert_allclose(posterior[a.at(1)].probabilities, due, rtol=1e-12)
+    joint = posterior.joint(a.at(1), a.at(2)).probabilities
+    assert_allclose(joint[:, 0], due, rtol=1e-12)
+    several = pgm.sightings(np.array([[-far], [-2 * far]]), step=[2, 2])
+    posterior = pgm.smooth(chain, {z: several}, steps=2)
+    assert_allclose(posterior[a.at(1)].probabilities, due, rtol=1e-12)
+
+
 def test_draws_are_of_the_cases():
     drawn = model().sample({U: np.zeros((3, 1)), SWITCH: [0, 0, 1]}, runs=20_000, steps=3, rng=1)
     modes = drawn[MODE][:, 1:].reshape(-1)
@@ -176,6 +202,11 @@ def test_refusals():
     moves = [pgm.TableCPD(h, h.previous, table=np.eye(2))]
     exact = pgm.SwitchingCPD(z, h, {0: pgm.GaussianCPD(z, 0, 0), 1: pgm.GaussianCPD(z, 0, 1)})
     chain = pgm.DynamicBayesianNetwork(prior, moves, [exact])
+    with pytest.raises(pgm.ModelError, match="case '0' has no noise in some direction"):
+        pgm.filter(chain, {z: [[0.0]]})
+    atom = pgm.MixtureCPD([pgm.GaussianCPD(z, 0, 0), pgm.GaussianCPD(z, 0, 1)], weights=[0.5, 0.5])
+    spiked = pgm.SwitchingCPD(z, h, {0: atom, 1: pgm.GaussianCPD(z, 0, 1)})
+    chain = pgm.DynamicBayesianNetwork(prior, moves, [spiked])
     with pytest.raises(pgm.ModelError, match="case '0' has no noise in some direction"):
         pgm.filter(chain, {z: [[0.0]]})
     made = pgm.LinearGaussianCPD(z, {}, cov=pgm.noise(lambda u: u[..., None], given=U))
