@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
-from itertools import product
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -13,57 +12,65 @@ from pgm.beliefs.markov.sensor_weights import SensorWeights
 from pgm.cpds import CPD, ConditionalGaussian, MixtureCPD, Noise, SwitchingCPD
 from pgm.cpds.base import Known
 from pgm.cpds.conditional import evaluate
-from pgm.errors import ModelError
-from pgm.evidence import Reading
-from pgm.factors.axes import sizes
+from pgm.errors import GraphError, ModelError
 from pgm.kernels import roots
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.semirings import SUM_PRODUCT, Semiring
-from pgm.variables import Discrete
+from pgm.resources import require_memory
 
-if TYPE_CHECKING:
-    from pgm.beliefs.markov.plan import SlicePlan
+# So many arrays of the densities of all readings there are at a time.
+_COPIES = 3
 
 
 class DensityWeights(SensorWeights):
     """The densities p(z | x) of a continuous sensor's readings, whose CPD the states choose.
 
-    A reading's logarithms have their largest one as log-scale, so that far readings cost no states.
-    A case without noise in some direction is a ModelError: between a point mass and a density there
-    are no odds that densities tell.
+    A reading's logarithms have their largest one as log-scale, so that far readings cost no digits.
+    A case without noise in some direction is a ModelError where it is asked: between a point mass
+    and a density there are no odds that densities tell.
     """
 
     cpd: SwitchingCPD
-
-    def __init__(self, plan: SlicePlan, reading: Reading, runs: int, batch: bool) -> None:
-        super().__init__(plan, reading, runs, batch)
-        for case, part in self.cpd.cases.items():
-            _require_noise(self.cpd, case, part, reading)
+    advice = "Leave it out: it is too far from what every state that is possible makes of it"
 
     @cached_property
     def _logs(self) -> Array:
-        """Log-densities of all rows, (rows, *slice, [runs or 1]); zero where nothing was read."""
-        reading = self.reading
-        taken = np.broadcast_to(
-            reading.taken, np.broadcast_shapes(reading.taken.shape, reading.values.shape)
+        """Log-densities of all rows, (rows, *slice, [runs or 1]); zero where nothing was read.
+
+        Each case is asked for the readings alone of which an observed switch may choose it.
+        """
+        reading, cpd = self.reading, self.cpd
+        values = np.where(reading.taken, reading.values, np.nan)
+        count = max(each.shape[1] for each in (values, *reading.inputs.values()))
+        shape = len(values), count
+        require_memory(
+            _COPIES * math.prod((*shape, *self.shape)),
+            f"the densities of {len(values)} readings of {cpd.child!r} in {count} runs",
+            "give fewer runs or steps to a call",
+            error=GraphError,
         )
-        values = np.where(taken, reading.values, np.nan)
-        runs = max(values.shape[1], *(a.shape[1] for a in reading.inputs.values()), 1)
-        shape = len(values), runs
-        values = np.broadcast_to(values, (*shape, values.shape[-1]))
-        nothing = ~np.broadcast_to(taken.any(axis=-1), shape)
-        inputs = {v: a[..., 0] if isinstance(v, Discrete) else a for v, a in reading.inputs.items()}
-        hidden = tuple(v for v in self.order if isinstance(v, Discrete))
-        found = np.empty((*sizes(hidden), *shape))
-        if found.size:
-            step = reading.step[:, None]
-            for states in product(*map(range, sizes(hidden))):
-                chosen = {v: np.full((1, 1), k) for v, k in zip(hidden, states, strict=True)}
-                known = Known(inputs | chosen, shape, shape, step)
-                own = self.cpd._log_density(values, known)
-                found[states] = np.where(nothing, 0.0, own)
-        found = np.moveaxis(found, -2, 0)  # (rows, hidden parents, runs)
-        found = found.reshape(len(values), *self.shape, runs)
+
+        def wide(rows: Any) -> Any:
+            """Rows (rows, runs or 1, d) for all runs."""
+            return np.broadcast_to(rows, (*shape, rows.shape[-1]))
+
+        values = wide(values)
+        inputs = {v: wide(rows) for v, rows in reading.inputs.items()}
+        read = wide(reading.taken).any(axis=-1)
+        step = np.broadcast_to(reading.step[:, None], shape)
+        found = np.zeros((shape[0], *(v.size for v in self.order), shape[1]))
+        for case, part in cpd.cases.items():
+            state: dict[Any, int] = dict(zip(cpd.switches, case, strict=True))
+            chosen = [inputs[v][..., 0] == k for v, k in state.items() if v in inputs]
+            rows = np.nonzero(np.logical_and.reduce([read, *chosen]))
+            if not rows[0].size:
+                continue
+            parents = {v: inputs[v][rows] for v in part.parents}
+            known = Known(parents, rows[0].shape, rows[0].shape, step[rows])
+            _require_noise(cpd, case, part, known, step[rows])
+            place: Any = rows[0], *(state[v] for v in self.order), rows[1]
+            found[place] = part._log_density(values[rows], known)
+        found = found.reshape(shape[0], *self.shape, shape[1])
         return found if self.batch else found[..., 0]
 
     @cached_property
@@ -125,21 +132,19 @@ class DensityWeights(SensorWeights):
         return float(least ** max(counts.max(initial=0), 0))
 
 
-def _require_noise(cpd: SwitchingCPD, case: tuple[int, ...], part: CPD, reading: Reading) -> None:
+def _require_noise(
+    cpd: SwitchingCPD, case: tuple[int, ...], part: CPD, known: Known, step: Integers
+) -> None:
     """Refuse a case, or part of a mixture, without noise in some direction, by a ModelError."""
     if isinstance(part, MixtureCPD):
         for each in part.parts:
-            _require_noise(cpd, case, each, reading)
+            _require_noise(cpd, case, each, known, step)
     if not isinstance(part, ConditionalGaussian):
         return
     cov = part.cov
     if isinstance(cov, Noise):
-        rows = {v: reading.inputs[v] for v in cov.given}
-        shape = np.broadcast_shapes(*(a.shape[:-1] for a in rows.values()))
-        if not math.prod(shape):
-            return
-        known = {v: np.broadcast_to(a, (*shape, a.shape[-1])) for v, a in rows.items()}
-        cov = evaluate(part, known, shape, reading.step[:, None])
+        given = {v: known.values[v] for v in cov.given}
+        cov = evaluate(part, given, known.shape, step)
     if roots.determined(roots.root(cov)).any():
         raise ModelError(
             f"{cpd!r}: its case {cpd.named(case)!r} has no noise in some direction, and states are "

@@ -43,11 +43,6 @@ from pgm.kernels.stochastic import Dense
 from pgm.schedules.impossible import ImpossibleEvidence
 from pgm.variables import Discrete, Variable
 
-ADVICE = (
-    "Leave it out; or, if it can happen, replace the zeros that forbid it in the CPDs' tables by "
-    "small probabilities"
-)
-
 
 class SlicePlan:
     """The sums over the slices of a model: variables with their axes, and plans of elimination.
@@ -522,7 +517,8 @@ class TableSlices:
         error names the sensor of the first measurement after which no state is possible in this
         run, and marks all runs in which the step's measurements are impossible.
         """
-        left, culprit = belief, None
+        left: Array = belief
+        culprit: SensorWeights | None = None
         for weights in self.weights:
             for row in weights.at(step):
                 own = weights.row(row, self.semiring)
@@ -531,16 +527,18 @@ class TableSlices:
                 left = self.semiring.times(left, own)
                 here = (left[..., run] if self.lead else left).max()
                 if culprit is None and here == self.semiring.zero:
-                    culprit = weights.cpd
+                    culprit = weights
         lost = np.asarray(left.max(axis=tuple(range(len(self.plan.shape)))) == self.semiring.zero)
         where = in_run(lost.reshape(self.lead))
-        variable = None if culprit is None else culprit.child
+        cpd = None if culprit is None else culprit.cpd
+        variable = None if cpd is None else cpd.child
+        advice = (culprit or SensorWeights).advice
         raise ImpossibleEvidence(
             f"the measurement of {variable!r} at step {step} has probability zero given those "
-            f"before it{where}. {ADVICE}{self.of_runs if self.lead else ''}",
+            f"before it{where}. {advice}{self.of_runs if self.lead else ''}",
             lost,
             self.lead,
             variable=variable,
-            cpd=culprit,
+            cpd=cpd,
             step=step,
         )

@@ -9,7 +9,7 @@ logarithm of a number by which weights have been divided, to keep them near one.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from pgm.errors import EvidenceError
 from pgm.evidence import Reading
 from pgm.kernels.arrays import Array
 from pgm.kernels.semirings import SUM_PRODUCT, Semiring
-from pgm.variables import Discrete
 
 if TYPE_CHECKING:
     from pgm.beliefs.markov.plan import SlicePlan
@@ -30,20 +29,22 @@ class SensorWeights(ABC):
 
     runs: How many runs there are.
     batch: Whether beliefs have an axis of runs.
-    observed: The sensor's discrete parents that evidence gives.
-    order: Its hidden parents, in the order of the slice.
+    order: The sensor's hidden parents, in the order of the slice.
     shape: The shape of the weights without runs: an axis for each variable of the slice, of length
         one for a variable that is no parent.
     complete: Whether no measurement is missing in any run.
+    advice: What to do about a measurement of probability zero.
     """
+
+    advice: ClassVar[str] = (
+        "Leave it out; or, if it can happen, replace the zeros that forbid it in the CPDs' tables "
+        "by small probabilities"
+    )
 
     def __init__(self, plan: SlicePlan, reading: Reading, runs: int, batch: bool) -> None:
         self.reading, self.runs, self.batch = reading, runs, batch
         self.cpd: Any = reading.cpd
         hidden = [v for v in self.cpd.given if v in plan.labels]
-        self.observed = tuple(
-            v for v in self.cpd.given if isinstance(v, Discrete) and v not in hidden
-        )
         self.order = [v for v in plan.slice if v in hidden]
         self.shape = tuple(v.size if v in hidden else 1 for v in plan.slice)
         late = [v for v in hidden if v not in plan.states]
@@ -114,10 +115,6 @@ class SensorWeights(ABC):
             if weights is not None:
                 found[step] *= weights
                 scales[step] += self.log_scale(row)
-
-    def _over_runs(self, single: Array) -> Array:
-        """Weights (*slice) that all runs share, as (*slice, 1) if beliefs have an axis of runs."""
-        return single[..., None] if self.batch else single
 
 
 def _last(reading: Reading) -> int:

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 class Weights(SensorWeights):
     """The likelihood weights of one table's measurements, on the axes of a belief.
 
+    observed: The sensor's parents that evidence gives.
     soft: Whether the measurements are soft evidence, weights of the sensor's states.
     """
 
@@ -36,6 +37,7 @@ class Weights(SensorWeights):
 
     def __init__(self, plan: SlicePlan, reading: Reading, runs: int, batch: bool) -> None:
         super().__init__(plan, reading, runs, batch)
+        self.observed = tuple(v for v in self.cpd.given if v not in plan.labels)
         self.called = InputTables(self.cpd, reading.inputs, reading.step)
         self.soft = reading.values.dtype.kind == "f"
         if self.soft:  # of any size; as numbers they are used with their largest one
@@ -164,6 +166,10 @@ class Weights(SensorWeights):
         """The sum Σ_z w(z) p(z | x) over a sensor's states: z has the label 0, x those after it."""
         sizes = dict(enumerate((self.cpd.child.size, *self.shape)))
         return next_smallest([(0,), tuple(sizes)], tuple(sizes)[1:], sizes)
+
+    def _over_runs(self, single: Array) -> Array:
+        """Weights (*slice) that all runs share, as (*slice, 1) if beliefs have an axis of runs."""
+        return single[..., None] if self.batch else single
 
     def _called(self, row: int) -> tuple[Array, list[Any]]:
         """The table p(z | parents) that the function gives at a row, and indices into it.

@@ -137,6 +137,26 @@ def test_online_is_the_filter(rng):
     assert_allclose(belief.log_evidence, offline.log_evidence, rtol=1e-13)
 
 
+def test_a_case_is_asked_where_it_is_chosen():
+    """One without noise, or without a value, costs nothing where an observed switch excludes it."""
+    h, z = pgm.Discrete("h", states=2), pgm.Variable("z")
+    cases = {("low", k): pgm.NonlinearGaussianCPD(z, U, np.log, cov=1.0 + k) for k in range(2)}
+    cases |= {("high", 0): pgm.GaussianCPD(z, 0, 1), ("high", 1): pgm.GaussianCPD(z, 1, 2)}
+    chain = pgm.DynamicBayesianNetwork(
+        [pgm.TableCPD(h, table=[0.5, 0.5])],
+        [pgm.TableCPD(h, h.previous, table=np.eye(2))],
+        [pgm.SwitchingCPD(z, (SWITCH, h), cases)],
+    )
+    given = {z: [[0.5], [0.3], [np.nan]], U: [[2.0], [-1.0], [-1.0]], SWITCH: [0, 1, 0]}
+    logs = np.array([
+        norm(np.log(2), 1).logpdf(0.5) + norm(0, 1).logpdf(0.3),
+        norm(np.log(2), np.sqrt(2)).logpdf(0.5) + norm(1, np.sqrt(2)).logpdf(0.3),
+    ]) + np.log(0.5)  # fmt: skip
+    assert_allclose(pgm.filter(chain, given).log_evidence, logsumexp(logs), rtol=1e-13)
+    with pytest.raises(pgm.LinearisationError, match="step 3"):
+        pgm.filter(chain, given | {z: [[0.5], [0.3], [0.1]]})
+
+
 def test_readings_far_from_all_states_and_several_a_step():
     h, z = pgm.Discrete("h", states=2), pgm.Variable("z")
     cases = {0: pgm.GaussianCPD(z, 0.0, 1.0), 1: pgm.GaussianCPD(z, 3.0, 2.0)}
@@ -196,6 +216,20 @@ def test_draws_are_of_the_cases():
         assert_allclose(np.cov(own.T), COVS[k], atol=0.12)
 
 
+def test_densities_that_take_too_much_memory_are_refused(monkeypatch):
+    h, z = pgm.Discrete("h", states=2), pgm.Variable("z")
+    chain = pgm.DynamicBayesianNetwork(
+        [pgm.TableCPD(h, table=[0.5, 0.5])],
+        [pgm.TableCPD(h, h.previous, table=np.eye(2))],
+        [pgm.SwitchingCPD(z, h, {k: pgm.GaussianCPD(z, k, 1) for k in range(2)})],
+    )
+    many = pgm.sightings(np.zeros((50_000, 1)), step=np.ones(50_000, dtype=int))
+    assert np.isfinite(pgm.filter(chain, {z: many}, steps=1).log_evidence)
+    monkeypatch.setattr("pgm.resources.most_memory", lambda: 2**20)
+    with pytest.raises(pgm.GraphError, match="densities of 50000 readings of z in 1 runs"):
+        pgm.filter(chain, {z: many}, steps=1)
+
+
 def test_refusals():
     h, x, z = pgm.Discrete("h", states=2), pgm.Variable("x"), pgm.Variable("z")
     prior = [pgm.TableCPD(h, table=[0.5, 0.5])]
@@ -214,6 +248,8 @@ def test_refusals():
     chain = pgm.DynamicBayesianNetwork(prior, moves, [vague])
     with pytest.raises(pgm.ModelError, match="case '0' has no noise in some direction"):
         pgm.filter(chain, {z: [[0.0]], U: [[0.0]]})
+    absent = pgm.filter(chain, {z: [[0.0], [np.nan]], U: [[1.0], [0.0]]})  # nothing is read there
+    assert np.isfinite(absent.log_evidence)
     moving = pgm.SwitchingCPD(x, h, {k: pgm.GaussianCPD(x, k, 1) for k in range(2)})
     with pytest.raises(pgm.ModelError, match="choose among the CPDs of sensors alone"):
         pgm.DynamicBayesianNetwork([*prior, moving], [*moves, moving], [])
@@ -221,5 +257,7 @@ def test_refusals():
         pgm.DynamicBayesianNetwork(prior, moves, [pgm.GaussianCPD(z, 0, 1)])
     fine = pgm.SwitchingCPD(z, h, {k: pgm.GaussianCPD(z, k, 1) for k in range(2)})
     chain = pgm.DynamicBayesianNetwork(prior, moves, [fine])
+    with pytest.raises(pgm.EvidenceError, match="too far from what every state"):
+        pgm.filter(chain, {z: [[1e200]]})
     with pytest.raises(pgm.ModelError, match="of a kind of which nothing can be learnt"):
         pgm.fit(chain, [{z: [[0.0]]}], learn={z: pgm.learning.Covariance()})
