@@ -35,7 +35,7 @@ HEIGHT = {name: height for height, layer in enumerate(LAYERS) for name in layer}
 # The folders of a folder, each of which imports from those before it; files beside them are above.
 ROOMS = {
     "pgm.beliefs": (
-        *("points", "own", "gaussian", "moments", "discrete", "markov", "mixed", "grid"),
+        *("points", "own", "gaussian", "moments", "discrete", "markov", "mixed", "hypotheses", "grid"),
         "particles",
     ),
     "pgm.beliefs.moments": (

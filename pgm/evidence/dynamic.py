@@ -94,8 +94,9 @@ class BoundEvidence:
     For each transition CPD it has the values of observed parents, (T, runs or 1, d), row k being of
     step k + 1. Messages count runs from `first_run`, where these are a part of more. With
     `candidates`, axes of `lead` are sightings, runs and candidates, each of which is tried with
-    each sighting of a step. All evidence that has the same `form`, if it has any, is laid out in
-    the same way.
+    each sighting of a step. With a number of `own_runs`, the runs are hypotheses of so many runs of
+    the user's, one of each run after another. All evidence that has the same `form`, if it has any,
+    is laid out in the same way.
     """
 
     steps: int
@@ -105,6 +106,7 @@ class BoundEvidence:
     first_run: int = 0
     form: object = None
     candidates: bool = False
+    own_runs: int | None = None
 
     @property
     def runs(self) -> int:
@@ -114,6 +116,8 @@ class BoundEvidence:
     @property
     def numbering(self) -> Numbering:
         """The numbers of runs in the texts of errors."""
+        if self.own_runs is not None:
+            return Numbering(self.first_run, self.own_runs)
         tried = self.lead[1:] if self.candidates else ()
         return Numbering(self.first_run, *tried)
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from pgm.beliefs.grid.belief import GridBelief
 from pgm.beliefs.grid.family import Grid
 from pgm.beliefs.grid.figures import GridFigures
+from pgm.beliefs.hypotheses.family import Gaussians
 from pgm.beliefs.moments.outcomes.marginals import Marginals
 from pgm.beliefs.own.family import BeliefFamily
 from pgm.beliefs.particles.cell_proposal import CellProposal
@@ -71,6 +72,7 @@ __all__ = [
     "Filtering",
     "FixedLag",
     "Flooding",
+    "Gaussians",
     "Grid",
     "GridBelief",
     "GridFigures",

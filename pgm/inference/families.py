@@ -7,12 +7,14 @@ from __future__ import annotations
 
 from typing import Any
 
+from pgm.beliefs.hypotheses.family import GAUSSIANS
 from pgm.beliefs.markov.family import TABLES
 from pgm.beliefs.mixed import MIXED
 from pgm.beliefs.moments.family import MOMENTS
 from pgm.beliefs.own.family import BeliefFamily, require_family
 from pgm.display import titled
 from pgm.errors import ModelError
+from pgm.networks import DynamicBayesianNetwork
 from pgm.posteriors.outcome import B, Outcome
 from pgm.posteriors.posterior import Posterior
 
@@ -27,7 +29,9 @@ def family_of(model: Any, belief: BeliefFamily[B] | None = None) -> BeliefFamily
         return belief
     # B is Any here, as it is of every call without belief=: which one the network decides.
     found: BeliefFamily[Any] = TABLES if model.discrete else MOMENTS
-    return MIXED if model.mixed else found
+    if model.mixed:
+        found = GAUSSIANS if isinstance(model, DynamicBayesianNetwork) else MIXED
+    return found
 
 
 def answered(family: BeliefFamily[B], outcome: Outcome[B]) -> Posterior[B]:

@@ -21,7 +21,7 @@ import numpy as np
 from pgm.cpds import AffineCPD, ConditionalGaussian, Noise, NonlinearGaussianCPD
 from pgm.cpds.conditional import evaluate
 from pgm.factors.scope import Scope
-from pgm.kernels.arrays import Array, Integers, block_diagonal
+from pgm.kernels.arrays import Array, Integers, block_diagonal, components_first
 from pgm.linearisers import BoundFunction, FunctionTemplate, Lineariser
 from pgm.linearisers.function import Source
 from pgm.linearisers.numbering import Numbering
@@ -72,6 +72,7 @@ class Rows:
     covariance. `batch` is (runs,), or () for one run; `numbering` is of the axis of runs, for the
     texts of errors. The rows may be of several CPDs, a `plate`, which differ in their variables,
     numbers and noise alone: then `cpd` and its parents are the first row's, and F is (rows, d, n).
+    F of a CPD whose numbers differ by run is (1, runs, d, n).
     A *trace* is a function recorded as a graph of scalar operations (`pgm.tracing`). `answers`
     records the values and slopes that the function's trace gives in this call, for a comparison
     with the function afterwards; None without that.
@@ -296,11 +297,18 @@ class Rows:
         offset = np.broadcast_to(
             shift if len(shift) == 1 else shift[first:last], (count, *shift.shape[1:])
         )
-        if self.batch:
+        if constant.ndim == 4:  # of each run
+            each = components_first(constant[0], 2)
+            each = each if self.batch else each[..., 0]
+            matrix = np.tile(each, (count, *(1,) * (each.ndim - 1)))
+        elif self.batch:
             matrix = np.tile(constant, (count, 1))[..., None]
+        else:
+            matrix = np.tile(constant, (count, 1))
+        if self.batch:
             offset = offset.transpose(0, 2, 1).reshape(-1, shift.shape[1])
         else:
-            matrix, offset = np.tile(constant, (count, 1)), offset.reshape(-1)
+            offset = offset.reshape(-1)
         made = At(None, matrix, offset, self._own(first, last), first, last)
         if len(shift) == 1 == len(self.own_noise):
             self._constant_at[count] = made

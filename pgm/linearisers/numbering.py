@@ -9,8 +9,8 @@ class Numbering(NamedTuple):
     """The user's runs along an axis of runs, which counts them from `first` on.
 
     Where all sightings of a step are tried with each of k `candidates`, the places of the axis are
-    a sighting, one of `runs` runs and a candidate each, of which candidates vary fastest; elsewhere
-    both are None.
+    a sighting, one of `runs` runs and a candidate each, of which candidates vary fastest. Where
+    `runs` alone is given, they are a hypothesis and a run each. Elsewhere both are None.
     """
 
     first: int = 0
@@ -19,9 +19,9 @@ class Numbering(NamedTuple):
 
     def run(self, place: int) -> int:
         """The user's number of the run at a place of the axis."""
-        if self.runs is None or self.candidates is None:
+        if self.runs is None:
             return self.first + place
-        return self.first + place // self.candidates % self.runs
+        return self.first + place // (self.candidates or 1) % self.runs
 
     def words(self, place: int) -> str:
         """The run at a place of the axis in words, with the candidate that is tried there."""

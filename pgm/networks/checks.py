@@ -116,34 +116,34 @@ def _cycle(before: Sequence[set[int]], left: set[int]) -> list[int]:
     return [at, *reversed(loop)]
 
 
-def of_one_kind(hidden: Sequence[CPD], observation: Sequence[CPD]) -> bool:
-    """Whether the hidden variables of a dynamic network are discrete; refuses mixed ones.
+def kinds(hidden: Sequence[CPD], observation: Sequence[CPD]) -> tuple[bool, bool]:
+    """Whether the hidden variables of a dynamic network are discrete, and whether it is mixed.
 
-    `hidden` are the CPDs of its prior and transition. A sensor of discrete ones is a table, or a
-    SwitchingCPD, which they choose.
+    `hidden` are the CPDs of its prior and transition. A network is mixed if discrete variables are
+    hidden beside continuous ones, or choose among CPDs of these. Of a network whose hidden
+    variables are all discrete, sensors are tables, or SwitchingCPDs, which the variables choose.
     """
     every = (*hidden, *observation)
-    discrete = bool(every) and every[0].discrete
-    for cpd in every:
-        if isinstance(cpd, SwitchingCPD):
-            if discrete and cpd in observation:
-                continue
+    tables = [cpd for cpd in hidden if cpd.discrete]
+    discrete = len(tables) == len(hidden) and bool(every) and every[0].discrete
+    mixed = not discrete and (bool(tables) or any(isinstance(cpd, SwitchingCPD) for cpd in every))
+    for cpd in observation:
+        if discrete and not cpd.discrete and not isinstance(cpd, SwitchingCPD):
             raise ModelError(
-                f"{cpd!r} stands in a dynamic network; there discrete variables choose among the "
-                "CPDs of sensors alone, and all hidden variables are discrete: unroll the steps "
-                "into a BayesianNetwork, x.at(0), x.at(1), ...",
+                f"{cpd!r} stands beside {every[0]!r}; sensors of hidden variables that are all "
+                "discrete are tables, or SwitchingCPDs, which have a CPD of readings for each "
+                "state",
                 variable=cpd.child,
                 cpd=cpd,
             )
-        if cpd.discrete != discrete:
+        if not discrete and not mixed and cpd.discrete:
             raise ModelError(
-                f"{cpd!r} stands beside {every[0]!r}; a dynamic network is of Gaussian CPDs, or of "
-                "tables, whose sensors may be SwitchingCPDs: keep the discrete and the continuous "
-                "part in networks of their own",
+                f"{cpd!r} is a sensor of discrete readings, and all hidden variables are "
+                "continuous; give it a hidden discrete parent, with a TableCPD of its own",
                 variable=cpd.child,
                 cpd=cpd,
             )
-    return discrete
+    return discrete, mixed
 
 
 def _carried(cpd: CPD) -> str:

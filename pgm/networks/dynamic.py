@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -36,8 +36,9 @@ class DynamicBayesianNetwork(Drawn, Immutable):
     """A prior over the states, a transition from each slice to the next, and sensors.
 
     States are x[0..T]. The prior holds at step 0, transition CPDs at steps 1..T, observation
-    CPDs at 0..T. All CPDs are Gaussian, or all are tables: of a hidden Markov model, whose sensors
-    may also be `SwitchingCPD` of continuous readings.
+    CPDs at 0..T. All CPDs are Gaussian; or all are tables, of a hidden Markov model, whose sensors
+    may also be `SwitchingCPD` of continuous readings; or it is mixed: tables of discrete variables,
+    and Gaussian CPDs, among which `SwitchingCPD` lets the discrete variables choose.
 
     Parameters
     ----------
@@ -63,13 +64,16 @@ class DynamicBayesianNetwork(Drawn, Immutable):
     inputs : tuple of Variable
         Parents that no CPD explains: they must have evidence.
     discrete : bool
-        Whether its hidden variables are discrete, and their CPDs tables rather than Gaussian.
+        Whether all its hidden variables are discrete, and their CPDs tables rather than Gaussian.
+    mixed : bool
+        Whether discrete variables are hidden beside continuous ones, or choose their CPDs.
 
     Raises
     ------
     ModelError
-        If CPDs are of both kinds, a state lacks its prior or transition, a child has two CPDs, two
-        variables share a name, the CPDs form a cycle, or a parent stands where it cannot.
+        If sensors do not fit the kind of the hidden variables, a state lacks its prior or
+        transition, a child has two CPDs, two variables share a name, the CPDs form a cycle, or a
+        parent stands where it cannot.
 
     Examples
     --------
@@ -95,8 +99,7 @@ class DynamicBayesianNetwork(Drawn, Immutable):
     sensors: Scope
     inputs: Scope
     discrete: bool
-    # Discrete and continuous variables are hidden together in networks without time alone.
-    mixed: ClassVar[bool] = False
+    mixed: bool
 
     def __init__(
         self,
@@ -108,7 +111,7 @@ class DynamicBayesianNetwork(Drawn, Immutable):
         transition = checks.as_cpds(transition, "transition")
         observation = checks.as_cpds(observation, "observation")
         everything = (*prior, *transition, *observation)
-        discrete = checks.of_one_kind((*prior, *transition), observation)
+        discrete, mixed = checks.kinds((*prior, *transition), observation)
         checks.check_templates(everything)
         for cpd in (*transition, *observation):
             cpd.require_proper("only the prior of a dynamic network takes flat priors")
@@ -133,6 +136,7 @@ class DynamicBayesianNetwork(Drawn, Immutable):
             "sensors": sensors,
             "inputs": inputs,
             "discrete": discrete,
+            "mixed": mixed,
         }
         self._set(**values)
 

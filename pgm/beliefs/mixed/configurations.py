@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from functools import cached_property
 
 import numpy as np
 
 from pgm.beliefs.discrete.outcome import DiscreteOutcome
 from pgm.beliefs.mixed.parts import Part
-from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, GaussianCPD, Noise, SwitchingCPD
-from pgm.cpds.by_run import ByRunCPD
-from pgm.cpds.mixture import by_run
+from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, Noise, SwitchingCPD
+from pgm.cpds.by_run import kind_of, repeated, stacked
 from pgm.errors import GraphError
 from pgm.factors.axes import States, sizes
 from pgm.factors.scope import listed
 from pgm.kernels import roots
-from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.arrays import Integers
 from pgm.variables import Variable
 
 # So many configurations are looked through for those that tables and evidence leave possible,
@@ -105,7 +104,7 @@ class Cases:
         keys = np.zeros((len(self.configurations), len(self._cases)), dtype=np.intp)
         for k, (cases, number) in enumerate(self._cases.values()):
             kinds: dict[object, int] = {}
-            each = [kinds.setdefault(_kind(case), len(kinds)) for case in cases]
+            each = [kinds.setdefault(kind_of(case), len(kinds)) for case in cases]
             keys[:, k] = np.array(each)[number]
         _, group = np.unique(keys, axis=0, return_inverse=True)
         order = np.argsort(group, kind="stable")
@@ -139,48 +138,14 @@ class Cases:
 
     def _at(self, cpd: CPD, which: Integers, lead: tuple[int, ...], runs: Integers) -> CPD:
         if cpd not in self._cases:
-            return _repeated(cpd, which.size, lead, runs) if cpd._lead() else cpd
+            return repeated(cpd, which.size, lead, runs) if cpd._lead() else cpd
         cases, number = self._cases[cpd]
         own = number[which]
         used, place = np.unique(own, return_inverse=True)
         if used.size == 1:
             return cases[int(used[0])]
         own_cases = [case for k in used if isinstance(case := cases[k], AffineCPD)]
-        return _stacked(own_cases, np.repeat(place, runs.size))
-
-
-def _kind(case: CPD) -> object:
-    """A key that cases have in common which differ in numbers alone."""
-    if not isinstance(case, AffineCPD) or isinstance(case.cov, Noise) or case.noise is not None:
-        return id(case)
-    return AffineCPD
-
-
-def _stacked(cases: Sequence[AffineCPD], number: Integers) -> AffineCPD:
-    """The affine CPD of a child that is one of some cases, by number, in each run."""
-    child = cases[0].child
-    given = tuple(dict.fromkeys(v for case in cases for v in case.given))
-    offset = np.array([case.offset for case in cases])[number]
-    cov = np.array([case.cov for case in cases])[number]
-    if not given:
-        return GaussianCPD(child, offset, cov)
-    matrices: dict[object, Array] = {}
-    for parent in given:
-        none = np.zeros((child.dimension, parent.dimension))
-        every = np.array([case.matrices.get(parent, none) for case in cases])
-        matrices[parent] = every[number]
-    return ByRunCPD(child, given, matrices, offset, cov)  # type: ignore[arg-type]
-
-
-def _repeated(cpd: CPD, count: int, lead: tuple[int, ...], runs: Integers) -> CPD:
-    """A prior with axes of runs, repeated for each of some configurations."""
-    own = by_run(cpd, lead)
-    assert isinstance(own, GaussianCPD)
-    assert isinstance(own.cov, np.ndarray)
-    size = own.child.dimension
-    mean = np.tile(own.mean.reshape(-1, size)[runs], (count, 1))
-    cov = np.tile(own.cov.reshape(-1, size, size)[runs], (count, 1, 1))
-    return GaussianCPD(own.child, mean, cov)
+        return stacked(own_cases, np.repeat(place, runs.size))
 
 
 def _is_exact(case: CPD) -> bool:

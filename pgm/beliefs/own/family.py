@@ -109,6 +109,11 @@ class BeliefFamily(ByAttributes, Generic[B]):
                 "a network of tables has the probabilities of its states, exactly: leave belief= "
                 "out"
             )
+        if model.mixed:
+            raise ModelError(
+                f"{self!r} is for networks of continuous variables; one with discrete ones beside "
+                "these has mixtures of Gaussians: leave belief= out, or give pgm.Gaussians(...)"
+            )
 
     def begin(self, at: Slice) -> Any:
         """The belief over the slice at step 0, before its measurements.

@@ -1,0 +1,1 @@
+"""Beliefs of chains with discrete and continuous states: mixtures of a few Gaussians."""

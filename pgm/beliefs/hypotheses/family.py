@@ -1,0 +1,112 @@
+"""Mixtures of a few Gaussians, as a family of beliefs: the value that says how many are kept."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from pgm.arguments import public
+from pgm.beliefs.hypotheses.run import Asked, run
+from pgm.beliefs.own.family import BeliefFamily
+from pgm.boundary import is_whole
+from pgm.compile import DynamicGraph
+from pgm.errors import ModelError
+from pgm.evidence import BoundEvidence
+from pgm.networks import DynamicBayesianNetwork
+from pgm.posteriors.outcome import Outcome
+from pgm.schedules.options import Call
+
+
+@public
+class Gaussians(BeliefFamily[Any]):
+    r"""Beliefs of a chain with discrete variables: a mixture of `count` Gaussians at each step.
+
+    .. math:: p(x_t, s_t \mid z) \approx \sum_k w_k \, N(x_t; \mu_k, P_k) \, p_k(s_t)
+
+    Each Gaussian is predicted and updated under each state of the discrete variables, and the
+    results are merged into `count` again. *Remembered* variables are those that the next step
+    depends on; Gaussians of unlike states of these are never merged.
+
+    - None, the default: one for each joint state of the remembered variables, which is the
+      generalised pseudo-Bayesian filter of second order. Where nothing is remembered it is a single
+      Gaussian, and for readings of unknown source probabilistic data association.
+    - With ``mix=True`` Gaussians are mixed for each state before they are predicted: the
+      interacting multiple model, which predicts as many as there are states, not that many for each
+      Gaussian, and is less exact.
+    - More: the likeliest ones that are unlike others are kept, and others merged into the one from
+      which they are the least different. As many as there are sequences of states is exact.
+
+    Backwards each merged Gaussian's message, smoothed over filtered, is multiplied into each of
+    the Gaussians that it was merged of.
+
+    Parameters
+    ----------
+    count : int, optional
+        How many Gaussians in all are kept at each step.
+    mix : bool
+        Whether they are mixed before they are predicted.
+
+    References
+    ----------
+    Blom & Bar-Shalom, The interacting multiple model algorithm for systems with Markovian switching
+    coefficients, 1988. Salmond, Mixture reduction algorithms for target tracking in clutter, 1990.
+    Kim, Dynamic linear models with Markov-switching, 1994. Barber, Expectation correction for
+    smoothed inference in switching linear dynamical systems, 2006.
+
+    Examples
+    --------
+    A target that drifts, calmly or wildly:
+
+    >>> x, z = pgm.Variable("x"), pgm.Variable("z")
+    >>> mode = pgm.Discrete("mode", states=("calm", "wild"))
+    >>> calm = pgm.LinearGaussianCPD(x, {x.previous: 1.0}, cov=0.01)
+    >>> wild = pgm.LinearGaussianCPD(x, {x.previous: 1.0}, cov=4.0)
+    >>> model = pgm.DynamicBayesianNetwork(
+    ...     prior=[pgm.TableCPD(mode, table=[0.5, 0.5]), pgm.GaussianCPD(x, 0.0, 1.0)],
+    ...     transition=[
+    ...         pgm.TableCPD(mode, given=mode.previous, table=[[0.9, 0.1], [0.2, 0.8]]),
+    ...         pgm.SwitchingCPD(x, given=mode, cases={"calm": calm, "wild": wild}),
+    ...     ],
+    ...     observation=[pgm.LinearGaussianCPD(z, {x: 1.0}, cov=0.25)],
+    ... )
+    >>> posterior = pgm.filter(model, {z: [[0.0], [3.0]]}, belief=pgm.Gaussians(8))
+    >>> posterior[mode.at(2)]
+    Table(mode[2]: calm 0.0669, wild 0.933)
+    >>> posterior[x.at(2)].mean.round(3)
+    array([2.742])
+    """
+
+    count: int | None
+    mix: bool
+
+    takes: ClassVar[frozenset[str]] = frozenset({"lineariser", "iterations", "damping"})
+    beliefs: ClassVar[str] = "mixtures of Gaussians"
+    spare: ClassVar[str] = "is not for chains of discrete and continuous variables"
+
+    def __init__(self, count: int | None = None, mix: bool = False) -> None:
+        if count is not None and (not is_whole(count) or count < 1):
+            raise ModelError(f"a count of Gaussians is a whole number, 1 or more, not {count!r}")
+        if not isinstance(mix, bool):
+            raise ModelError(f"mix says whether Gaussians are mixed, True or False, not {mix!r}")
+        self.count, self.mix = None if count is None else int(count), mix
+
+    def require(self, model: DynamicBayesianNetwork) -> None:
+        """Refuse a network without discrete variables beside continuous ones."""
+        if not model.mixed:
+            raise ModelError(
+                f"{self!r} is for networks in which discrete variables choose among CPDs of "
+                "continuous ones (pgm.SwitchingCPD); this one has none: leave belief= out"
+            )
+
+    def infer(self, graph: DynamicGraph, bound: BoundEvidence, call: Call) -> Outcome[Any]:
+        """The outcome of a call's schedule on a dynamic network's graph, given its evidence."""
+        return run(graph, bound, call, Asked(self.count, self.mix))
+
+    def online(self, model: DynamicBayesianNetwork, options: dict[str, Any]) -> Any:
+        """Refuse an online filter, which mixtures do not have yet."""
+        raise ModelError(
+            "pgm.OnlineFilter has no mixtures of Gaussians for networks of discrete and continuous "
+            "variables: call pgm.filter with the measurements so far"
+        )
+
+
+GAUSSIANS = Gaussians()

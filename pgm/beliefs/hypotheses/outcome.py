@@ -1,0 +1,181 @@
+"""Results of inference in a chain of discrete and continuous variables: tables, and mixtures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from pgm.beliefs.hypotheses.regimes import Regimes
+from pgm.compile import DynamicGraph
+from pgm.display import Summary
+from pgm.errors import EvidenceError
+from pgm.factors import Gaussian, GaussianMixture, Table
+from pgm.factors.axes import discrete
+from pgm.factors.scope import Scope, as_scope, listed, positions
+from pgm.kernels.arrays import Array, frozen
+from pgm.posteriors.belief_kind import Kind
+from pgm.posteriors.hidden import located
+from pgm.posteriors.outcome import MIXTURES, Outcome
+from pgm.posteriors.status import Status
+from pgm.posteriors.summaries import over_time
+from pgm.variables import Discrete, Variable
+
+
+@dataclass(frozen=True, eq=False)
+class Beliefs:
+    """The beliefs of a mixed chain's steps 0..T.
+
+    Attributes
+    ----------
+    kind : Kind
+        Which measurements they know.
+    hidden : tuple of Variable
+        The continuous variables, in the order of a slice.
+    weights : ndarray
+        Those of the K Gaussians, (T+1, K, runs).
+    mean, cov : ndarray
+        (T+1, K, runs, n) and (T+1, K, runs, n, n).
+    regimes : ndarray
+        The probabilities of the S regimes, (T+1, S, runs).
+    """
+
+    kind: Kind
+    hidden: Scope
+    weights: Array
+    mean: Array
+    cov: Array
+    regimes: Array
+
+    @classmethod
+    def of(
+        cls,
+        kind: Kind,
+        hidden: Scope,
+        logs: Sequence[Array],
+        means: Sequence[Array],
+        covs: Sequence[Array],
+        regimes: Sequence[Array],
+    ) -> Beliefs:
+        """The beliefs of all steps, of log-weights and log-probabilities."""
+        weights = np.exp(np.stack(logs))
+        some = (weights > 0.0).any(axis=(0, 2))
+        weights = weights[:, some]
+        weights /= weights.sum(axis=1, keepdims=True)
+        shares = np.exp(np.stack(regimes))
+        shares /= shares.sum(axis=1, keepdims=True)
+        mean, cov = np.stack(means)[:, some], np.stack(covs)[:, some]
+        return cls(kind, hidden, weights, mean, cov, shares)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class HypothesisOutcome(Outcome[Any]):
+    """The beliefs of a chain of discrete and continuous variables; leading axes are runs.
+
+    ``posterior[v]`` is a `Table` of a discrete variable, with the user's axes of runs, then one of
+    steps; and a `GaussianMixture` of a continuous one, with the same axes.
+    """
+
+    beliefs: ClassVar[str] = "mixtures of a mixed chain"
+    form: ClassVar[str] = MIXTURES
+    moving: ClassVar[bool] = True
+
+    graph: DynamicGraph
+    status: Status
+    log_evidence: Array
+    _beliefs: Beliefs
+    _regimes: Regimes
+    # The forward pass of a smoother; None of a filter, which is one.
+    _forward: HypothesisOutcome | None = None
+
+    @property
+    def kind(self) -> Kind:
+        """Which measurements the beliefs know."""
+        return self._beliefs.kind
+
+    @property
+    def log_evidence_kind(self) -> str:
+        """``merged``: exact but for what was merged and linearised."""
+        return "merged"
+
+    @property
+    def filtered(self) -> HypothesisOutcome:
+        """The beliefs of the forward pass; of a filter, the same."""
+        return self if self._forward is None else self._forward
+
+    @property
+    def _lead(self) -> tuple[int, ...]:
+        return np.shape(self.log_evidence)
+
+    @property
+    def _hidden(self) -> Scope:
+        return (*self.graph.model.states, *self.graph.model.controls)
+
+    def __getitem__(self, variable: Variable) -> Table | GaussianMixture:
+        """The marginal of a hidden variable, at all its steps or at one."""
+        return self._of((variable,))
+
+    def joint(self, *variables: Variable) -> Table | GaussianMixture:
+        """The joint of discrete variables, or of continuous ones, of one step or of all steps."""
+        if not variables:
+            raise EvidenceError("joint takes variables of one step, like x.at(3), m.at(3)")
+        return self._of(as_scope(variables, "a joint"))
+
+    def _of(self, scope: Scope) -> Table | GaussianMixture:
+        places = [located(self.graph.layout, v, self.graph.steps) for v in scope]
+        steps = {v.step for v in scope}
+        if len(steps) > 1:
+            raise EvidenceError(
+                f"{self.beliefs} have joints of variables of one step, not of {listed(scope)}",
+                variable=scope[0],
+            )
+        kinds = {isinstance(v, Discrete) for v in scope}
+        if len(kinds) > 1:
+            raise EvidenceError(
+                f"a joint of discrete and continuous variables, {list(scope)}, is neither a table "
+                "nor a mixture; ask for each kind by itself",
+                variable=scope[0],
+            )
+        first = max(start for _, start in places)
+        step = steps.pop()
+        templates = tuple(template for template, _ in places)
+        shown = templates if step is None else scope
+        rows = slice(first, None) if step is None else slice(step, step + 1)
+        found = self._table if kinds.pop() else self._mixture
+        return found(shown, templates, rows, alone=step is not None)
+
+    def _table(self, shown: Scope, scope: Scope, rows: slice, *, alone: bool) -> Table:
+        regimes = self._regimes
+        shares = self._beliefs.regimes[rows]
+        values = np.moveaxis(shares, -1, 0).reshape(-1, len(shares), *regimes.shape)
+        order = [regimes.variables.index(v) for v in discrete(scope)]
+        others = tuple(k + 2 for k in range(len(regimes.shape)) if k not in order)
+        values = values.sum(axis=others)
+        left = sorted(order)
+        values = np.moveaxis(values, [2 + left.index(k) for k in order], range(2, 2 + len(order)))
+        return Table._plain(discrete(shown), frozen(self._over_runs(values, alone)))
+
+    def _mixture(self, shown: Scope, scope: Scope, rows: slice, *, alone: bool) -> GaussianMixture:
+        own = self._beliefs
+        places = np.arange(own.mean.shape[-1])[positions(own.hidden, scope)]
+        weights = np.moveaxis(own.weights[rows], -1, 0)
+        mean = np.moveaxis(own.mean[rows][..., places], 2, 0)
+        cov = np.moveaxis(own.cov[rows][..., places[:, None], places], 2, 0)
+        some = (weights > 0.0).any(axis=(0, 1))
+        each = [self._over_runs(part[:, :, some], alone) for part in (weights, mean, cov)]
+        return GaussianMixture._make(each[0], Gaussian._make(shown, each[1], each[2]))
+
+    def _over_runs(self, values: Array, alone: bool) -> Array:
+        """Values (runs, steps, ...) with the user's axes of runs; of one step without its axis."""
+        whole = values.reshape(*self._lead, *values.shape[1:])
+        return whole[(slice(None),) * len(self._lead) + (0,)] if alone else whole
+
+    @property
+    def _title(self) -> str:
+        runs = f", runs {self._lead}" if self._lead else ""
+        return f"Posterior({self.kind}, steps 0..{self.graph.steps}{runs})"
+
+    def _summary(self) -> Summary:
+        return over_time(self._title, self, self._hidden, self._lead, self.graph.steps)

@@ -1,0 +1,176 @@
+"""Filtering and smoothing a chain of discrete and continuous variables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.beliefs.hypotheses.back import BackwardChain, Flow
+from pgm.beliefs.hypotheses.cases import Given
+from pgm.beliefs.hypotheses.chain import Belief, HypothesisChain, Pairs, Roles, Settings
+from pgm.beliefs.hypotheses.outcome import Beliefs, HypothesisOutcome
+from pgm.beliefs.hypotheses.regimes import Regimes, is_regime_sensor
+from pgm.compile import DynamicGraph
+from pgm.cpds import SwitchingCPD
+from pgm.errors import GraphError, ModelError
+from pgm.evidence import BoundEvidence
+from pgm.factors.scope import listed
+from pgm.kernels.arrays import Array, components_last, frozen
+from pgm.kernels.semirings import log_sum
+from pgm.networks import DynamicBayesianNetwork
+from pgm.posteriors.belief_kind import FILTERED, SMOOTHED, Kind
+from pgm.posteriors.status import Status
+from pgm.progress import counted
+from pgm.resources import require_memory
+from pgm.schedules import sweep
+from pgm.schedules.argument_checks import require_gaussian
+from pgm.schedules.options import Call
+from pgm.schedules.schedule import Filtering, kind_of
+
+# What a forward sweep carries: pairs of the prediction, components of the update.
+State = Belief | Pairs
+
+
+class Asked(NamedTuple):
+    """How many Gaussians are kept, None for as many as memories; and whether they are mixed."""
+
+    count: int | None
+    mix: bool
+
+
+def run(graph: DynamicGraph, bound: BoundEvidence, call: Call, asked: Asked) -> HypothesisOutcome:
+    """The beliefs of a mixed chain after a call's schedule."""
+    model = graph.model
+    kind = kind_of(call.schedule, "mixtures of Gaussians")
+    schedule = call.schedule
+    first = schedule if isinstance(schedule, Filtering) else Filtering()
+    regimes = Regimes(model, bound)
+    settings = _settings(asked, regimes, back=kind != FILTERED)
+    hidden = tuple(cpd.child for cpd in model.transition if not cpd.discrete)
+    given = Given(bound, hidden, frozenset(model.states), call.lineariser, first)
+    roles = _roles(model, bound)
+    _require_room(given, regimes, settings)
+    chain = HypothesisChain(given, regimes, roles, settings)
+    record = _Record()
+    sweep.forward(chain, bound.steps, record)
+    total = frozen(np.sum(record.log_densities, axis=0).reshape(bound.lead))
+    residuals, converged = chain.settled()
+    status = Status.of(residuals, converged, bound.lead)
+    beliefs = Beliefs.of(
+        FILTERED,
+        hidden,
+        [known.logs for known in record.known],
+        [components_last(known.mean, 1) for known in record.known],
+        [components_last(known.cov, 2) for known in record.known],
+        chain.regime_logs,
+    )
+    filtered = HypothesisOutcome(graph, status, total, beliefs, regimes)
+    if kind == FILTERED:
+        return filtered
+    backward = BackwardChain(chain)
+    beliefs = _smoothed(chain, backward, kind, bound.steps)
+    return HypothesisOutcome(graph, status, total, beliefs, regimes, filtered)
+
+
+def _settings(asked: Asked, regimes: Regimes, *, back: bool) -> Settings:
+    count = regimes.memories if asked.count is None else asked.count
+    kept = [v for v in regimes.variables if v in regimes.hidden]
+    if count < regimes.memories:
+        raise ModelError(
+            f"{count} Gaussian{'s' * (count > 1)} for ({listed(kept)}), whose states the next step "
+            f"depends on: these have {regimes.memories} joint states, each of which keeps one at "
+            f"least; give a count of {regimes.memories} or more"
+        )
+    if asked.mix and count != regimes.memories:
+        raise ModelError(
+            f"mix=True keeps a Gaussian for each joint state of ({listed(kept)}), "
+            f"{regimes.memories} in all, not {count}: leave the count out, or mix"
+        )
+    return Settings(count, asked.mix, back)
+
+
+def _roles(model: DynamicBayesianNetwork, bound: BoundEvidence) -> Roles:
+    """The CPDs of continuous variables with their evidence."""
+    prior = [cpd for cpd in model.prior if not cpd.discrete]
+    pairs = zip(model.transition, bound.transition, strict=True)
+    moved = [(cpd, inputs) for cpd, inputs in pairs if not cpd.discrete]
+    readings = [each for each in bound.readings if not is_regime_sensor(model, each.cpd)]
+    seen = [reading.cpd for reading in readings]
+    for cpd in (*prior, *(cpd for cpd, _ in moved), *seen):
+        own = cpd.cases.values() if isinstance(cpd, SwitchingCPD) else (cpd,)
+        require_gaussian(own, "the Gaussian beliefs of a mixed network")
+        for case in own:
+            case.require_proper(
+                "hypotheses are weighed by densities, and a belief of infinite variance has none"
+            )
+    return Roles(prior, [c for c, _ in moved], [i for _, i in moved], seen, readings)
+
+
+def _require_room(given: Given, regimes: Regimes, settings: Settings) -> None:
+    size = sum(v.dimension for v in given.hidden)
+    bound, pairs = given.bound, settings.count * regimes.size
+    each = settings.count * (1 + size + size * size)
+    if settings.back:
+        each = 2 * each + pairs * (2 + 2 * size + 4 * size * size)
+    require_memory(
+        (bound.steps + 1) * bound.runs * each + 8 * pairs * bound.runs * (size + 1) ** 2,
+        f"the beliefs of {settings.count:,} Gaussians with {regimes.size:,} joint states of "
+        f"({listed(regimes.variables)}) at {bound.steps + 1:,} steps in {bound.runs:,} runs",
+        "keep fewer Gaussians, or give fewer runs or steps to a call",
+        error=GraphError,
+    )
+
+
+class _Record:
+    """The beliefs and log-densities of a forward sweep."""
+
+    def __init__(self) -> None:
+        self.known: list[Belief] = []
+        self.log_densities: list[Array] = []
+
+    def keep(self, step: int, predicted: State, known: State, log_density: Array | float) -> None:
+        assert isinstance(known, Belief)
+        self.known.append(known)
+        self.log_densities.append(np.asarray(log_density))
+
+
+def _told(chain: HypothesisChain, kind: Kind, flows: Sequence[tuple[Flow, Array]]) -> Beliefs:
+    """The beliefs of all steps by what flows back to each, with the logs of its regimes."""
+    moments = []
+    for step, (flow, _) in enumerate(flows):
+        known = chain.kept[step].known
+        moments.append(
+            flow.message.of(components_last(known.mean, 1), components_last(known.cov, 2))
+        )
+    return Beliefs.of(
+        kind,
+        chain.given.hidden,
+        [flow.logs for flow, _ in flows],
+        [mean for mean, _ in moments],
+        [cov for _, cov in moments],
+        [log_sum(logs, 0) for _, logs in flows],
+    )
+
+
+def _smoothed(chain: HypothesisChain, backward: BackwardChain, kind: Kind, steps: int) -> Beliefs:
+    """The beliefs that know the measurements up to a lag later, or all."""
+    found: list[tuple[Flow, Array]] = []
+    if kind == SMOOTHED:
+        flow = backward.last(steps)
+        for step in counted(range(steps, -1, -1), "back"):
+            opened = backward.opened(step, flow)
+            found.append((flow, opened.logs))
+            if step:
+                flow = backward.back(step - 1, opened)
+        return _told(chain, kind, found[::-1])
+    for step in counted(range(steps + 1), "back"):
+        last = kind.last(step, steps)
+        flow = backward.last(last)
+        opened = backward.opened(last, flow)
+        for before in range(last - 1, step - 1, -1):
+            flow = backward.back(before, opened)
+            opened = backward.opened(before, flow)
+        found.append((flow, opened.logs))
+    return _told(chain, kind, found)
