@@ -24,6 +24,7 @@ from pgm.kernels.arrays import (
     LOG_2PI,
     Array,
     Index,
+    Integers,
     components_first,
     components_last,
     quiet,
@@ -219,6 +220,7 @@ class Update(NamedTuple):
         all pivots are above it.
     left: The distance of each measured component that those before it determine from the value
         determined, and zero for all other components, (d, *batch); None if none is determined.
+    certain: How many measured components those before them determine, (*batch); 0 if none.
     """
 
     mean: Array
@@ -226,6 +228,7 @@ class Update(NamedTuple):
     log_density: Array | float
     regular: bool
     left: Array | None
+    certain: Integers | int = 0
 
 
 def update(
@@ -262,7 +265,8 @@ def update(
     after = components_first(careful.mean, 1), components_first(careful.cov, 2)
     regular = roots.smallest_pivot(careful.lower) >= NEARLY_SINGULAR
     density = careful.log_density if cov.ndim > 2 else float(careful.log_density)
-    return Update(*after, density, regular, left)
+    certain = 0 if left is None else roots.determined(careful.lower).sum(axis=-1)
+    return Update(*after, density, regular, left, certain)
 
 
 def update_one(

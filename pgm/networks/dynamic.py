@@ -222,9 +222,9 @@ class DynamicBayesianNetwork(Drawn, Immutable):
             p(x[0..T], z[0..T] | u) = p(x[0]) Π p(x[t] | x[t−1], u[t]) Π p(z[t] | x[t])
 
         Each sensor reads once a step, at step 0 too where its parents exist there. The copies of
-        one CPD have it as their `origin`. Of a discrete network the inputs, which a network of
-        tables without time does not have, get equal probabilities of their states: given their
-        evidence, marginals are the same, and the log-evidence of each step less by their ln(size).
+        one CPD have it as their `origin`. Discrete inputs, which a network without time does not
+        have, get equal probabilities of their states: given their evidence, marginals are the same,
+        and the log-evidence of each step less by their ln(size).
 
         For T = `steps`, 0 or more.
 
@@ -237,7 +237,7 @@ class DynamicBayesianNetwork(Drawn, Immutable):
         self._require_steps(steps)
         slices = range(int(steps) + 1)
         placed = [cpd.at(step) for step in slices for cpd in self.cpds_at(step)]
-        if self.discrete:
+        if self.discrete or self.mixed:
             parents = dict.fromkeys(parent for cpd in placed for parent in cpd.parents)
             inputs = [p for p in parents if p.template in self.inputs and isinstance(p, Discrete)]
             placed += [TableCPD(p, table=np.full(p.size, 1.0 / p.size)) for p in inputs]

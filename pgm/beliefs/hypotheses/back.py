@@ -55,7 +55,7 @@ class BackwardChain:
         size = self.chain.size
         shape = known.logs.shape
         none = Message(np.zeros((*shape, size)), np.zeros((*shape, size, size)))
-        return Flow(known.logs, none)
+        return Flow(known.shares, none)
 
     def opened(self, step: int, flow: Flow) -> Opened:
         """What flows back to a step's components, as it flows back to its pairs."""

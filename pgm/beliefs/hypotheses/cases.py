@@ -22,6 +22,7 @@ from pgm.beliefs.hypotheses.regimes import Regimes
 from pgm.beliefs.moments.passes.backward import between_slices
 from pgm.beliefs.moments.steps.chain import MomentChain, largest
 from pgm.beliefs.moments.steps.plan import ChainPlan
+from pgm.beliefs.moments.steps.readings import Certain
 from pgm.compile import DynamicGraph, compile
 from pgm.cpds import CPD, AffineCPD, GaussianCPD, SwitchingCPD
 from pgm.cpds.by_run import kind_of, repeated, stacked
@@ -89,15 +90,16 @@ class Choices:
     def __init__(self, regimes: Regimes, cpds: Sequence[CPD], *, later: bool = False) -> None:
         self.cpds = cpds
         shape = (regimes.memories, regimes.size) if later else (regimes.size,)
-        numbers = np.zeros((*shape, len(cpds)), dtype=np.intp)
+        numbers = np.zeros((*shape, max(len(cpds), 1)), dtype=np.intp)
         for k, cpd in enumerate(cpds):
             if isinstance(cpd, SwitchingCPD):
                 states = [regimes.states(v) for v in cpd.switches]
                 numbers[..., k] = np.ravel_multi_index(
                     tuple(np.broadcast_arrays(*states)), sizes(cpd.switches)
                 )
-        rows = numbers.reshape(-1, len(cpds))
-        self._numbers, of = np.unique(rows, axis=0, return_inverse=True)
+        rows = numbers.reshape(-1, numbers.shape[-1])
+        every, of = np.unique(rows, axis=0, return_inverse=True)
+        self._numbers = every[:, : len(cpds)]
         self.of: Integers = of.reshape(shape)
 
     @property
@@ -149,6 +151,8 @@ class Batch:
     ----------
     which : ndarray of int
         The numbers of the choices.
+    used : bool
+        Whether the chain of the window at hand was asked for anything.
     """
 
     def __init__(
@@ -171,6 +175,7 @@ class Batch:
         widths += [_width(given.bound, rows) for r in readings for rows in r.inputs.values()]
         if any(widths):
             self._length = max(1, min(self._length, _WINDOW // (self._count * sum(widths))))
+        self.used = False
         self._window = -1
         self._chain: MomentChain | None = None
         self._slopes: dict[int, Array] = {}
@@ -204,8 +209,10 @@ class Batch:
             return
         moved = [each.reshape(self._count, runs).max(axis=0) for each in chain.residuals]
         self._residuals = largest(self._residuals, moved)
-        every = chain.iterates or chain.plan.exact
-        self._converged &= every & chain.converged.reshape(self._count, runs).all(axis=0)
+        if self.used:
+            every = chain.iterates or chain.plan.exact
+            self._converged &= every & chain.converged.reshape(self._count, runs).all(axis=0)
+        self.used = False
         if self._keep:
             self._slopes[self._window] = between_slices(chain.plan).matrix
 
@@ -245,7 +252,7 @@ class Batch:
             own_runs=bound.runs,
         )
         plan = ChainPlan.make(self._graph, part, given.lineariser, first=first, prior=False)
-        return MomentChain(plan, given.schedule, keep=self._keep)
+        return MomentChain(plan, given.schedule, keep=self._keep, certain=Certain())
 
 
 def _width(bound: BoundEvidence, rows: Array) -> int:

@@ -6,6 +6,11 @@ of the S regimes of the next step: a hypothesis, which is predicted, and takes t
 as a run of a chain without discrete variables. Arrays have the n components of a slice first, then
 hypotheses, then the runs: (n, K, runs) of components, (n, K, S, runs) of pairs. Hypotheses of
 log-weight −∞ are dead.
+
+A hypothesis that makes a measurement certain outweighs all that give it a density, whatever that
+is, unless these make others certain. So hypotheses have *counts*, of the measured components that
+they made certain so far, and those of the highest count alone have a probability. Where none makes
+anything certain, as without exact CPDs, all counts are the number 0, and cost nothing.
 """
 
 from __future__ import annotations
@@ -17,13 +22,11 @@ import numpy as np
 
 from pgm.beliefs.hypotheses.cases import Batch, Choices, Given, motions, sensors, starts
 from pgm.beliefs.hypotheses.regimes import Regimes
+from pgm.beliefs.hypotheses.roles import Roles
 from pgm.beliefs.moments.steps.chain import MomentChain, largest
 from pgm.beliefs.moments.steps.readings import Moments, Reading
 from pgm.beliefs.moments.steps.vector import vector
-from pgm.cpds import CPD
-from pgm.errors import NumericalError
-from pgm.evidence import Reading as Sighted
-from pgm.evidence.dynamic import Inputs
+from pgm.errors import ModelError, NumericalError
 from pgm.kernels import merging
 from pgm.kernels.arrays import (
     Array,
@@ -42,22 +45,32 @@ from pgm.kernels.solving import regression
 APART = 0.05
 
 
+Counts = Integers | int
+
+
 class Belief(NamedTuple):
-    """The components of a step: log-weights (K, runs), memories (K, runs), and moments."""
+    """The components of a step: log-weights, memories and counts, (K, runs), and moments."""
 
     logs: Array
     memory: Integers
+    counts: Counts
     mean: Array
     cov: Array
 
+    @property
+    def shares(self) -> Array:
+        """The logarithms of the components' probabilities, (K, runs)."""
+        return leading(self.logs, self.counts, 0)
+
 
 class Pairs(NamedTuple):
-    """The pairs of a step: log-weights (K, S, runs), and moments.
+    """The pairs of a step: log-weights and counts, (K, S, runs), and moments.
 
     `choice` is the number of the motion's choice that leads to each, (K, S, runs or 1).
     """
 
     logs: Array
+    counts: Counts
     mean: Array
     cov: Array
     choice: Integers | None = None
@@ -132,6 +145,14 @@ class HypothesisChain:
         self._prior = Choices(regimes, roles.prior)
         self._moving = Choices(regimes, roles.transition, later=True)
         self._seeing = Choices(regimes, roles.observation)
+        # Of each memory the choice in each regime; one row where the memory makes no difference.
+        of = self._moving.of
+        self._by_memory = bool((of != of[:1]).any())
+        if settings.mix and self._by_memory:
+            raise ModelError(
+                "mix=True mixes the Gaussians of all states of the step before, and motions are "
+                "chosen by these (.previous): leave mix out"
+            )
         copies = 1 if settings.mix else count
         self._motions = motions(
             given, self._moving, roles.inputs, copies, keep=back, mixed=settings.mix
@@ -141,9 +162,6 @@ class HypothesisChain:
         self._sensors = self._first
         if copies > 1:
             self._sensors = sensors(given, self._seeing, roles.readings, copies)
-        # Of each memory the choice in each regime; one row where the memory makes no difference.
-        of = self._moving.of
-        self._by_memory = bool((of != of[:1]).any())
         self.kept: list[Kept] = []
         self.regime_logs: list[Array] = []
 
@@ -158,7 +176,7 @@ class HypothesisChain:
             mean[:, 0, which] = found.mean.reshape(size, *shape)
             cov[:, :, 0, which] = found.cov.reshape(size, size, *shape)
         logs = np.broadcast_to(regimes.prior(), (regimes.size, self.runs))[None]
-        return Pairs(logs, mean, cov)
+        return Pairs(logs, 0, mean, cov)
 
     def predict(self, step: int, belief: Belief) -> Pairs:
         """The pairs of a step: each component predicted by the motion of each regime."""
@@ -168,8 +186,11 @@ class HypothesisChain:
         else:
             logs = np.moveaxis(onward[belief.memory, :, np.arange(self.runs)], -1, 1)
         logs = belief.logs[:, None] + logs
+        counts = belief.counts
+        if isinstance(counts, np.ndarray):
+            counts = np.broadcast_to(counts[:, None], logs.shape)
         if self.settings.mix:
-            return self._mixed(step, belief, logs)
+            return self._mixed(step, belief, logs, counts)
         count, of = len(belief.logs), self._moving.of
         mean, cov = self._moved(step, belief.mean[:, :, None], belief.cov[:, :, :, None], count)
         if self._moving.count == 1:
@@ -184,19 +205,20 @@ class HypothesisChain:
             choice = np.moveaxis(of[belief.memory], -1, 1)
             mean = np.take_along_axis(mean, choice[None], axis=2)
             cov = np.take_along_axis(cov, choice[None, None], axis=3)
-        return Pairs(logs, mean, cov, choice)
+        return Pairs(logs, counts, mean, cov, choice)
 
-    def _mixed(self, step: int, belief: Belief, logs: Array) -> Pairs:
+    def _mixed(self, step: int, belief: Belief, logs: Array, counts: Counts) -> Pairs:
         """The pairs of one Gaussian and each regime, mixed of all components beforehand."""
         size, (count, _, runs) = len(belief.mean), logs.shape
         shape = (count, self.regimes.size, runs)
         mean = np.broadcast_to(belief.mean[:, :, None], (size, *shape))
         cov = np.broadcast_to(belief.cov[:, :, :, None], (size, size, *shape))
         owner = np.zeros(shape, dtype=np.intp)
+        logs, counts = best_of(logs, counts, owner, 1)
         found = merging.merged(logs, owner, 1, mean, cov, self.angles)
         before = Mixing(logs, found.members, cov, found.mean, found.cov)
         after = self._moved(step, found.mean, found.cov, 1)
-        return Pairs(found.logs, *after, self._moving.of[:1, :, None], before)
+        return Pairs(found.logs, counts, *after, self._moving.of[:1, :, None], before)
 
     def _moved(self, step: int, mean: Array, cov: Array, copies: int) -> tuple[Array, Array]:
         """Moments predicted by each choice of the motion, or mixed ones by that of their regime.
@@ -209,7 +231,7 @@ class HypothesisChain:
         for batch in parts:
             chain, local = batch.at(step)
             own = _as_runs(mean, cov, batch.which, copies, chain)
-            moved = chain.predict(local, own)
+            moved, batch.used = chain.predict(local, own), True
             shape = copies, batch.which.size, self.runs
             found.append(
                 Moments(moved.mean.reshape(size, *shape), moved.cov.reshape(size, size, *shape))
@@ -225,40 +247,42 @@ class HypothesisChain:
 
     def take(self, step: int, pairs: Pairs) -> tuple[Belief, Array]:
         """The components given the measurements of a step, and their log-density, (runs,)."""
-        seen: Seen | None = None
-        logs, mean, cov = pairs.logs, pairs.mean, pairs.cov
-        if self._readings:
-            batches = self._sensors if step else self._first
-            found = [self._seen(batch, step, pairs) for batch in batches]
-            told = [each for each in found if each is not None]
-            if told:
-                shape = logs.shape
-                if len(told) == len(batches) == 1:
-                    only = told[0]
-                    mean, cov, seen = only.mean, only.cov, only.seen
-                    logs = logs + only.density
-                else:
-                    mean, cov, logs = mean.copy(), cov.copy(), logs.copy()
-                    if self.settings.back:
-                        seen = _nothing(len(mean), shape)
-                    for batch, each in zip(batches, found, strict=True):
-                        if each is None:
-                            continue
-                        own = batch.which
-                        mean[:, :, own], cov[:, :, :, own] = each.mean, each.cov
-                        logs[:, own] = logs[:, own] + each.density
-                        if seen is not None and each.seen is not None:
-                            for whole, part in zip(seen, each.seen, strict=True):
-                                whole[:, own] = part
+        found = self._taken(step, pairs)
+        logs, counts, mean, cov, seen = *pairs[:4], None
+        if found is not None:
+            mean, cov, seen = found.mean, found.cov, found.seen
+            logs, counts = logs + found.density, counts + found.certain
         likelihood = self.regimes.likelihood(step)
         if likelihood is not None:
             logs = logs + likelihood
-        count, regimes, runs = logs.shape
-        flat, total = merging.normalised(logs.reshape(count * regimes, runs))
+        total = log_sum(leading(logs, counts, (0, 1)), (0, 1))
         if not (total > -np.inf).all():
             self._refuse(step, total)
-        known = pairs._replace(logs=flat.reshape(logs.shape), mean=mean, cov=cov)
+        known = pairs._replace(logs=logs - total, counts=counts, mean=mean, cov=cov)
         return self._merged(known, seen), total
+
+    def _taken(self, step: int, pairs: Pairs) -> Taken | None:
+        """All pairs with the measurements of a step taken in; None without any."""
+        if not self._readings:
+            return None
+        batches = self._sensors if step else self._first
+        every = [(batch.which, self._of_batch(batch, step, pairs)) for batch in batches]
+        found = [(which, each) for which, each in every if each is not None]
+        if not found:
+            return None
+        if len(every) == 1:
+            return found[0][1]
+        shape = pairs.logs.shape
+        mean, cov, density = pairs.mean.copy(), pairs.cov.copy(), np.zeros(shape)
+        certain = np.zeros(shape, dtype=np.intp)
+        seen = _nothing(len(mean), shape) if self.settings.back else None
+        for which, each in found:
+            mean[:, :, which], cov[:, :, :, which] = each.mean, each.cov
+            density[:, which], certain[:, which] = each.density, each.certain
+            if seen is not None and each.seen is not None:
+                for whole, part in zip(seen, each.seen, strict=True):
+                    whole[:, which] = part
+        return Taken(mean, cov, density, certain if certain.any() else 0, seen)
 
     def _merged(self, pairs: Pairs, seen: Seen | None) -> Belief:
         """The pairs given the measurements of a step, merged into components."""
@@ -275,27 +299,39 @@ class HypothesisChain:
             owner, memory = merging.seeded(
                 logs, kind, regimes.memories, mean, cov, most, APART, self.angles
             )
+        self.regime_logs.append(log_sum(leading(pairs.logs, pairs.counts, (0, 1)), 0))
+        counts = pairs.counts
+        if isinstance(counts, np.ndarray):
+            logs, counts = best_of(logs, counts.reshape(members, runs), owner, most)
+            pairs = pairs._replace(logs=logs.reshape(pairs.logs.shape))
         found = merging.merged(logs, owner, most, mean, cov, self.angles)
-        known = Belief(found.logs, memory, found.mean, found.cov)
+        known = Belief(found.logs, memory, counts, found.mean, found.cov)
         if self.settings.back:
             self.kept.append(Kept(pairs, seen, owner, known, found.members))
-        self.regime_logs.append(log_sum(pairs.logs, 0))
         return known
 
-    def _seen(self, batch: Batch, step: int, pairs: Pairs) -> Taken | None:
+    def _of_batch(self, batch: Batch, step: int, pairs: Pairs) -> Taken | None:
         """The pairs of a batch's regimes, with the measurements of a step; None without any."""
         chain, local = batch.at(step)
         parts = chain.readings(local)
         if not parts:
             return None
+        batch.used = True
         copies, size = len(pairs.logs), len(pairs.mean)
         shape = copies, batch.which.size, self.runs
         own = _as_runs(pairs.mean, pairs.cov, batch.which, copies, chain)
         after, density = chain.take(chain.plan.first + local, own, parts)
+        assert chain.certain is not None
+        certain = chain.certain.count
+        if np.any(certain):
+            certain = np.broadcast_to(certain, chain.plan.batch).reshape(shape)
+        else:
+            certain = 0
         return Taken(
             after.mean.reshape(size, *shape),
             after.cov.reshape(size, size, *shape),
-            np.broadcast_to(density, (*chain.plan.batch,)).reshape(shape),
+            np.broadcast_to(density, chain.plan.batch).reshape(shape),
+            certain,
             _flowing(parts, own, shape) if self.settings.back else None,
         )
 
@@ -337,22 +373,38 @@ class HypothesisChain:
         )
 
 
-class Roles(NamedTuple):
-    """The CPDs of continuous variables by role, with their evidence, in the network's order."""
+def leading(logs: Array, counts: Counts, axes: int | tuple[int, ...]) -> Array:
+    """The log-weights of the hypotheses of the highest count along axes; −∞ of the others."""
+    if not isinstance(counts, np.ndarray):
+        return logs
+    counts = np.where(logs > -np.inf, counts, -1)
+    return np.where(counts == counts.max(axis=axes, keepdims=True), logs, -np.inf)
 
-    prior: Sequence[CPD]
-    transition: Sequence[CPD]
-    inputs: Sequence[Inputs]
-    observation: Sequence[CPD]
-    readings: Sequence[Sighted]
+
+def best_of(logs: Array, counts: Counts, owner: Integers, count: int) -> tuple[Array, Counts]:
+    """The log-weights of the members of the highest count of each component; −∞ of the others.
+
+    And the counts of the components, (count, *batch). `owner` is as of `kernels.merging`.
+    """
+    if not isinstance(counts, np.ndarray):
+        return logs, counts
+    counts = np.where(logs > -np.inf, counts, -1)
+    own = owner == np.arange(count).reshape(count, *(1,) * owner.ndim)
+    most = np.where(own, counts, -1).max(axis=1)
+    return np.where(counts == np.take_along_axis(most, owner, axis=0), logs, -np.inf), most
 
 
 class Taken(NamedTuple):
-    """Pairs with the measurements of a step taken in, and the log-density of these."""
+    """Pairs with the measurements of a step taken in, and the log-density of these.
+
+    `certain` are how many measured components each pair determined, (copies, regimes, runs); 0 if
+    none did.
+    """
 
     mean: Array
     cov: Array
     density: Array
+    certain: Counts
     seen: Seen | None
 
 

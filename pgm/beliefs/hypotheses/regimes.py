@@ -18,7 +18,7 @@ import numpy as np
 
 from pgm.beliefs.markov.plan import SlicePlan, TableSlices
 from pgm.compile import SliceLayout
-from pgm.cpds import CPD, SwitchingCPD, TableCPD
+from pgm.cpds import CPD, ConditionalGaussian, SwitchingCPD, TableCPD
 from pgm.errors import GraphError, ModelError
 from pgm.evidence import BoundEvidence
 from pgm.factors.axes import States, discrete
@@ -98,7 +98,9 @@ class Regimes:
         """
         found = np.zeros((*self.shape, self._runs))
         first = tuple(slice(0, n) for n in self._plan.first_shape)
-        found[first] = self._slices.prior().reshape(*self._plan.first_shape, self._runs)
+        alone = not self._plan.states  # nothing is discrete at step 0
+        prior = np.ones(1) if alone else self._slices.prior()
+        found[first] = prior.reshape(*self._plan.first_shape, -1)
         return _logs(found.reshape(self.size, -1))
 
     def onward(self, step: int) -> Array:
@@ -157,11 +159,22 @@ class Regimes:
 
 
 def is_regime_sensor(model: DynamicBayesianNetwork, cpd: CPD) -> bool:
-    """Whether a sensor of a mixed chain depends on discrete hidden variables alone."""
+    """Whether the readings of a sensor weigh the regimes alone, by their densities.
+
+    So do those of tables; and those of CPDs without continuous hidden parents of which some are
+    mixtures, or have robust noise, so that no Gaussian belief takes them in.
+    """
     if cpd.discrete or not isinstance(cpd, SwitchingCPD):
         return cpd.discrete
     continuous = {each.child for each in model.transition if not each.discrete}
-    return not any(v in continuous for v in cpd.given)
+    if any(v in continuous for v in cpd.given):
+        return False
+    return not all(is_plain(case) for case in cpd.cases.values())
+
+
+def is_plain(case: CPD) -> bool:
+    """Whether a CPD is Gaussian, linearised or not, without robust noise."""
+    return isinstance(case, ConditionalGaussian) and case.noise is None
 
 
 def _observed(model: DynamicBayesianNetwork) -> list[tuple[Discrete, Discrete]]:

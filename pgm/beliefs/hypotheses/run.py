@@ -9,23 +9,22 @@ import numpy as np
 
 from pgm.beliefs.hypotheses.back import BackwardChain, Flow
 from pgm.beliefs.hypotheses.cases import Given
-from pgm.beliefs.hypotheses.chain import Belief, HypothesisChain, Pairs, Roles, Settings
+from pgm.beliefs.hypotheses.chain import Belief, HypothesisChain, Pairs, Settings
 from pgm.beliefs.hypotheses.outcome import Beliefs, HypothesisOutcome
-from pgm.beliefs.hypotheses.regimes import Regimes, is_regime_sensor
+from pgm.beliefs.hypotheses.regimes import Regimes
+from pgm.beliefs.hypotheses.roles import Roles, roles_of
 from pgm.compile import DynamicGraph
-from pgm.cpds import SwitchingCPD
+from pgm.cpds import AffineCPD
 from pgm.errors import GraphError, ModelError
 from pgm.evidence import BoundEvidence
 from pgm.factors.scope import listed
 from pgm.kernels.arrays import Array, components_last, frozen
 from pgm.kernels.semirings import log_sum
-from pgm.networks import DynamicBayesianNetwork
 from pgm.posteriors.belief_kind import FILTERED, SMOOTHED, Kind
 from pgm.posteriors.status import Status
 from pgm.progress import counted
 from pgm.resources import require_memory
 from pgm.schedules import sweep
-from pgm.schedules.argument_checks import require_gaussian
 from pgm.schedules.options import Call
 from pgm.schedules.schedule import Filtering, kind_of
 
@@ -46,11 +45,12 @@ def run(graph: DynamicGraph, bound: BoundEvidence, call: Call, asked: Asked) -> 
     kind = kind_of(call.schedule, "mixtures of Gaussians")
     schedule = call.schedule
     first = schedule if isinstance(schedule, Filtering) else Filtering()
+    roles = roles_of(model, bound)
+    _require_once(call, roles)
     regimes = Regimes(model, bound)
     settings = _settings(asked, regimes, back=kind != FILTERED)
     hidden = tuple(cpd.child for cpd in model.transition if not cpd.discrete)
     given = Given(bound, hidden, frozenset(model.states), call.lineariser, first)
-    roles = _roles(model, bound)
     _require_room(given, regimes, settings)
     chain = HypothesisChain(given, regimes, roles, settings)
     record = _Record()
@@ -61,7 +61,7 @@ def run(graph: DynamicGraph, bound: BoundEvidence, call: Call, asked: Asked) -> 
     beliefs = Beliefs.of(
         FILTERED,
         hidden,
-        [known.logs for known in record.known],
+        [known.shares for known in record.known],
         [components_last(known.mean, 1) for known in record.known],
         [components_last(known.cov, 2) for known in record.known],
         chain.regime_logs,
@@ -91,21 +91,18 @@ def _settings(asked: Asked, regimes: Regimes, *, back: bool) -> Settings:
     return Settings(count, asked.mix, back)
 
 
-def _roles(model: DynamicBayesianNetwork, bound: BoundEvidence) -> Roles:
-    """The CPDs of continuous variables with their evidence."""
-    prior = [cpd for cpd in model.prior if not cpd.discrete]
-    pairs = zip(model.transition, bound.transition, strict=True)
-    moved = [(cpd, inputs) for cpd, inputs in pairs if not cpd.discrete]
-    readings = [each for each in bound.readings if not is_regime_sensor(model, each.cpd)]
-    seen = [reading.cpd for reading in readings]
-    for cpd in (*prior, *(cpd for cpd, _ in moved), *seen):
-        own = cpd.cases.values() if isinstance(cpd, SwitchingCPD) else (cpd,)
-        require_gaussian(own, "the Gaussian beliefs of a mixed network")
-        for case in own:
-            case.require_proper(
-                "hypotheses are weighed by densities, and a belief of infinite variance has none"
-            )
-    return Roles(prior, [c for c, _ in moved], [i for _, i in moved], seen, readings)
+def _require_once(call: Call, roles: Roles) -> None:
+    """Refuse a smoother that would linearise again, which is not what is done here."""
+    schedule = call.schedule
+    again = getattr(schedule, "iterations", 1) > 1 and not isinstance(schedule, Filtering)
+    nonlinear = [case for case in roles.cases if not isinstance(case, AffineCPD)]
+    if again and nonlinear:
+        raise ModelError(
+            f"{schedule!r} linearises again at smoothed beliefs, and mixtures of Gaussians are "
+            f"smoothed as the filter linearised them ({nonlinear[0]!r}): leave iterations out, or "
+            "give them to pgm.filter",
+            cpd=nonlinear[0],
+        )
 
 
 def _require_room(given: Given, regimes: Regimes, settings: Settings) -> None:

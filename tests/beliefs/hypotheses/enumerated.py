@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import product
+from itertools import pairwise, product
 from typing import NamedTuple
 
 import numpy as np
@@ -47,7 +47,7 @@ class Switching(NamedTuple):
         logs, modes, means, covs = [], [], [], []
         for path in product(range(len(self.first)), repeat=steps + 1):
             weight = self.first[path[0]]
-            weight *= np.prod([self.table[a, b] for a, b in zip(path, path[1:], strict=False)])
+            weight *= np.prod([self.table[a, b] for a, b in pairwise(path)])
             if weight == 0.0:
                 continue
             # x_0..x_T as rows over the independent sources x_0, w_1..w_T.
@@ -90,8 +90,12 @@ class Switching(NamedTuple):
         total = np.logaddexp.reduce(logs)
         share = np.exp(logs - total)
         modes, means, covs = np.array(modes), np.array(means), np.array(covs)
-        p = np.array([[share[modes[:, t] == k].sum() for k in range(len(self.first))]
-                      for t in range(steps + 1)])
+        p = np.array(
+            [
+                [share[modes[:, t] == k].sum() for k in range(len(self.first))]
+                for t in range(steps + 1)
+            ]
+        )
         mean = np.einsum("p,pti->ti", share, means)
         away = means - mean
         cov = np.einsum("p,ptij->tij", share, covs)
@@ -99,27 +103,29 @@ class Switching(NamedTuple):
         return total, p, mean, cov
 
 
-def spread(rng, n, least=0.05):
+def spread(rng, n):
     """A drawn covariance."""
-    root = rng.standard_normal((n, n))
-    return root @ root.T / n + least * np.eye(n)
+    root = 0.5 * rng.standard_normal((n, n))
+    return root @ root.T + 0.1 * np.eye(n)
 
 
-def drawn(rng, modes=2, n=2, d=1, *, zeros=False, hard=False):
-    """A drawn switching model."""
-    table = rng.dirichlet(np.ones(modes), size=modes)
+def drawn(rng, modes=2, n=2, d=1, *, zeros=False):
+    """A drawn switching model, whose modes differ in all their numbers; some paths have zeros."""
+    f = np.array([0.5 * rng.standard_normal((n, n)) + 0.5 * np.eye(n) for _ in range(modes)])
+    b = rng.standard_normal((modes, n))
+    q = np.array([spread(rng, n) for _ in range(modes)])
+    h = np.array([rng.standard_normal((d, n)) for _ in range(modes)])
+    c = rng.standard_normal((modes, d))
+    r = np.array([spread(rng, d) for _ in range(modes)])
+    table, first = rng.dirichlet(np.ones(modes), modes), rng.dirichlet(np.ones(modes))
     if zeros:
         table[0] = np.eye(modes)[-1]
-    first = rng.dirichlet(np.ones(modes))
-    f = np.array([0.6 * rng.standard_normal((n, n)) + 0.5 * np.eye(n) for _ in range(modes)])
-    b, c = rng.standard_normal((modes, n)), rng.standard_normal((modes, d))
-    q = np.array([spread(rng, n) for _ in range(modes)])
-    h = rng.standard_normal((modes, d, n))
-    r = np.array([spread(rng, d) for _ in range(modes)])
     mode = pgm.Discrete("mode", states=tuple(f"s{k}" for k in range(modes)))
     x = pgm.Variable("x", components=tuple(f"x{k}" for k in range(n)))
     z = pgm.Variable("z", components=tuple(f"z{k}" for k in range(d)))
-    motion = {k: pgm.LinearGaussianCPD(x, {x.previous: f[k]}, offset=b[k], cov=q[k]) for k in range(modes)}
+    motion = {
+        k: pgm.LinearGaussianCPD(x, {x.previous: f[k]}, offset=b[k], cov=q[k]) for k in range(modes)
+    }
     sensor = {k: pgm.LinearGaussianCPD(z, {x: h[k]}, offset=c[k], cov=r[k]) for k in range(modes)}
     model = pgm.DynamicBayesianNetwork(
         prior=[pgm.TableCPD(mode, table=first), pgm.GaussianCPD(x, np.zeros(n), np.eye(n))],

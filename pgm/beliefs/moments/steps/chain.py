@@ -23,7 +23,7 @@ import numpy as np
 from pgm.beliefs.moments.steps import gate, readings, refusals
 from pgm.beliefs.moments.steps.iterated_update import MomentUpdate, iterated
 from pgm.beliefs.moments.steps.plan import ChainPlan, Link
-from pgm.beliefs.moments.steps.readings import Moments, Reading
+from pgm.beliefs.moments.steps.readings import Certain, Moments, Reading
 from pgm.beliefs.moments.steps.vector import Measured
 from pgm.kernels import gaussian
 from pgm.kernels.angles import TURN
@@ -52,6 +52,9 @@ class MomentChain:
     `check` linearises once at each step, and refuses what is not finite: linearisations with
     LinearisationError, predictions with NumericalError.
 
+    With `certain`, runs are hypotheses, of which a step's measurements may contradict some: see
+    `Certain`, which has the numbers of the last step.
+
     `residuals` has one array (runs,) for each relinearisation of a step's sensors: the largest
     distance, over all steps, of a mean from where it was linearised, in standard deviations.
     """
@@ -65,8 +68,10 @@ class MomentChain:
         anchor: Anchor | None = None,
         check: bool = False,
         gated: gate.Asked | None = None,
+        certain: Certain | None = None,
     ) -> None:
         layout = plan.layout
+        self.certain = certain
         self.gate = gated if schedule is None else schedule.gate
         self.plan, self.schedule, self.anchor, self.check = plan, schedule, anchor, check
         self.linearises, self.keeps = schedule is not None, keep and schedule is not None
@@ -182,7 +187,7 @@ class MomentChain:
                     part.require_finite()
             if self.gate is not None:
                 seen = gate.decide(self.gate, parts, seen, mean, cov)
-            after, density = readings.update(seen, step, belief)
+            after, density = readings.update(seen, step, belief, self.certain)
             if robust:
                 density = density + sum(part.surplus for part in parts)
         else:
@@ -220,7 +225,7 @@ class MomentChain:
         if self.gate is not None:
             seen = [part.linearise(mean, cov) for part in parts]
             gate.decide(self.gate, parts, seen, mean, cov)
-        found = iterated(MomentUpdate(parts, step, mean, cov), schedule)
+        found = iterated(MomentUpdate(parts, step, mean, cov, self.certain), schedule)
         self.residuals = largest(self.residuals, found.residuals)
         self._settled = (
             found.converged if self._settled is None else self._settled & found.converged

@@ -26,7 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.beliefs.moments.steps import readings
-from pgm.beliefs.moments.steps.readings import Moments, Reading
+from pgm.beliefs.moments.steps.readings import Certain, Moments, Reading
 from pgm.beliefs.moments.steps.vector import Measured
 from pgm.errors import NumericalError
 from pgm.kernels.angles import difference
@@ -83,11 +83,20 @@ class UpdateProblem(ABC, Generic[U]):
 
     `parts` has the step's sightings, one `Reading` for each sensor that has any; `step` is the
     step's number, which errors name; `mean` (n, *batch) and `cov` (n, n, *batch) are the predicted
-    moments. A solution, of type `U`, is a belief with the measurements' log-density.
+    moments. A solution, of type `U`, is a belief with the measurements' log-density. `certain` is
+    as of `readings.update`.
     """
 
-    def __init__(self, parts: Sequence[Reading], step: int, mean: Array, cov: Array) -> None:
+    def __init__(
+        self,
+        parts: Sequence[Reading],
+        step: int,
+        mean: Array,
+        cov: Array,
+        certain: Certain | None = None,
+    ) -> None:
         self.parts, self.step, self.mean, self.cov = parts, step, mean, cov
+        self.certain = certain
         # Whether the weights of robust noise have settled, (runs,).
         self._weighed: Mask | bool = True
 
@@ -228,7 +237,9 @@ class UpdateProblem(ABC, Generic[U]):
         """
         exact = [seen for seen in self.measured if seen.sensor.exact]
         first = self._moments(found._replace(mean=mean))[0]
-        return _as_point(readings.update(exact, self.step, Moments(first, self.cov))[0].mean, 1)
+        tried = None if self.certain is None else Certain()
+        known, _ = readings.update(exact, self.step, Moments(first, self.cov), tried)
+        return _as_point(known.mean, 1)
 
     def _moments(self, at: Point) -> tuple[Array, Array]:
         """A point's mean (n, *batch) and covariance (n, n, *batch), in the axes of a sweep."""
@@ -249,7 +260,8 @@ class MomentUpdate(UpdateProblem[Updated]):
 
         The anchor's measurement is not in the log-density.
         """
-        known, density = readings.update(self.measured, self.step, Moments(self.mean, self.cov))
+        belief = Moments(self.mean, self.cov)
+        known, density = readings.update(self.measured, self.step, belief, self.certain)
         return Updated(known if anchor is None else known.held(anchor, 0), density)
 
     def raised(self, found: Updated, surplus: Array | float) -> Updated:

@@ -29,6 +29,7 @@ from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import (
     LOG_2PI,
     Array,
+    Integers,
     Mask,
     block,
     components_first,
@@ -82,15 +83,34 @@ class Moments(NamedTuple):
         return components_last(self.mean, 1), components_last(self.cov, 2)
 
 
-def update(parts: Sequence[Measured], step: int, belief: Moments) -> tuple[Moments, Array | float]:
+class Certain:
+    """How many measured components of a step the belief of each run determines, (*batch).
+
+    It is found where runs are hypotheses: what one makes certain outweighs every density that
+    another gives, and one that is contradicted has the log-density −∞, which is no error.
+    """
+
+    __slots__ = ("count",)
+
+    count: Integers | int
+
+    def __init__(self) -> None:
+        self.count = 0
+
+
+def update(
+    parts: Sequence[Measured], step: int, belief: Moments, certain: Certain | None = None
+) -> tuple[Moments, Array | float]:
     """The belief given linearised sightings of a step, and their log-density (*batch).
 
     `step` is the number that errors name, and `belief` the predicted one. Where the joint
     predictive covariance is nearly singular, as with sharp measurements of a wide belief, exact
     sensors are taken in together and the other sightings one by one, which is equal but for
     rounding. NumericalError where that covariance is indefinite or not finite, or an exact model is
-    contradicted.
+    contradicted; with `certain`, where runs are hypotheses, such a run has the log-density −∞.
     """
+    if certain is not None:
+        certain.count = 0
     if not parts:
         return belief, 0.0
     first, mean = parts[0], belief.mean
@@ -104,21 +124,25 @@ def update(parts: Sequence[Measured], step: int, belief: Moments) -> tuple[Momen
         if one is not None and isfinite(one[2]):
             return Moments(one[0], one[1]), one[2]
     several = len(parts) > 1 or len(parts[0].value) > parts[0].sensor.height
-    found = _absorb(parts, step, belief, NEARLY_SINGULAR if several else NEGLIGIBLE)
+    found = _absorb(parts, step, belief, NEARLY_SINGULAR if several else NEGLIGIBLE, certain)
     if found is not None:
         return found
     exact = [seen for seen in parts if seen.sensor.exact]
     rest = [[one] for seen in parts if not seen.sensor.exact for one in seen.each()]
     total: Array | float = 0.0
     for some in [exact, *rest] if exact else rest:
-        then = _absorb(some, step, belief, 0.0)
+        then = _absorb(some, step, belief, 0.0, certain)
         assert then is not None
         belief, total = then[0], total + then[1]
     return belief, total
 
 
 def _absorb(
-    parts: Sequence[Measured], step: int, belief: Moments, least: float
+    parts: Sequence[Measured],
+    step: int,
+    belief: Moments,
+    least: float,
+    certain: Certain | None,
 ) -> tuple[Moments, Array | float] | None:
     """The belief given all sightings, as one vector, and their log-density (*batch); or None.
 
@@ -126,7 +150,8 @@ def _absorb(
     covariance S of the sightings is nearly singular if some component, given those before it, keeps
     less than `NEARLY_SINGULAR`, 10⁻⁶, of its variance in S. The result is then None if `least` is
     that number. With a smaller `least` it is not None: of several runs, faster formulas are then
-    used as long as each component keeps more than `least`, 0 standing for 10⁻¹³.
+    used as long as each component keeps more than `least`, 0 standing for 10⁻¹³. `certain` is as
+    of `update`, and what is determined is added to it.
     """
     mean, cov = belief
     exact = any(seen.sensor.exact for seen in parts)
@@ -140,7 +165,12 @@ def _absorb(
     if least == NEARLY_SINGULAR and not found.regular:
         return None
     if found.left is not None:
-        refusals.contradiction(parts, step, mean, found.left)
+        if certain is None:
+            refusals.contradiction(parts, step, mean, found.left)
+        else:
+            far = refusals.contradicted(parts, mean, found.left).any(axis=0)
+            density = np.where(far, -inf, density) if mean.ndim > 1 else (-inf if far else density)
+            certain.count = certain.count + found.certain
     if missing is not None:
         density = density + 0.5 * LOG_2PI * (missing if mean.ndim > 1 else int(missing))
     return Moments(found.mean, found.cov), density

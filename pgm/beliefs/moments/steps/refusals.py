@@ -16,7 +16,7 @@ from pgm.beliefs.moments.steps.plan import ChainPlan, Link
 from pgm.beliefs.moments.steps.vector import Measured
 from pgm.errors import NumericalError
 from pgm.kernels import roots
-from pgm.kernels.arrays import Array, components_last, times
+from pgm.kernels.arrays import Array, Mask, components_last, times
 from pgm.kernels.extended import Twofold
 from pgm.linearisation.family import cancellation
 
@@ -52,25 +52,39 @@ def indefinite(parts: Sequence[Measured], step: int) -> NoReturn:
     )
 
 
-def contradiction(parts: Sequence[Measured], step: int, mean: Array, left: Array) -> None:
-    """Raise NumericalError if a measurement contradicts a value that an exact model determines.
+def contradicted(parts: Sequence[Measured], mean: Array, left: Array) -> Mask:
+    """Which measured components contradict a value that an exact model determines, (D, *batch).
 
     `left` (D, *batch) is how far each component of `parts`, D in all, is from its determined value,
     zero where none is determined; `mean` (n, *batch) is that of the predicted slice, the vector of
     the step's hidden variables. Rounding of the numbers summed up, and of a linearisation, is
     allowed.
     """
-    allowed, rounded = [], []
+    allowed = [max(CONTRADICTION, rounding) * size for size, rounding in _sizes(parts, mean)]
+    far: Mask = left > np.max(allowed, axis=0)
+    return far
+
+
+def _sizes(parts: Sequence[Measured], mean: Array) -> list[tuple[Array, float]]:
+    """The size of the numbers of each part, (*batch), and the rounding of its linearisation."""
+    found = []
     for seen in parts:
         # Numbers of this size are summed up to the expected value.
         expected = times(np.abs(seen.matrix), np.abs(mean[seen.sensor.parents]))
         size = (np.abs(seen.reading) + expected + np.abs(seen.constant)).max(axis=0)
-        rounding = _OF_ROUNDING * cancellation(seen.sensor.family)
-        allowed.append(max(CONTRADICTION, rounding) * size)
-        rounded.append(_MAGNIFIED * rounding * size)
-    far = left > np.max(allowed, axis=0)
+        found.append((size, _OF_ROUNDING * cancellation(seen.sensor.family)))
+    return found
+
+
+def contradiction(parts: Sequence[Measured], step: int, mean: Array, left: Array) -> None:
+    """Raise NumericalError if a measurement contradicts a value that an exact model determines.
+
+    `parts`, `mean` and `left` are as of `contradicted`.
+    """
+    far = contradicted(parts, mean, left)
     if not far.any():
         return
+    rounded = [_MAGNIFIED * rounding * size for size, rounding in _sizes(parts, mean)]
     where = tuple(int(axis[0]) for axis in np.nonzero(far.T))
     run, place = where if far.ndim > 1 else (0, *where)
     heights = [len(seen.value) for seen in parts]
