@@ -30,7 +30,16 @@ from pgm.kernels.arrays import (
     quiet,
     symmetric,
 )
-from pgm.kernels.dense import Dense, DenseRoot, Runs, RunsRoot, first, scratch
+from pgm.kernels.dense import (
+    Dense,
+    DenseRoot,
+    RegularRoot,
+    Runs,
+    RunsRoot,
+    Stack,
+    first,
+    scratch,
+)
 from pgm.kernels.moments import ROUNDING
 from pgm.kernels.numbers import Matrix, Number
 
@@ -46,6 +55,8 @@ _MILD = 1e3
 # Of a batch lines of Python are quicker than products of arrays up to n d (n + d) of this size, and
 # so many runs.
 _FEW, _SHORT = 54, 2000
+# But beyond this size and up to so many runs LAPACK is quickest, run by run.
+_BRIEF, _STACKED = 16, 64
 
 
 def deviations(cov: Array) -> Array:
@@ -297,6 +308,9 @@ def _update_many(
 
     None if a pivot of S is at most `least` times its diagonal entry, in any run.
     """
+    size = len(mean) * len(residual) * (len(mean) + len(residual))
+    if size > _BRIEF and cov.ndim == 3 and cov.shape[-1] <= _STACKED:
+        return _update_stack(mean, cov, matrix, residual, noise, least)
     few = cov.ndim == 3 and cov.shape[-1] <= _SHORT
     quick = _updating_rows(len(mean), len(residual), least) if few else ()
     with quiet():  # of what is not regular
@@ -321,6 +335,25 @@ def _update_many(
             after = step.given(before, belief, slope, off, error, root, gain)
         density = _log_density(after, len(residual))
         return after.mean.array[:, 0], after.cov.array, density
+
+
+def _update_stack(
+    mean: Array, cov: Array, matrix: Array, residual: Array, noise: Array, least: float
+) -> tuple[Array, Array, Array] | None:
+    """The result of `_update_many` by LAPACK, of few runs."""
+    belief, slope = Stack(components_last(cov, 2), True), Stack(components_last(matrix, 2))
+    before, off = (Stack.column(components_last(each, 1)) for each in (mean, residual))
+    error = Stack(components_last(noise, 2), True)
+    cross, spread = step.crossed(belief, slope, error)
+    try:
+        root = RegularRoot(spread)
+    except np.linalg.LinAlgError:
+        return None
+    if not (root.share > least).all():
+        return None
+    after = step.given(before, belief, slope, off, error, root, step.gain(root, cross))
+    density = _log_density(after, len(residual))
+    return components_first(after.mean.vector, 1), components_first(after.cov.array, 2), density
 
 
 def _is_mild(noise: Array, root: RunsRoot, least: float) -> bool:

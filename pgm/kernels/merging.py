@@ -27,6 +27,7 @@ from pgm.kernels.arrays import (
     transpose,
 )
 from pgm.kernels.semirings import log_sum
+from pgm.kernels.solving import regression
 from pgm.kernels.step import nearest
 
 # Covariances are widened by this share of the mixture's for the losses of merging, which invert
@@ -171,7 +172,7 @@ def _losses(logs: Array, mean: Array, cov: Array, angles: Integers) -> Array:
     p = np.moveaxis(components_last(cov / unit / unit[:, None], 2), 0, -3)
     p = p + _WIDENED * np.eye(size)
     lower = roots.root(p)
-    inverse = np.linalg.inv(lower)
+    inverse = np.asarray(np.linalg.inv(lower), dtype=np.float64)
     information = symmetric(transpose(inverse) @ inverse)
     volume = 2.0 * np.log(np.diagonal(lower, axis1=-2, axis2=-1)).sum(axis=-1)
     pull = apply(information, m)
@@ -274,7 +275,7 @@ def split(
     `members`, m and P, are of the members, their angles on the component's branch.
     """
     ratio, pull = _ratio(message, cov)
-    batch = np.indices(owner.shape[1:], sparse=True)
+    batch: tuple[Integers, ...] = np.indices(owner.shape[1:], sparse=True)
     at = (owner, *(axis[None] for axis in batch))
     k, kappa, a = ratio[at], pull[at], mean[at]
     m, p = members
@@ -329,7 +330,7 @@ def _ratio(message: Message, cov: Array) -> tuple[Array, Array]:
 def _of_moments(message: Message, mean: Array, cov: Array, m: Array, p: Array) -> Message:
     """The messages that give members N(m, P) the smoothed moments of their component N(a, V)."""
     after, left = message.of(mean, cov)
-    inverse = np.linalg.pinv(p, hermitian=True)
+    inverse = regression(np.broadcast_to(np.eye(p.shape[-1]), p.shape), p)
     return Message(apply(inverse, after - m), symmetric(inverse - inverse @ left @ inverse))
 
 

@@ -117,7 +117,7 @@ def test_networks_are_drawn_from():
             lambda: pgm.DynamicBayesianNetwork(
                 [pgm.TableCPD(GROUP, table=[0.5, 0.5]), by_group()], [], []
             ),
-            "dynamic network",
+            "no transition",
         ),
     ],
 )

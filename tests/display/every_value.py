@@ -227,6 +227,7 @@ def points():
     model, asked = robot(6)
     drawn = model.sample(asked, rng=1)
     grid = pgm.Grid({"east": (-4, 8, 12), "north": (-4, 8, 12), "heading": 8})
+    few = pgm.Gaussians(4)
     cloud = pgm.Particles(60, seed=1)
     rough = model.replace(
         prior=[pgm.GaussianCPD(X, np.zeros(3), np.eye(3))],
@@ -235,6 +236,7 @@ def points():
     )
     found, swarm = (pgm.filter(rough, drawn.evidence, belief=each) for each in (grid, cloud))
     return {
+        "gaussians": few,
         "grid": grid,
         "grid posterior": found,
         "grid beliefs": found[X],

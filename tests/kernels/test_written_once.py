@@ -315,6 +315,8 @@ PREDICTIONS = listed(
     {"learning/gaussian.py": "_left", "learning/residuals.py": "rows"},
     # Information of two canonical forms.
     {"kernels/canonical.py": "combine"},
+    # What later evidence says, and the spread of a step's measurements under all hypotheses.
+    {"kernels/merging.py": "before split", "beliefs/hypotheses/chain.py": "_flowing"},
 )
 DIFFERENCES = listed(
     # Factorisations, one number after another.
@@ -327,6 +329,8 @@ DIFFERENCES = listed(
     {"kernels/row_messages.py": "_moved change", "kernels/elements.py": "compose"},
     # A projection, and squares of draws.
     {"kernels/rows.py": "_eliminate_exact _eliminate_proper"},
+    # Beliefs given what later evidence says, and a message divided among members.
+    {"kernels/merging.py": "of _of_moments split"},
     {"beliefs/particles/guided_proposal.py": "steered"},
 )
 COMPLEMENTS = listed(
@@ -372,6 +376,9 @@ SOLUTIONS = listed(
     {"beliefs/particles/guided_proposal.py": "_whitened steered"},
     {"inference/audit/corrected.py": "_from_gaussian"},
     {"kernels/joint_compatibility.py": "__init__"},
+    # The losses of merging, and messages to what was merged.
+    {"kernels/merging.py": "_losses _of_moments _ratio split"},
+    {"beliefs/hypotheses/chain.py": "_flowing"},
     # Information: canonical forms, rows of square roots, elements of a scan.
     {"kernels/canonical.py": "_backward_indefinite _invertible_root _split backward combine"},
     {"kernels/canonical.py": "from_affine from_moments marginalise to_moments"},

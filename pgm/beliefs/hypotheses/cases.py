@@ -17,6 +17,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from pgm.beliefs.hypotheses.regimes import Regimes
 from pgm.beliefs.moments.passes.backward import between_slices
@@ -29,7 +30,7 @@ from pgm.cpds.by_run import kind_of, repeated, stacked
 from pgm.evidence import BoundEvidence, Reading
 from pgm.evidence.dynamic import Inputs
 from pgm.factors.axes import sizes
-from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.kernels.arrays import Array, Integers, Kind, Mask
 from pgm.linearisers import Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.schedules.schedule import Filtering
@@ -195,7 +196,8 @@ class Batch:
         window = (step - 1) // self._length
         if window not in self._slopes:
             self._close()
-        return self._slopes[window][step - 1 - window * self._length]
+        found: Array = self._slopes[window][step - 1 - window * self._length]
+        return found
 
     def settled(self) -> tuple[list[Array], Mask]:
         """The largest move of a mean at each relinearisation, and whether all settled, (runs,)."""
@@ -220,7 +222,7 @@ class Batch:
         given, bound = self._given, self._given.bound
         last = min(first + self._length, bound.steps)
 
-        def rows(values: Array, some: slice) -> Array:
+        def rows(values: npt.NDArray[Kind], some: slice) -> npt.NDArray[Kind]:
             part = values[some]
             if part.shape[1] == 1:
                 return part

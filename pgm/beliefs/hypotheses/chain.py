@@ -16,6 +16,7 @@ anything certain, as without exact CPDs, all counts are the number 0, and cost n
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -77,6 +78,10 @@ class Pairs(NamedTuple):
     mixed: Mixing | None = None
 
 
+# What a sweep carries: the pairs of a prediction, and the components that they are merged into.
+State = Belief | Pairs
+
+
 class Mixing(NamedTuple):
     """The components of a step as they were mixed for each regime of the next: (K, S, runs).
 
@@ -113,7 +118,8 @@ class Kept(NamedTuple):
     members: Array
 
 
-class Settings(NamedTuple):
+@dataclass(frozen=True)
+class Settings:
     """How many Gaussians are kept, whether they are mixed before a prediction, and for what."""
 
     count: int
@@ -165,7 +171,7 @@ class HypothesisChain:
         self.kept: list[Kept] = []
         self.regime_logs: list[Array] = []
 
-    def start(self) -> Pairs:
+    def start(self) -> State:
         """The pairs of step 0: the prior's Gaussian in each regime."""
         regimes, size = self.regimes, self.size
         mean = np.zeros((size, 1, regimes.size, self.runs))
@@ -178,8 +184,9 @@ class HypothesisChain:
         logs = np.broadcast_to(regimes.prior(), (regimes.size, self.runs))[None]
         return Pairs(logs, 0, mean, cov)
 
-    def predict(self, step: int, belief: Belief) -> Pairs:
+    def predict(self, step: int, belief: State) -> State:
         """The pairs of a step: each component predicted by the motion of each regime."""
+        assert isinstance(belief, Belief)
         onward = self.regimes.onward(step)
         if onward.shape[-1] == 1:
             logs = np.moveaxis(onward[belief.memory][..., 0], -1, 1)
@@ -245,8 +252,9 @@ class HypothesisChain:
             whole[:, :, batch.which], spread[:, :, :, batch.which] = part
         return whole, spread
 
-    def take(self, step: int, pairs: Pairs) -> tuple[Belief, Array]:
+    def take(self, step: int, pairs: State) -> tuple[State, Array]:
         """The components given the measurements of a step, and their log-density, (runs,)."""
+        assert isinstance(pairs, Pairs)
         found = self._taken(step, pairs)
         logs, counts, mean, cov, seen = *pairs[:4], None
         if found is not None:

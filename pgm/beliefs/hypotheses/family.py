@@ -70,9 +70,9 @@ class Gaussians(BeliefFamily[Any]):
     ... )
     >>> posterior = pgm.filter(model, {z: [[0.0], [3.0]]}, belief=pgm.Gaussians(8))
     >>> posterior[mode.at(2)]
-    Table(mode[2]: calm 0.0669, wild 0.933)
+    Table(mode[2]: calm 0.00122, wild 0.999)
     >>> posterior[x.at(2)].mean.round(3)
-    array([2.742])
+    array([2.831])
     """
 
     count: int | None

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
 from pgm.beliefs.hypotheses.back import BackwardChain, Flow
 from pgm.beliefs.hypotheses.cases import Given
-from pgm.beliefs.hypotheses.chain import Belief, HypothesisChain, Pairs, Settings
+from pgm.beliefs.hypotheses.chain import Belief, HypothesisChain, Settings, State
 from pgm.beliefs.hypotheses.outcome import Beliefs, HypothesisOutcome
 from pgm.beliefs.hypotheses.regimes import Regimes
 from pgm.beliefs.hypotheses.roles import Roles, roles_of
@@ -28,11 +28,9 @@ from pgm.schedules import sweep
 from pgm.schedules.options import Call
 from pgm.schedules.schedule import Filtering, kind_of
 
-# What a forward sweep carries: pairs of the prediction, components of the update.
-State = Belief | Pairs
 
-
-class Asked(NamedTuple):
+@dataclass(frozen=True)
+class Asked:
     """How many Gaussians are kept, None for as many as memories; and whether they are mixed."""
 
     count: int | None

@@ -231,7 +231,7 @@ def test_densities_that_take_too_much_memory_are_refused(monkeypatch):
 
 
 def test_refusals():
-    h, x, z = pgm.Discrete("h", states=2), pgm.Variable("x"), pgm.Variable("z")
+    h, z = pgm.Discrete("h", states=2), pgm.Variable("z")
     prior = [pgm.TableCPD(h, table=[0.5, 0.5])]
     moves = [pgm.TableCPD(h, h.previous, table=np.eye(2))]
     exact = pgm.SwitchingCPD(z, h, {0: pgm.GaussianCPD(z, 0, 0), 1: pgm.GaussianCPD(z, 0, 1)})
@@ -250,9 +250,6 @@ def test_refusals():
         pgm.filter(chain, {z: [[0.0]], U: [[0.0]]})
     absent = pgm.filter(chain, {z: [[0.0], [np.nan]], U: [[1.0], [0.0]]})  # nothing is read there
     assert np.isfinite(absent.log_evidence)
-    moving = pgm.SwitchingCPD(x, h, {k: pgm.GaussianCPD(x, k, 1) for k in range(2)})
-    with pytest.raises(pgm.ModelError, match="choose among the CPDs of sensors alone"):
-        pgm.DynamicBayesianNetwork([*prior, moving], [*moves, moving], [])
     with pytest.raises(pgm.ModelError, match="stands beside"):
         pgm.DynamicBayesianNetwork(prior, moves, [pgm.GaussianCPD(z, 0, 1)])
     fine = pgm.SwitchingCPD(z, h, {k: pgm.GaussianCPD(z, k, 1) for k in range(2)})
