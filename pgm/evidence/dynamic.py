@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeVar
@@ -25,7 +25,7 @@ from pgm.evidence.rows import (
     taken_of,
     unread,
 )
-from pgm.evidence.values import Constant, Evidence, Sightings, Unknown, opened, require_whole
+from pgm.evidence.values import Constant, Evidence, OneOf, Sightings, opened, require_whole
 from pgm.factors.arrays import common_runs, flat
 from pgm.factors.scope import listed, namesake
 from pgm.kernels.arrays import Integers, Mask
@@ -55,7 +55,7 @@ class Reading:
     values: Rows
     taken: Mask
     inputs: Inputs
-    unknown: tuple[Variable, Unknown] | None = None
+    unknown: tuple[Variable, Any] | None = None
 
     @cached_property
     def whole(self) -> bool:
@@ -202,6 +202,7 @@ def bind(
     transition_inputs: bool = True,
     drawing: bool = False,
     identities: bool = False,
+    among: Container[Variable] = (),
     threads: int = 1,
 ) -> BoundEvidence:
     """Check evidence against a dynamic network's CPDs and lay it out by step.
@@ -212,9 +213,11 @@ def bind(
     transition_inputs: Whether the transition is to be used, so that its inputs must be there.
     drawing: Whether measurements are to be drawn: sightings then have no values.
     identities: Whether sightings may leave open what was seen, with `unknown`.
+    among: The hidden variables that may be candidates themselves.
     threads: How many share the work on many numbers.
     """
-    binder = _Binder(transition, observation, evidence, steps, lead, drawing, identities, threads)
+    open_ = identities, among
+    binder = _Binder(transition, observation, evidence, steps, lead, drawing, open_, threads)
     return binder.bind(transition if transition_inputs else ())
 
 
@@ -227,10 +230,11 @@ class _Binder:
         steps: int | None,
         lead: tuple[int, ...],
         drawing: bool,
-        identities: bool,
+        identities: tuple[bool, Container[Variable]],
         threads: int,
     ) -> None:
-        self.evidence, self.drawing, self.identities = evidence, drawing, identities
+        self.evidence, self.drawing = evidence, drawing
+        self.identities, self.among = identities
         self.threads = threads
         self.lead, self.transition = lead, transition
         self.hidden = {cpd.child for cpd in transition}
@@ -366,7 +370,8 @@ class _Binder:
         if not sorted_already:
             order = np.argsort(step, kind="stable")
             step, rows = step[order], rows[..., order, :]
-        given, unknown = opened(cpd, given, self.identities and not self.drawing)
+        allowed = self.identities and not self.drawing
+        given, unknown = opened(cpd, given, allowed, self.among)
         inputs = self._inputs(cpd, given, step, None if sorted_already else order, unknown)
         taken = taken_of(sensor, rows, step, self.threads)
         if taken is None:
@@ -382,7 +387,7 @@ class _Binder:
         given: Mapping[Variable, Any],
         step: Integers,
         order: Integers | None = None,
-        unknown: tuple[Variable, Unknown] | None = None,
+        unknown: tuple[Variable, OneOf] | None = None,
     ) -> Inputs:
         """Values of a CPD's observed parents at rows of some steps, (..., rows, d)."""
         seen = [v for v in cpd.parents if v.template not in self.hidden]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Never
@@ -179,11 +179,13 @@ LIKELIHOOD, SUM, JOINT = "likelihood", "sum", "joint"
 class OneOf(InCode, Immutable):
     """One of some candidates for an unknown parent, or none; made by `unknown`.
 
-    `count` is k, the number of candidates; `log_shares` (k + 2,) are the logarithms of the prior
-    probabilities of each, of a spurious sighting, and of a new thing.
+    `count` is k, the number of candidates, and `dimension` that of their components; `log_shares`
+    (k + 2,) are the logarithms of the prior probabilities of each, of a spurious sighting, and of a
+    new thing.
     """
 
     count: int
+    dimension: int
     log_shares: Array
     volume: float | None
     gate: float | None
@@ -276,7 +278,7 @@ class Unknown(OneOf):
             )
         super().__init__(len(values), *shares)
         values.flags.writeable = False
-        self._set(candidates=values)
+        self._set(candidates=values, dimension=values.shape[1])
 
 
 class UnknownVariable(OneOf):
@@ -299,7 +301,7 @@ class UnknownVariable(OneOf):
                     variable=variable,
                 )
         super().__init__(len(candidates), *shares)
-        self._set(candidates=candidates)
+        self._set(candidates=candidates, dimension=candidates[0].dimension)
 
 
 @public
@@ -391,13 +393,18 @@ def unknown(
 
 
 def opened(
-    cpd: CPD, given: Mapping[Variable, Any], allowed: bool
-) -> tuple[Mapping[Variable, Any], tuple[Variable, Unknown] | None]:
-    """The given parents of sightings, and the parent with candidates."""
+    cpd: CPD, given: Mapping[Variable, Any], allowed: bool, hidden: Container[Variable] = ()
+) -> tuple[Mapping[Variable, Any], tuple[Variable, OneOf] | None]:
+    """The given parents of sightings, and the parent with candidates.
+
+    `hidden` are the variables that may be candidates themselves.
+    """
     for variable, each in given.items():
         if isinstance(each, UnknownVariable):
-            raise variables_left_open(variable, each, f"sightings of {cpd.child!r}", cpd=cpd)
-    found = [(v, value) for v, value in given.items() if isinstance(value, Unknown)]
+            strange = next((v for v in each.candidates if v not in hidden), None)
+            if strange is not None:
+                raise variables_left_open(variable, each, f"sightings of {cpd.child!r}", cpd=cpd)
+    found = [(v, value) for v, value in given.items() if isinstance(value, OneOf)]
     if not found:
         return given, None
     variable, value = found[0]
@@ -408,9 +415,11 @@ def opened(
         why = f"and {found[1][0]!r} too; candidates are for one parent"
     elif isinstance(variable, Discrete) or isinstance(cpd.child, Discrete):
         why = "which is for variables that are not discrete"
-    elif value.candidates.shape[1] != variable.dimension:
-        count = value.candidates.shape[1]
-        why = f"with candidates of {count} components; it has {variable.dimension}"
+    elif value.dimension != variable.dimension:
+        why = f"with candidates of {value.dimension} components; it has {variable.dimension}"
+    elif isinstance(value, UnknownVariable) and not is_alike(variable, value.candidates[0]):
+        first = value.candidates[0]
+        why = f"which has {described(variable)}; its candidate {first!r} has {described(first)}"
     if why:
         raise EvidenceError(f"{what}: {why}", variable=variable, cpd=cpd)
     return {v: each for v, each in given.items() if v != variable}, found[0]
@@ -419,11 +428,12 @@ def opened(
 def variables_left_open(
     variable: Variable, value: UnknownVariable, where: str, **about: Any
 ) -> EvidenceError:
-    """The error of candidates that are variables, where beliefs are of no growing map."""
+    """The error of candidates that are variables, where these are not hidden, or not taken."""
     return EvidenceError(
         f"{where}: {variable!r} is left open among variables ({listed(value.candidates)}), which "
-        "pgm.GrowingMap associates with what it has mapped; give the values that the parent may "
-        f"have, pgm.unknown(values) of shape (k, {variable.dimension})",
+        "are candidates in a pgm.GrowingMap, and, where they are hidden in a dynamic network, for "
+        "Gaussian beliefs of pgm.filter, pgm.smooth and pgm.infer; elsewhere give the values that "
+        f"the parent may have, pgm.unknown(values) of shape (k, {variable.dimension})",
         variable=variable,
         **about,
     )

@@ -258,9 +258,9 @@ def over_time(
     `call` has the schedule, and with it the other options; the rest are arguments of `smooth`.
     """
     require_lineariser(call.lineariser)
-    bound = bind_chain(model, evidence, steps, identities=True, compiled=compiled)
+    bound = bind_chain(model, evidence, steps, identities=True, among=True, compiled=compiled)
     graph = compile(model, bound.steps, method=method, compiled=compiled)
-    family = family_of(graph.model, belief)
+    family = family_of(graph.model, belief, bound)
     call = call._replace(compiled=graph.layout.compiled or None)
     require_over_time(call, graph, family)
     return family, (graph, bound, call)

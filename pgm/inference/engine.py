@@ -179,10 +179,11 @@ def send(
         )
     if isinstance(graph, DynamicGraph):
         compiled = graph.layout.compiled
-        family = family_of(graph.model, belief)
+        asked_of = graph.model, evidence, graph.steps
+        bound = bind_chain(*asked_of, identities=True, among=True, compiled=compiled)
+        family = family_of(graph.model, belief, bound)
         call = call._replace(compiled=compiled or None)
         require_over_time(call, graph, family)
-        bound = bind_chain(graph.model, evidence, graph.steps, identities=True, compiled=compiled)
         with reporting(progress):
             return answered(family, family.infer(graph, bound, call))
     asked = call.asked(graph) if belief is None else {**call.asked(graph), "belief": belief}

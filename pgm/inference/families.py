@@ -14,24 +14,30 @@ from pgm.beliefs.moments.family import MOMENTS
 from pgm.beliefs.own.family import BeliefFamily, require_family
 from pgm.display import titled
 from pgm.errors import ModelError
+from pgm.evidence import BoundEvidence
 from pgm.networks import DynamicBayesianNetwork
+from pgm.posteriors.associations import is_summed
 from pgm.posteriors.outcome import B, Outcome
 from pgm.posteriors.posterior import Posterior
 
 
-def family_of(model: Any, belief: BeliefFamily[B] | None = None) -> BeliefFamily[B]:
+def family_of(
+    model: Any, belief: BeliefFamily[B] | None = None, bound: BoundEvidence | None = None
+) -> BeliefFamily[B]:
     """The given family, or tables of a discrete network, mixtures of a mixed one, or moments.
 
-    A `belief` that is no family, or a model that cannot have it, is a ModelError.
+    Evidence, if it is `bound`, asks for mixtures, too, where it leaves open which of several hidden
+    variables was seen, or has candidates that are to be summed over. A `belief` that is no family,
+    or a model that cannot have it, is a ModelError.
     """
     if belief is not None:
         require_family(belief, model)
         return belief
     # B is Any here, as it is of every call without belief=: which one the network decides.
     found: BeliefFamily[Any] = TABLES if model.discrete else MOMENTS
-    if model.mixed:
-        found = GAUSSIANS if isinstance(model, DynamicBayesianNetwork) else MIXED
-    return found
+    if isinstance(model, DynamicBayesianNetwork):
+        return GAUSSIANS if model.mixed or (bound is not None and is_summed(bound)) else found
+    return MIXED if model.mixed else found
 
 
 def answered(family: BeliefFamily[B], outcome: Outcome[B]) -> Posterior[B]:

@@ -33,8 +33,9 @@ from pgm.kernels.step import nearest
 # Covariances are widened by this share of the mixture's for the losses of merging, which invert
 # them: a component may be certain.
 _WIDENED = 1e-9
-# A message that leaves less than this share of a variance divides by rounding.
-_LEAST = 1e-9
+# The share of its information that a ratio of densities may leave a member: one that widens a
+# variance more than twice is far from where the ratio was found, and may carry it away altogether.
+_LEAST = 0.5
 
 
 def normalised(logs: Array) -> tuple[Array, Array]:
@@ -267,9 +268,9 @@ def split(
 
     .. math:: \Lambda_m = K (I + P K)^{-1}, \quad \lambda_m = (I + K P)^{-1} (\kappa + K \delta),
 
-    and its weight is multiplied by the ratio's mean under it. Where I + P K is not positive for
-    some member, the ratio has no mean, and each member of the component takes its smoothed
-    moments, as Kim (1994) has it, and keeps its weight.
+    and its weight is multiplied by the ratio's mean under it. Where I + P K has an eigenvalue below
+    one half for some member, each member of the component takes its smoothed moments, as Kim (1994)
+    has it, and keeps its weight: below zero the ratio has no mean.
 
     `mean` (components, *batch, n) and `cov` are a and V; `owner`, `logs` (members, *batch) and
     `members`, m and P, are of the members, their angles on the component's branch.

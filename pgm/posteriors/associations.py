@@ -19,7 +19,7 @@ from pgm.cpds.mixture import UnidentifiedCPD
 from pgm.display import Listing, Shown, Summary, number, places, whereabouts
 from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Reading, Unknown
-from pgm.evidence.values import JOINT, SUM
+from pgm.evidence.values import JOINT, SUM, UnknownVariable, variables_left_open
 from pgm.immutable import Immutable
 from pgm.kernels import association
 from pgm.kernels.arrays import Array, Integers, Mask
@@ -137,6 +137,12 @@ def is_open(bound: BoundEvidence) -> bool:
     return any(reading.unknown is not None for reading in bound.readings)
 
 
+def is_summed(bound: BoundEvidence) -> bool:
+    """Whether sightings are open among hidden variables, or are to be summed over candidates."""
+    every = [reading.unknown[1] for reading in bound.readings if reading.unknown is not None]
+    return any(isinstance(own, UnknownVariable) or own.association == SUM for own in every)
+
+
 def by_density(bound: BoundEvidence) -> BoundEvidence:
     """The same evidence; each sensor with open sightings has a mixture over candidates as its CPD.
 
@@ -147,6 +153,9 @@ def by_density(bound: BoundEvidence) -> BoundEvidence:
     def closed(reading: Reading) -> Reading:
         if reading.unknown is None:
             return reading
+        if isinstance(reading.unknown[1], UnknownVariable):
+            what = f"sightings of {reading.cpd.child!r}"
+            raise variables_left_open(*reading.unknown, what, cpd=reading.cpd)
         if reading.unknown[1].association == JOINT:
             raise EvidenceError(
                 f"sightings of {reading.cpd.child!r} leave {reading.unknown[0]!r} open, to be "

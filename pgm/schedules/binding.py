@@ -18,14 +18,15 @@ def bind_chain(
     steps: int | None,
     *,
     identities: bool = False,
+    among: bool = False,
     compiled: Choice = None,
 ) -> BoundEvidence:
     """The evidence of a dynamic network, checked and laid out by step.
 
     `steps` is T, None for that of the evidence; `identities` allows measurements of unknown
-    identity (`pgm.unknown`); `compiled` tells how many threads may lay it out. A model that is not
-    dynamic is refused with a ModelError, evidence that is no mapping or does not fit with an
-    EvidenceError.
+    identity (`pgm.unknown`), `among` hidden variables as candidates, too; `compiled` tells how many
+    threads may lay it out. A model that is not dynamic is refused with a ModelError, evidence that
+    is no mapping or does not fit with an EvidenceError.
     """
     if not isinstance(model, DynamicBayesianNetwork):
         raise ModelError(f"a dynamic network was due, not {titled(model)}")
@@ -33,4 +34,12 @@ def bind_chain(
         raise EvidenceError(f"evidence maps variables to values; found {type(evidence).__name__}")
     cpds = model.transition, model.observation
     threads = getattr(compiled, "threads", 1)
-    return bind(*cpds, evidence, steps, model.lead, identities=identities, threads=threads)
+    return bind(
+        *cpds,
+        evidence,
+        steps,
+        model.lead,
+        identities=identities,
+        among=frozenset(cpd.child for cpd in model.transition) if among else (),
+        threads=threads,
+    )

@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
@@ -154,6 +155,8 @@ class Batch:
         The numbers of the choices.
     used : bool
         Whether the chain of the window at hand was asked for anything.
+
+    `values` are those of inputs that the batch's runs differ in, (runs, d), whatever the step.
     """
 
     def __init__(
@@ -166,8 +169,10 @@ class Batch:
         readings: Sequence[Reading],
         *,
         keep: bool = False,
+        values: Mapping[Variable, Array] = MappingProxyType({}),
     ) -> None:
         self.which, self._given, self._graph = which, given, graph
+        self._values = values
         self._inputs, self._readings, self._keep = inputs, readings, keep
         self._count = copies * which.size
         self._length = max(given.bound.steps, 1)
@@ -228,8 +233,13 @@ class Batch:
                 return part
             return np.concatenate([part] * self._count, axis=1)
 
-        def inputs(own: Inputs, some: slice) -> Inputs:
-            return {v: rows(values, some) for v, values in own.items()}
+        def inputs(given: Inputs, some: slice) -> dict[Variable, Array]:
+            return {v: rows(values, some) for v, values in given.items()}
+
+        def own(some: slice) -> dict[Variable, Array]:
+            count = some.stop - some.start
+            each = self._values.items()
+            return {v: np.broadcast_to(values, (count, *values.shape)) for v, values in each}
 
         readings = []
         for reading in self._readings:
@@ -242,13 +252,13 @@ class Batch:
                     order=reading.order[some],
                     values=rows(reading.values, some),
                     taken=rows(reading.taken, some),
-                    inputs=inputs(reading.inputs, some),
+                    inputs=inputs(reading.inputs, some) | own(some),
                 )
             )
         part = BoundEvidence(
             last - first,
             (self._count * bound.runs,),
-            tuple(inputs(own, slice(first, last)) for own in self._inputs),
+            tuple(inputs(each, slice(first, last)) for each in self._inputs),
             tuple(readings),
             bound.first_run,
             own_runs=bound.runs,

@@ -7,10 +7,10 @@ as a run of a chain without discrete variables. Arrays have the n components of 
 hypotheses, then the runs: (n, K, runs) of components, (n, K, S, runs) of pairs. Hypotheses of
 log-weight −∞ are dead.
 
-A hypothesis that makes a measurement certain outweighs all that give it a density, whatever that
-is, unless these make others certain. So hypotheses have *counts*, of the measured components that
-they made certain so far, and those of the highest count alone have a probability. Where none makes
-anything certain, as without exact CPDs, all counts are the number 0, and cost nothing.
+Sightings that leave open what was seen are taken in after all others, one after another: each
+component of those so far is tried with each candidate, and what comes of it is merged again, into
+some more components than are kept in the end. So a step is one *stage* or more, each of members
+that are merged into components: pairs first, then components with a candidate each.
 """
 
 from __future__ import annotations
@@ -22,31 +22,27 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.beliefs.hypotheses.cases import Batch, Choices, Given, motions, sensors, starts
+from pgm.beliefs.hypotheses.measured import Counts, Seen, best_of, flowing, leading, nothing
 from pgm.beliefs.hypotheses.regimes import Regimes
 from pgm.beliefs.hypotheses.roles import Roles
+from pgm.beliefs.hypotheses.sightings import OpenSensor
 from pgm.beliefs.moments.steps.chain import MomentChain, largest
-from pgm.beliefs.moments.steps.readings import Moments, Reading
-from pgm.beliefs.moments.steps.vector import vector
+from pgm.beliefs.moments.steps.readings import Moments
 from pgm.errors import ModelError, NumericalError
 from pgm.kernels import merging
 from pgm.kernels.arrays import (
     Array,
     Integers,
     Mask,
-    apply,
-    components_last,
-    sandwich,
-    symmetric,
-    transpose,
 )
 from pgm.kernels.semirings import log_sum
-from pgm.kernels.solving import regression
 
 # Members further apart than this, by their KL divergence, may begin a component each.
 APART = 0.05
-
-
-Counts = Integers | int
+# So many components are kept between the open sightings of a step, where they differ.
+_BETWEEN = 16
+# And so many at the most where no candidate is seen twice in a step.
+_ASSIGNMENTS = 2**12
 
 
 class Belief(NamedTuple):
@@ -96,26 +92,52 @@ class Mixing(NamedTuple):
     whole: Array
 
 
-class Seen(NamedTuple):
-    """The measurements of a step as what flows back needs them, of pairs (K, S, runs, ...).
+class Members(NamedTuple):
+    """The hypotheses of a stage, before they are merged: (members, runs), and moments.
 
-    With H, the residual ν and its covariance S they are u = Hᵀ S⁻¹ ν (..., n), U = Hᵀ S⁻¹ H
-    (..., n, n), and I − P U, P being the covariance of the prediction.
+    Each is one of so many `copies` of a component before, which vary fastest; of pairs these are
+    regimes, and of sightings alternatives. `regime` is the regime of each.
     """
 
-    vector: Array
-    information: Array
-    matrix: Array
+    logs: Array
+    counts: Counts
+    regime: Integers
+    mean: Array
+    cov: Array
+    copies: int
+
+    def scaled(self) -> tuple[Members, Array]:
+        """The members with log-weights of sum one, and the logarithm of the sum they had."""
+        total = log_sum(leading(self.logs, self.counts, 0), 0)
+        return self._replace(logs=self.logs - np.where(total > -np.inf, total, 0.0)), total
+
+
+class Stage(NamedTuple):
+    """Members as they were merged into components, for what flows back.
+
+    The members' means are on the branch of their component, and those of lower counts than others
+    of it are dead. `owner` is the component of each, `mean` and `cov` are the components'; `seen`
+    is what the members have taken in.
+    """
+
+    members: Members
+    seen: Seen | None
+    owner: Integers
+    mean: Array
+    cov: Array
 
 
 class Kept(NamedTuple):
-    """A step as what flows back needs it; the members' means are on their component's branch."""
+    """A step as what flows back needs it.
 
-    pairs: Pairs
-    seen: Seen | None
-    owner: Integers
+    The stages, the choices of the motion that led to the pairs of the first, and how these were
+    mixed before; and the belief that the step ends with.
+    """
+
+    stages: Sequence[Stage]
+    choice: Integers | None
+    mixed: Mixing | None
     known: Belief
-    members: Array
 
 
 @dataclass(frozen=True)
@@ -134,6 +156,10 @@ class HypothesisChain:
     ----------
     kept : list of Kept
         By step, if beliefs are to flow back.
+    regime_logs : list of ndarray
+        By step the log-probabilities of the regimes, (S, runs).
+    associations : mapping of OpenSensor to list of ndarray
+        By sighting the probabilities of its alternatives, (k + 1, runs).
     """
 
     def __init__(
@@ -168,7 +194,10 @@ class HypothesisChain:
         self._sensors = self._first
         if copies > 1:
             self._sensors = sensors(given, self._seeing, roles.readings, copies)
+        self._open = [OpenSensor(given, reading) for reading in roles.open]
+        self._exclusive = any(sensor.exclusive for sensor in self._open)
         self.kept: list[Kept] = []
+        self.associations: dict[OpenSensor, list[Array]] = {}
         self.regime_logs: list[Array] = []
 
     def start(self) -> State:
@@ -255,6 +284,31 @@ class HypothesisChain:
     def take(self, step: int, pairs: State) -> tuple[State, Array]:
         """The components given the measurements of a step, and their log-density, (runs,)."""
         assert isinstance(pairs, Pairs)
+        members, seen = self._pairs(step, pairs)
+        stages: list[Stage] = []
+        members, total = members.scaled()
+        for sensor in self._open:
+            used: Integers | None = None
+            for row, _ in enumerate(sensor.rows(step)):
+                known, stage = self._closed(members, seen, self._between(sensor, step, members))
+                if sensor.exclusive:
+                    used = sensor.used(members.logs, len(known.logs), used)
+                stages.append(stage)
+                members, seen = self._tried(sensor, step, row, known, used)
+                members, more = members.scaled()
+                total = total + more
+                self._note(sensor, members)
+        if not (total > -np.inf).all():
+            self._refuse(step, total)
+        shares = leading(members.logs, members.counts, 0)
+        self.regime_logs.append(self.by_regime(shares, members))
+        known, stage = self._closed(members, seen)
+        if self.settings.back:
+            self.kept.append(Kept([*stages, stage], pairs.choice, pairs.mixed, known))
+        return known, total
+
+    def _pairs(self, step: int, pairs: Pairs) -> tuple[Members, Seen | None]:
+        """The pairs as members of a stage, given all measurements but open sightings."""
         found = self._taken(step, pairs)
         logs, counts, mean, cov, seen = *pairs[:4], None
         if found is not None:
@@ -263,11 +317,93 @@ class HypothesisChain:
         likelihood = self.regimes.likelihood(step)
         if likelihood is not None:
             logs = logs + likelihood
-        total = log_sum(leading(logs, counts, (0, 1)), (0, 1))
-        if not (total > -np.inf).all():
-            self._refuse(step, total)
-        known = pairs._replace(logs=logs - total, counts=counts, mean=mean, cov=cov)
-        return self._merged(known, seen), total
+        copies, count, runs = logs.shape
+        shape = copies * count, runs
+        size = len(mean)
+        regime = np.broadcast_to(np.tile(np.arange(count), copies)[:, None], shape)
+        moments = mean.reshape(size, *shape), cov.reshape(size, size, *shape)
+        if isinstance(counts, np.ndarray):
+            counts = counts.reshape(shape)
+        if seen is not None:
+            seen = Seen(*(part.reshape(*shape, *part.shape[3:]) for part in seen))
+        return Members(logs.reshape(shape), counts, regime, *moments, count), seen
+
+    def _between(self, sensor: OpenSensor, step: int, members: Members) -> int:
+        """How many components are kept of a step's members before an open sighting."""
+        most = max(self.settings.count, self.regimes.size, _BETWEEN)
+        if sensor.exclusive:  # what was seen so far may differ, and is not forgotten
+            most = int((members.logs > -np.inf).sum(axis=0).max())
+            if most > _ASSIGNMENTS:
+                sensor.refuse(step, most)
+        return min(len(members.logs), most)
+
+    def _tried(
+        self,
+        sensor: OpenSensor,
+        step: int,
+        row: int,
+        known: Belief,
+        used: Integers | None,
+    ) -> tuple[Members, Seen | None]:
+        """The components so far, each with each alternative of an open sighting.
+
+        `used` are the candidates that each component has given already; see `OpenSensor.tried`.
+        """
+        back, size = self.settings.back, self.size
+        found = sensor.tried(step, row, Moments(known.mean, known.cov), used, back=back)
+        sources, alternatives, runs = found.logs.shape
+        shape = sources * alternatives, runs
+        logs = known.logs[:, None] + found.logs
+        counts = found.counts
+        if isinstance(known.counts, np.ndarray):
+            counts = known.counts[:, None] + counts
+        if isinstance(counts, np.ndarray):
+            counts = np.broadcast_to(counts, logs.shape).reshape(shape)
+        moments = found.mean.reshape(size, *shape), found.cov.reshape(size, size, *shape)
+        regime = np.repeat(known.memory, alternatives, axis=0)
+        seen = None
+        if found.seen is not None:
+            seen = Seen(*(part.reshape(*shape, *part.shape[3:]) for part in found.seen))
+        return Members(logs.reshape(shape), counts, regime, *moments, alternatives), seen
+
+    def _closed(
+        self, members: Members, seen: Seen | None, between: int | None = None
+    ) -> tuple[Belief, Stage]:
+        """Members merged into components of one memory each, and the stage.
+
+        With `between`, before an open sighting, they are merged into so many components of one
+        regime each, which is then what the belief has for memories.
+        """
+        regimes, (logs, counts, regime, mean, cov, _) = self.regimes, members
+        if between is None:
+            count, kinds, kind = self.settings.count, regimes.memories, regimes.memory[regime]
+        else:
+            count, kinds, kind = between, regimes.size, regime
+        if count == kinds and not (between is not None and self._exclusive):
+            owner = kind
+            memory = np.broadcast_to(np.arange(count)[:, None], (count, self.runs))
+        else:
+            owner, memory = merging.seeded(logs, kind, kinds, mean, cov, count, APART, self.angles)
+        logs, counts = best_of(logs, counts, owner, count)
+        found = merging.merged(logs, owner, count, mean, cov, self.angles)
+        stage = Stage(
+            members._replace(logs=logs, mean=found.members), seen, owner, found.mean, found.cov
+        )
+        return Belief(found.logs, memory, counts, found.mean, found.cov), stage
+
+    def by_regime(self, shares: Array, members: Members) -> Array:
+        """The log-probabilities of the regimes, (S, runs), by those of members."""
+        count = self.regimes.size
+        if members.copies == count and not self._open:
+            return log_sum(shares.reshape(-1, count, self.runs), 0)
+        own = members.regime == np.arange(count)[:, None, None]
+        return log_sum(np.where(own, shares, -np.inf), 1)
+
+    def _note(self, sensor: OpenSensor, members: Members) -> None:
+        """Keep the probabilities of a sighting's alternatives, (k + 1, runs)."""
+        shares = leading(members.logs, members.counts, 0)
+        each = log_sum(shares.reshape(-1, members.copies, self.runs), 0)
+        self.associations.setdefault(sensor, []).append(np.exp(each))
 
     def _taken(self, step: int, pairs: Pairs) -> Taken | None:
         """All pairs with the measurements of a step taken in; None without any."""
@@ -283,7 +419,7 @@ class HypothesisChain:
         shape = pairs.logs.shape
         mean, cov, density = pairs.mean.copy(), pairs.cov.copy(), np.zeros(shape)
         certain = np.zeros(shape, dtype=np.intp)
-        seen = _nothing(len(mean), shape) if self.settings.back else None
+        seen = nothing(len(mean), shape) if self.settings.back else None
         for which, each in found:
             mean[:, :, which], cov[:, :, :, which] = each.mean, each.cov
             density[:, which], certain[:, which] = each.density, each.certain
@@ -291,32 +427,6 @@ class HypothesisChain:
                 for whole, part in zip(seen, each.seen, strict=True):
                     whole[:, which] = part
         return Taken(mean, cov, density, certain if certain.any() else 0, seen)
-
-    def _merged(self, pairs: Pairs, seen: Seen | None) -> Belief:
-        """The pairs given the measurements of a step, merged into components."""
-        regimes, (copies, count, runs) = self.regimes, pairs.logs.shape
-        members, size = copies * count, len(pairs.mean)
-        logs = pairs.logs.reshape(members, runs)
-        mean = pairs.mean.reshape(size, members, runs)
-        cov = pairs.cov.reshape(size, size, members, runs)
-        kind = np.broadcast_to(np.tile(regimes.memory, copies)[:, None], logs.shape)
-        most = self.settings.count
-        if most == regimes.memories:
-            owner, memory = kind, np.broadcast_to(np.arange(most)[:, None], (most, runs))
-        else:
-            owner, memory = merging.seeded(
-                logs, kind, regimes.memories, mean, cov, most, APART, self.angles
-            )
-        self.regime_logs.append(log_sum(leading(pairs.logs, pairs.counts, (0, 1)), 0))
-        counts = pairs.counts
-        if isinstance(counts, np.ndarray):
-            logs, counts = best_of(logs, counts.reshape(members, runs), owner, most)
-            pairs = pairs._replace(logs=logs.reshape(pairs.logs.shape))
-        found = merging.merged(logs, owner, most, mean, cov, self.angles)
-        known = Belief(found.logs, memory, counts, found.mean, found.cov)
-        if self.settings.back:
-            self.kept.append(Kept(pairs, seen, owner, known, found.members))
-        return known
 
     def _of_batch(self, batch: Batch, step: int, pairs: Pairs) -> Taken | None:
         """The pairs of a batch's regimes, with the measurements of a step; None without any."""
@@ -340,7 +450,7 @@ class HypothesisChain:
             after.cov.reshape(size, size, *shape),
             np.broadcast_to(density, chain.plan.batch).reshape(shape),
             certain,
-            _flowing(parts, own, shape) if self.settings.back else None,
+            flowing(parts, own, shape) if self.settings.back else None,
         )
 
     def settled(self) -> tuple[list[Array], Mask]:
@@ -381,27 +491,6 @@ class HypothesisChain:
         )
 
 
-def leading(logs: Array, counts: Counts, axes: int | tuple[int, ...]) -> Array:
-    """The log-weights of the hypotheses of the highest count along axes; −∞ of the others."""
-    if not isinstance(counts, np.ndarray):
-        return logs
-    counts = np.where(logs > -np.inf, counts, -1)
-    return np.where(counts == counts.max(axis=axes, keepdims=True), logs, -np.inf)
-
-
-def best_of(logs: Array, counts: Counts, owner: Integers, count: int) -> tuple[Array, Counts]:
-    """The log-weights of the members of the highest count of each component; −∞ of the others.
-
-    And the counts of the components, (count, *batch). `owner` is as of `kernels.merging`.
-    """
-    if not isinstance(counts, np.ndarray):
-        return logs, counts
-    counts = np.where(logs > -np.inf, counts, -1)
-    own = owner == np.arange(count).reshape(count, *(1,) * owner.ndim)
-    most = np.where(own, counts, -1).max(axis=1)
-    return np.where(counts == np.take_along_axis(most, owner, axis=0), logs, -np.inf), most
-
-
 class Taken(NamedTuple):
     """Pairs with the measurements of a step taken in, and the log-density of these.
 
@@ -427,27 +516,3 @@ def _as_runs(mean: Array, cov: Array, which: Integers, copies: int, chain: Momen
     elif mean.shape[2] != which.size:
         mean, cov = mean[:, :, which], cov[:, :, :, which]
     return Moments(mean.reshape(size, *batch), cov.reshape(size, size, *batch))
-
-
-def _flowing(parts: Sequence[Reading], before: Moments, shape: tuple[int, ...]) -> Seen:
-    """What a step's measurements let flow back, by their last linearisation."""
-    matrix, residual, noise, _ = vector([part.seen for part in parts], before.mean)
-    batch = before.mean.shape[1:]
-    h = components_last(np.broadcast_to(matrix, (*matrix.shape[:2], *batch)), 2)
-    error = components_last(np.broadcast_to(noise, (*noise.shape[:2], *batch)), 2)
-    nu, cov = components_last(residual, 1), components_last(before.cov, 2)
-    spread = sandwich(h, cov) + error
-    gain = regression(transpose(h), spread)
-    size = cov.shape[-1]
-    information = symmetric(gain @ h)
-    return Seen(
-        apply(gain, nu).reshape(*shape, size),
-        information.reshape(*shape, size, size),
-        (np.eye(size) - cov @ information).reshape(*shape, size, size),
-    )
-
-
-def _nothing(size: int, shape: tuple[int, ...]) -> Seen:
-    """No measurements, of pairs of some shape."""
-    every = np.tile(np.eye(size), (*shape, 1, 1))
-    return Seen(np.zeros((*shape, size)), np.zeros((*shape, size, size)), every)

@@ -90,12 +90,9 @@ class Gaussians(BeliefFamily[Any]):
         self.count, self.mix = None if count is None else int(count), mix
 
     def require(self, model: DynamicBayesianNetwork) -> None:
-        """Refuse a network without discrete variables beside continuous ones."""
-        if not model.mixed:
-            raise ModelError(
-                f"{self!r} is for networks in which discrete variables choose among CPDs of "
-                "continuous ones (pgm.SwitchingCPD); this one has none: leave belief= out"
-            )
+        """Refuse a network of discrete variables alone, whose tables are exact."""
+        if model.discrete:
+            super().require(model)
 
     def infer(self, graph: DynamicGraph, bound: BoundEvidence, call: Call) -> Outcome[Any]:
         """The outcome of a call's schedule on a dynamic network's graph, given its evidence."""

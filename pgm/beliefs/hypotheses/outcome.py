@@ -16,6 +16,7 @@ from pgm.factors import Gaussian, GaussianMixture, Table
 from pgm.factors.axes import discrete
 from pgm.factors.scope import Scope, as_scope, listed, positions
 from pgm.kernels.arrays import Array, frozen
+from pgm.posteriors.associations import Found
 from pgm.posteriors.belief_kind import Kind
 from pgm.posteriors.hidden import located
 from pgm.posteriors.outcome import MIXTURES, Outcome
@@ -87,6 +88,7 @@ class HypothesisOutcome(Outcome[Any]):
     log_evidence: Array
     _beliefs: Beliefs
     _regimes: Regimes
+    associations: Found
     # The forward pass of a smoother; None of a filter, which is one.
     _forward: HypothesisOutcome | None = None
 

@@ -28,6 +28,8 @@ from pgm.networks import DynamicBayesianNetwork
 from pgm.resources import require_memory
 from pgm.variables import Discrete, Variable
 
+_NOTHING = Discrete("nothing", states=("whatever",))
+
 
 class Regimes:
     """The regimes of a mixed chain, with what the tables and the evidence say of them.
@@ -50,12 +52,14 @@ class Regimes:
 
     def __init__(self, model: DynamicBayesianNetwork, bound: BoundEvidence) -> None:
         chosen = _observed(model)
-        tables = _tables(model, [stand_in for stand_in, _ in chosen])
+        # Where nothing is discrete there is one regime: that of a variable of one state.
+        alone = [] if chosen or any(cpd.discrete for cpd in model.transition) else [_NOTHING]
+        tables = _tables(model, [*alone, *(stand_in for stand_in, _ in chosen)])
         plan = SlicePlan(SliceLayout.of(tables))
         originals = dict(chosen)
         slice_ = discrete(plan.slice)
         self.variables = tuple(originals.get(v, v) for v in slice_)
-        self.hidden = tuple(v for v in slice_ if v not in originals)
+        self.hidden = tuple(v for v in slice_ if v not in originals and v is not _NOTHING)
         self.shape, self.size = plan.shape, math.prod(plan.shape)
         require_memory(
             self.size * math.prod(v.size for v in plan.states) * bound.runs,
@@ -129,7 +133,8 @@ class Regimes:
 
     @property
     def _observed_ones(self) -> States:
-        return tuple(v for v in self.variables if v not in self.hidden)
+        hidden = (*self.hidden, _NOTHING)
+        return tuple(v for v in self.variables if v not in hidden)
 
     @cached_property
     def _fixed(self) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 
 from pgm.beliefs.hypotheses.regimes import is_plain, is_regime_sensor
 from pgm.cpds import CPD, SwitchingCPD
-from pgm.errors import ModelError
+from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.evidence.dynamic import Inputs
 from pgm.kernels.arrays import Integers
@@ -24,18 +24,23 @@ from pgm.variables import Discrete, Variable
 
 
 class Roles(NamedTuple):
-    """The CPDs of continuous variables by role, with their evidence, in the network's order."""
+    """The CPDs of continuous variables by role, with their evidence, in the network's order.
+
+    `open` are the readings that leave open what was seen, whose sensors are not among the others.
+    """
 
     prior: Sequence[CPD]
     transition: Sequence[CPD]
     inputs: Sequence[Inputs]
     observation: Sequence[CPD]
     readings: Sequence[Reading]
+    open: Sequence[Reading]
 
     @property
     def cases(self) -> Iterator[CPD]:
         """The CPDs that nothing chooses, and all cases of the others."""
-        for cpd in (*self.prior, *self.transition, *self.observation):
+        unknown = (reading.cpd for reading in self.open)
+        for cpd in (*self.prior, *self.transition, *self.observation, *unknown):
             yield from cpd.cases.values() if isinstance(cpd, SwitchingCPD) else (cpd,)
 
 
@@ -46,15 +51,25 @@ def roles_of(model: DynamicBayesianNetwork, bound: BoundEvidence) -> Roles:
     readings = [
         part
         for each in bound.readings
-        if not is_regime_sensor(model, each.cpd)
+        if each.unknown is None and not is_regime_sensor(model, each.cpd)
         for part in _by_observed(each)
     ]
+    unknown = [each for each in bound.readings if each.unknown is not None]
+    for each in unknown:
+        if isinstance(each.cpd, SwitchingCPD):
+            raise EvidenceError(
+                f"sightings of {each.cpd.child!r} leave a parent open, and discrete variables "
+                "choose its CPD: give each case a sensor of its own",
+                variable=each.cpd.child,
+                cpd=each.cpd,
+            )
     found = Roles(
         [cpd for cpd in model.prior if not cpd.discrete],
         [cpd for cpd, _ in moved],
         [inputs for _, inputs in moved],
         [reading.cpd for reading in readings],
         readings,
+        unknown,
     )
     for case in found.cases:
         require_gaussian([case], "the Gaussian beliefs of a mixed network")

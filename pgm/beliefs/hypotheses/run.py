@@ -19,7 +19,7 @@ from pgm.errors import GraphError, ModelError
 from pgm.evidence import BoundEvidence
 from pgm.factors.scope import listed
 from pgm.kernels.arrays import Array, components_last, frozen
-from pgm.kernels.semirings import log_sum
+from pgm.posteriors.associations import collected
 from pgm.posteriors.belief_kind import FILTERED, SMOOTHED, Kind
 from pgm.posteriors.status import Status
 from pgm.progress import counted
@@ -44,6 +44,12 @@ def run(graph: DynamicGraph, bound: BoundEvidence, call: Call, asked: Asked) -> 
     schedule = call.schedule
     first = schedule if isinstance(schedule, Filtering) else Filtering()
     roles = roles_of(model, bound)
+    if not (model.mixed or roles.open):
+        raise ModelError(
+            "mixtures of Gaussians are of hypotheses: discrete variables that choose among CPDs of "
+            "continuous ones (pgm.SwitchingCPD), or sightings that leave open what was seen "
+            "(pgm.unknown); here is neither: leave belief= out"
+        )
     _require_once(call, roles)
     regimes = Regimes(model, bound)
     settings = _settings(asked, regimes, back=kind != FILTERED)
@@ -64,12 +70,16 @@ def run(graph: DynamicGraph, bound: BoundEvidence, call: Call, asked: Asked) -> 
         [components_last(known.cov, 2) for known in record.known],
         chain.regime_logs,
     )
-    filtered = HypothesisOutcome(graph, status, total, beliefs, regimes)
+    found = dict(
+        collected(sensor.reading, sensor.probabilities(rows), sensor.unknown.count, bound.lead)
+        for sensor, rows in chain.associations.items()
+    )
+    filtered = HypothesisOutcome(graph, status, total, beliefs, regimes, found)
     if kind == FILTERED:
         return filtered
     backward = BackwardChain(chain)
     beliefs = _smoothed(chain, backward, kind, bound.steps)
-    return HypothesisOutcome(graph, status, total, beliefs, regimes, filtered)
+    return HypothesisOutcome(graph, status, total, beliefs, regimes, found, filtered)
 
 
 def _settings(asked: Asked, regimes: Regimes, *, back: bool) -> Settings:
@@ -145,7 +155,7 @@ def _told(chain: HypothesisChain, kind: Kind, flows: Sequence[tuple[Flow, Array]
         [flow.logs for flow, _ in flows],
         [mean for mean, _ in moments],
         [cov for _, cov in moments],
-        [log_sum(logs, 0) for _, logs in flows],
+        [regimes for _, regimes in flows],
     )
 
 
@@ -156,7 +166,7 @@ def _smoothed(chain: HypothesisChain, backward: BackwardChain, kind: Kind, steps
         flow = backward.last(steps)
         for step in counted(range(steps, -1, -1), "back"):
             opened = backward.opened(step, flow)
-            found.append((flow, opened.logs))
+            found.append((flow, backward.regimes(step, opened)))
             if step:
                 flow = backward.back(step - 1, opened)
         return _told(chain, kind, found[::-1])
@@ -167,5 +177,5 @@ def _smoothed(chain: HypothesisChain, backward: BackwardChain, kind: Kind, steps
         for before in range(last - 1, step - 1, -1):
             flow = backward.back(before, opened)
             opened = backward.opened(before, flow)
-        found.append((flow, opened.logs))
+        found.append((flow, backward.regimes(step, opened)))
     return _told(chain, kind, found)

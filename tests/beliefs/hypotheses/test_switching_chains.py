@@ -593,7 +593,7 @@ def test_what_cannot_be_is_refused():
     plain = walk().replace(
         prior=walk().prior[1:], transition=[pgm.LinearGaussianCPD(X, {X.previous: 1.0}, cov=1.0)]
     )
-    with pytest.raises(pgm.ModelError, match="this one has none: leave belief= out"):
+    with pytest.raises(pgm.ModelError, match="here is neither: leave belief= out"):
         pgm.filter(plain, READ, belief=pgm.Gaussians(2))
     with pytest.raises(pgm.ModelError, match="no mixtures of Gaussians"):
         pgm.OnlineFilter(walk())

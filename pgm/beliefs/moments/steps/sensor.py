@@ -220,6 +220,13 @@ class Sensor:
             )
         return at, self._flat(self.moved[first:last]), flat
 
+    def sighting(self, row: int) -> tuple[At, Array, Mask | None]:
+        """The CPD at one sighting, to be linearised, its values and mask; as of `at`."""
+        own = slice(row, row + 1)
+        taken = self._taken(own)
+        flat = None if taken is None else self._flat(taken)
+        return self.family.at(row, row + 1), self._flat(self.values[own]), flat
+
     @cached_property
     def _by_row(self) -> list[Array]:
         """Each row's measured values, (d,), of a model with one run."""
