@@ -323,14 +323,17 @@ def unknown(
     .. math:: \sum_k w_k (1 - s - n) \, p(z \mid x, m_k) + \frac{s + n}{V}
 
     with ``association="sum"``, where what was seen is summed out; with ``"likelihood"`` it is the
-    largest of these terms. Beliefs of Gaussians take no sum: at the predicted belief of each step,
-    given also what of its measurements leaves nothing open, every sighting is given its likeliest
-    candidate, of ln w_k + ln N(z; ẑ_k, S_k) with the innovation's covariance S_k, and the network
-    is then inferred as if that had been known; sensors are taken in one after the other, in the
-    order of the network. Two sightings of a step may be given the same candidate.
-    ``posterior.associations`` tells what each was taken for.
+    largest of these terms. Beliefs of Gaussians that sum are mixtures of `Gaussians`, of one unless
+    ``belief=`` asks for more: each candidate is a hypothesis, tried sighting by sighting. With
+    ``"likelihood"``, at the predicted belief of each step, given also what of its measurements
+    leaves nothing open, every sighting is given its likeliest candidate, of ln w_k + ln N(z; ẑ_k,
+    S_k) with the innovation's covariance S_k, and the network is then inferred as if that had been
+    known; sensors are taken in one after the other, in the order of the network. Two sightings of a
+    step may be given the same candidate. ``posterior.associations`` tells what each was taken for.
 
-    With ``"joint"``, for beliefs of Gaussians, the sightings of a sensor at a step are associated
+    With ``"joint"``, and mixtures of `Gaussians`, the sum is over assignments of a sensor's
+    sightings at a step that give no candidate twice, and the log-evidence is that of the readings
+    and of this. Of ordinary beliefs of Gaussians the sightings of a sensor at a step are associated
     together, no candidate being given twice: as many as can be whose innovations, stacked, lie
     within the gate together, and of several such sets the likeliest, by Σ ln w_k + ln N(ν; 0, S):
     those of a robot whose heading is off are all turned alike. The others are spurious or new;
@@ -339,8 +342,9 @@ def unknown(
     Parameters
     ----------
     candidates : array_like, or sequence of Variable
-        (k, d): the values that the parent may have. In a `GrowingMap` hidden variables of it, as
-        landmarks are, one of which stands where the parent does: see `GrowingMap.add`.
+        (k, d): the values that the parent may have. Or hidden variables, as targets and landmarks
+        are, one of which stands where the parent does: of a dynamic network, whose beliefs are then
+        mixtures of `Gaussians`, or of a `GrowingMap`; see `GrowingMap.add`.
     weights : array_like, optional
         w_k, (k,), relative to each other; equal, if not given.
     spurious, new : float

@@ -84,16 +84,23 @@ def inputs(
 
 
 def readings(
-    model: DynamicBayesianNetwork, belief: Place, values: Mapping[Variable, Any]
+    model: DynamicBayesianNetwork,
+    belief: Place,
+    values: Mapping[Variable, Any],
+    *,
+    among: bool = False,
 ) -> BoundEvidence:
     """The measurements of an update, and inputs of its sensors, as bound evidence.
 
     `values` has both by variable, and `belief` is the one to update. The evidence is that of a
-    chain of this one step, which is therefore its step 0.
+    chain of this one step, which is therefore its step 0. With `among`, sightings may be of one of
+    several hidden variables.
     """
     evidence = {v: _reading(model, v, value) for v, value in values.items()}
     parts = model.transition, model.observation, evidence, 0, belief.lead
-    return _same_runs(belief, bind(*parts, transition_inputs=False, identities=True))
+    hidden = frozenset(cpd.child for cpd in model.transition) if among else ()
+    bound = bind(*parts, transition_inputs=False, identities=True, among=hidden)
+    return _same_runs(belief, bound)
 
 
 def _same_runs(belief: Place, bound: BoundEvidence) -> BoundEvidence:

@@ -51,6 +51,8 @@ class Given:
         The continuous variables of a slice, in its order.
     states : frozenset of Variable
         Those that have a prior.
+    first : int
+        The number of the step at which the evidence begins; steps are counted from there.
     """
 
     bound: BoundEvidence
@@ -58,6 +60,7 @@ class Given:
     states: frozenset[Variable]
     lineariser: Lineariser
     schedule: Filtering
+    first: int = 0
 
     def network(
         self,
@@ -263,7 +266,8 @@ class Batch:
             bound.first_run,
             own_runs=bound.runs,
         )
-        plan = ChainPlan.make(self._graph, part, given.lineariser, first=first, prior=False)
+        begin = given.first + first
+        plan = ChainPlan.make(self._graph, part, given.lineariser, first=begin, prior=False)
         return MomentChain(plan, given.schedule, keep=self._keep, certain=Certain())
 
 

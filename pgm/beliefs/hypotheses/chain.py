@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -72,6 +73,14 @@ class Pairs(NamedTuple):
     cov: Array
     choice: Integers | None = None
     mixed: Mixing | None = None
+
+    def repeated(self, runs: int) -> Pairs:
+        """The pairs of one run, as those of so many."""
+        counts = self.counts
+        if isinstance(counts, np.ndarray):
+            counts = np.repeat(counts, runs, axis=-1)
+        logs, mean, cov = (np.repeat(p, runs, axis=-1) for p in (self.logs, self.mean, self.cov))
+        return Pairs(logs, counts, mean, cov)
 
 
 # What a sweep carries: the pairs of a prediction, and the components that they are merged into.
@@ -170,9 +179,9 @@ class HypothesisChain:
         settings: Settings,
     ) -> None:
         self.given, self.regimes, self.settings = given, regimes, settings
+        self.roles = roles
         self.angles = np.flatnonzero(np.concatenate([v.angle_mask for v in given.hidden]))
         self.runs = given.bound.runs
-        count, back = settings.count, settings.back
         self.size = sum(v.dimension for v in given.hidden)
         self._prior = Choices(regimes, roles.prior)
         self._moving = Choices(regimes, roles.transition, later=True)
@@ -185,20 +194,26 @@ class HypothesisChain:
                 "mix=True mixes the Gaussians of all states of the step before, and motions are "
                 "chosen by these (.previous): leave mix out"
             )
-        copies = 1 if settings.mix else count
-        self._motions = motions(
-            given, self._moving, roles.inputs, copies, keep=back, mixed=settings.mix
-        )
         self._readings = roles.readings
-        self._first = sensors(given, self._seeing, roles.readings, 1)
-        self._sensors = self._first
-        if copies > 1:
-            self._sensors = sensors(given, self._seeing, roles.readings, copies)
+        self._sensors: dict[int, list[Batch]] = {}
         self._open = [OpenSensor(given, reading) for reading in roles.open]
         self._exclusive = any(sensor.exclusive for sensor in self._open)
         self.kept: list[Kept] = []
         self.associations: dict[OpenSensor, list[Array]] = {}
         self.regime_logs: list[Array] = []
+
+    @cached_property
+    def _motions(self) -> list[Batch]:
+        """The batches of the transition."""
+        mix, count = self.settings.mix, self.settings.count
+        return motions(
+            self.given,
+            self._moving,
+            self.roles.inputs,
+            1 if mix else count,
+            keep=self.settings.back,
+            mixed=mix,
+        )
 
     def start(self) -> State:
         """The pairs of step 0: the prior's Gaussian in each regime."""
@@ -284,6 +299,62 @@ class HypothesisChain:
     def take(self, step: int, pairs: State) -> tuple[State, Array]:
         """The components given the measurements of a step, and their log-density, (runs,)."""
         assert isinstance(pairs, Pairs)
+        stages, members, seen, total = self._informed(step, pairs)
+        shares = leading(members.logs, members.counts, 0)
+        self.regime_logs.append(self.by_regime(shares, members))
+        known, stage = self._closed(members, seen)
+        if self.settings.back:
+            self.kept.append(Kept([*stages, stage], pairs.choice, pairs.mixed, known))
+        return known, total
+
+    def update(self, step: int, pairs: Pairs) -> tuple[Pairs, Array]:
+        """The pairs given some measurements of a step, to which others may be added."""
+        _, members, _, total = self._informed(step, pairs)
+        count = self.regimes.size
+        if not self._open:
+            shape = -1, count, self.runs
+            counts = members.counts
+            if isinstance(counts, np.ndarray):
+                counts = counts.reshape(shape)
+            mean = members.mean.reshape(self.size, *shape)
+            cov = members.cov.reshape(self.size, self.size, *shape)
+            return Pairs(members.logs.reshape(shape), counts, mean, cov), total
+        # Components of each regime by itself, so many of each.
+        each = []
+        for regime in range(count):
+            logs = np.where(members.regime == regime, members.logs, -np.inf)
+            each.append(self._closed(members._replace(logs=logs), None, self._most)[0])
+        logs, mean, cov = (
+            np.stack([getattr(part, name) for part in each], axis=axis)
+            for name, axis in (("logs", 1), ("mean", 2), ("cov", 3))
+        )
+        counts = 0
+        if isinstance(members.counts, np.ndarray):
+            counts = np.stack([np.asarray(part.counts) for part in each], axis=1)
+        return Pairs(logs, counts, mean, cov), total
+
+    def merged(self, pairs: Pairs) -> Belief:
+        """The pairs of a step, merged into components."""
+        copies, count, runs = pairs.logs.shape
+        shape = copies * count, runs
+        regime = np.broadcast_to(np.tile(np.arange(count), copies)[:, None], shape)
+        counts = pairs.counts
+        if isinstance(counts, np.ndarray):
+            counts = counts.reshape(shape)
+        mean, cov = (part.reshape(*part.shape[:-3], *shape) for part in (pairs.mean, pairs.cov))
+        members = Members(pairs.logs.reshape(shape), counts, regime, mean, cov, count)
+        return self._closed(members, None)[0]
+
+    @property
+    def _most(self) -> int:
+        """How many components are kept between the open sightings of a step, at the most."""
+        return max(self.settings.count, self.regimes.size, _BETWEEN)
+
+    def _informed(self, step: int, pairs: Pairs) -> tuple[list[Stage], Members, Seen | None, Array]:
+        """The stages of a step but the last one, whose members are given all measurements.
+
+        And what these have taken in, and the log-density of the measurements, (runs,).
+        """
         members, seen = self._pairs(step, pairs)
         stages: list[Stage] = []
         members, total = members.scaled()
@@ -300,12 +371,7 @@ class HypothesisChain:
                 self._note(sensor, members)
         if not (total > -np.inf).all():
             self._refuse(step, total)
-        shares = leading(members.logs, members.counts, 0)
-        self.regime_logs.append(self.by_regime(shares, members))
-        known, stage = self._closed(members, seen)
-        if self.settings.back:
-            self.kept.append(Kept([*stages, stage], pairs.choice, pairs.mixed, known))
-        return known, total
+        return stages, members, seen, total
 
     def _pairs(self, step: int, pairs: Pairs) -> tuple[Members, Seen | None]:
         """The pairs as members of a stage, given all measurements but open sightings."""
@@ -330,7 +396,7 @@ class HypothesisChain:
 
     def _between(self, sensor: OpenSensor, step: int, members: Members) -> int:
         """How many components are kept of a step's members before an open sighting."""
-        most = max(self.settings.count, self.regimes.size, _BETWEEN)
+        most = self._most
         if sensor.exclusive:  # what was seen so far may differ, and is not forgotten
             most = int((members.logs > -np.inf).sum(axis=0).max())
             if most > _ASSIGNMENTS:
@@ -409,7 +475,10 @@ class HypothesisChain:
         """All pairs with the measurements of a step taken in; None without any."""
         if not self._readings:
             return None
-        batches = self._sensors if step else self._first
+        copies = len(pairs.logs)
+        if copies not in self._sensors:
+            self._sensors[copies] = sensors(self.given, self._seeing, self._readings, copies)
+        batches = self._sensors[copies]
         every = [(batch.which, self._of_batch(batch, step, pairs)) for batch in batches]
         found = [(which, each) for which, each in every if each is not None]
         if not found:
@@ -457,7 +526,9 @@ class HypothesisChain:
         """The largest moves at each relinearisation, (runs,), and whether a run settled."""
         residuals: list[Array] = []
         converged = np.ones(self.runs, dtype=bool)
-        for batch in (*self._motions, *self._first, *self._sensors):
+        every = [batch for batches in self._sensors.values() for batch in batches]
+        every += self.__dict__.get("_motions", [])
+        for batch in every:
             moved, own = batch.settled()
             residuals, converged = largest(residuals, moved), converged & own
         return residuals, converged
@@ -482,6 +553,7 @@ class HypothesisChain:
     def _refuse(self, step: int, total: Array) -> None:
         """Raise the NumericalError for measurements that every hypothesis excludes."""
         run = self.given.bound.first_run + int((total == -np.inf).argmax())
+        step += self.given.first
         raise NumericalError(
             f"the measurements at step {step}, run {run}, have probability zero, whatever the "
             "discrete variables are: each of their states is impossible, or contradicts an exact "

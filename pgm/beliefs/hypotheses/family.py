@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from pgm.arguments import public
+from pgm.beliefs.hypotheses.online import HypothesisSteps
 from pgm.beliefs.hypotheses.run import Asked, run
 from pgm.beliefs.own.family import BeliefFamily
 from pgm.boundary import is_whole
@@ -78,7 +79,7 @@ class Gaussians(BeliefFamily[Any]):
     count: int | None
     mix: bool
 
-    takes: ClassVar[frozenset[str]] = frozenset({"lineariser", "iterations", "damping"})
+    takes: ClassVar[frozenset[str]] = frozenset({"lineariser", "iterations", "damping", "schedule"})
     beliefs: ClassVar[str] = "mixtures of Gaussians"
     spare: ClassVar[str] = "is not for chains of discrete and continuous variables"
 
@@ -98,12 +99,9 @@ class Gaussians(BeliefFamily[Any]):
         """The outcome of a call's schedule on a dynamic network's graph, given its evidence."""
         return run(graph, bound, call, Asked(self.count, self.mix))
 
-    def online(self, model: DynamicBayesianNetwork, options: dict[str, Any]) -> Any:
-        """Refuse an online filter, which mixtures do not have yet."""
-        raise ModelError(
-            "pgm.OnlineFilter has no mixtures of Gaussians for networks of discrete and continuous "
-            "variables: call pgm.filter with the measurements so far"
-        )
+    def online(self, model: DynamicBayesianNetwork, options: dict[str, Any]) -> HypothesisSteps:
+        """The steps of an online filter."""
+        return HypothesisSteps(model, Asked(self.count, self.mix), **options)
 
 
 GAUSSIANS = Gaussians()

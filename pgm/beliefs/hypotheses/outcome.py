@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pgm.beliefs.hypotheses.regimes import Regimes
-from pgm.compile import DynamicGraph
+from pgm.compile import DynamicGraph, SliceLayout
 from pgm.display import Summary
 from pgm.errors import EvidenceError
 from pgm.factors import Gaussian, GaussianMixture, Table
@@ -71,6 +71,67 @@ class Beliefs:
         return cls(kind, hidden, weights, mean, cov, shares)
 
 
+@dataclass(frozen=True, eq=False)
+class Marginals:
+    """Tables and mixtures of a mixed chain's variables, read from its beliefs.
+
+    Attributes
+    ----------
+    layout : SliceLayout
+        Of the network.
+    beliefs : Beliefs
+    regimes : Regimes
+    """
+
+    layout: SliceLayout
+    beliefs: Beliefs
+    regimes: Regimes
+
+    def of(
+        self, shown: Scope, scope: Scope, step: int | slice, lead: tuple[int, ...]
+    ) -> Table | GaussianMixture:
+        """The joint of discrete variables, or of continuous ones, at one step or at several.
+
+        `scope` are the variables as templates, and `shown` as they stand in what is found; `lead`
+        are the user's axes of runs. Variables of both kinds are an EvidenceError.
+        """
+        kinds = {isinstance(v, Discrete) for v in scope}
+        if len(kinds) > 1:
+            raise EvidenceError(
+                f"a joint of discrete and continuous variables, {list(shown)}, is neither a table "
+                "nor a mixture; ask for each kind by itself",
+                variable=shown[0],
+            )
+        alone = not isinstance(step, slice)
+        rows = step if isinstance(step, slice) else slice(step, step + 1)
+
+        def over_runs(values: Array) -> Array:
+            """Values (runs, steps, ...) with the user's axes; of one step without its axis."""
+            whole = values.reshape(*lead, *values.shape[1:])
+            return whole[(slice(None),) * len(lead) + (0,)] if alone else whole
+
+        if kinds.pop():
+            return Table._plain(discrete(shown), frozen(over_runs(self._table(scope, rows))))
+        own = self.beliefs
+        places = np.arange(own.mean.shape[-1])[positions(own.hidden, scope)]
+        weights = np.moveaxis(own.weights[rows], -1, 0)
+        mean = np.moveaxis(own.mean[rows][..., places], 2, 0)
+        cov = np.moveaxis(own.cov[rows][..., places[:, None], places], 2, 0)
+        some = (weights > 0.0).any(axis=(0, 1))
+        weights, mean, cov = (over_runs(part[:, :, some]) for part in (weights, mean, cov))
+        return GaussianMixture._make(weights, Gaussian._make(shown, mean, cov))
+
+    def _table(self, scope: Scope, rows: slice) -> Array:
+        """The probabilities of discrete variables, (runs, steps, sizes...)."""
+        regimes, shares = self.regimes, self.beliefs.regimes[rows]
+        values = np.moveaxis(shares, -1, 0).reshape(-1, len(shares), *regimes.shape)
+        order = [regimes.variables.index(v) for v in discrete(scope)]
+        others = tuple(k + 2 for k in range(len(regimes.shape)) if k not in order)
+        left = sorted(order)
+        axes = [2 + left.index(k) for k in order]
+        return np.moveaxis(values.sum(axis=others), axes, range(2, 2 + len(order)))
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class HypothesisOutcome(Outcome[Any]):
     """The beliefs of a chain of discrete and continuous variables; leading axes are runs.
@@ -126,53 +187,21 @@ class HypothesisOutcome(Outcome[Any]):
         return self._of(as_scope(variables, "a joint"))
 
     def _of(self, scope: Scope) -> Table | GaussianMixture:
-        places = [located(self.graph.layout, v, self.graph.steps) for v in scope]
+        layout = self.graph.layout
+        places = [located(layout, v, self.graph.steps) for v in scope]
         steps = {v.step for v in scope}
         if len(steps) > 1:
             raise EvidenceError(
                 f"{self.beliefs} have joints of variables of one step, not of {listed(scope)}",
                 variable=scope[0],
             )
-        kinds = {isinstance(v, Discrete) for v in scope}
-        if len(kinds) > 1:
-            raise EvidenceError(
-                f"a joint of discrete and continuous variables, {list(scope)}, is neither a table "
-                "nor a mixture; ask for each kind by itself",
-                variable=scope[0],
-            )
         first = max(start for _, start in places)
         step = steps.pop()
         templates = tuple(template for template, _ in places)
-        shown = templates if step is None else scope
-        rows = slice(first, None) if step is None else slice(step, step + 1)
-        found = self._table if kinds.pop() else self._mixture
-        return found(shown, templates, rows, alone=step is not None)
-
-    def _table(self, shown: Scope, scope: Scope, rows: slice, *, alone: bool) -> Table:
-        regimes = self._regimes
-        shares = self._beliefs.regimes[rows]
-        values = np.moveaxis(shares, -1, 0).reshape(-1, len(shares), *regimes.shape)
-        order = [regimes.variables.index(v) for v in discrete(scope)]
-        others = tuple(k + 2 for k in range(len(regimes.shape)) if k not in order)
-        values = values.sum(axis=others)
-        left = sorted(order)
-        values = np.moveaxis(values, [2 + left.index(k) for k in order], range(2, 2 + len(order)))
-        return Table._plain(discrete(shown), frozen(self._over_runs(values, alone)))
-
-    def _mixture(self, shown: Scope, scope: Scope, rows: slice, *, alone: bool) -> GaussianMixture:
-        own = self._beliefs
-        places = np.arange(own.mean.shape[-1])[positions(own.hidden, scope)]
-        weights = np.moveaxis(own.weights[rows], -1, 0)
-        mean = np.moveaxis(own.mean[rows][..., places], 2, 0)
-        cov = np.moveaxis(own.cov[rows][..., places[:, None], places], 2, 0)
-        some = (weights > 0.0).any(axis=(0, 1))
-        each = [self._over_runs(part[:, :, some], alone) for part in (weights, mean, cov)]
-        return GaussianMixture._make(each[0], Gaussian._make(shown, each[1], each[2]))
-
-    def _over_runs(self, values: Array, alone: bool) -> Array:
-        """Values (runs, steps, ...) with the user's axes of runs; of one step without its axis."""
-        whole = values.reshape(*self._lead, *values.shape[1:])
-        return whole[(slice(None),) * len(self._lead) + (0,)] if alone else whole
+        shown, rows = (templates, slice(first, None)) if step is None else (scope, step)
+        return Marginals(layout, self._beliefs, self._regimes).of(
+            shown, templates, rows, self._lead
+        )
 
     @property
     def _title(self) -> str:

@@ -48,9 +48,11 @@ class Regimes:
         (size,): the memory of each regime.
     memories : int
         The number of memories.
+
+    `first` is the number of the step at which the evidence begins; steps are counted from there.
     """
 
-    def __init__(self, model: DynamicBayesianNetwork, bound: BoundEvidence) -> None:
+    def __init__(self, model: DynamicBayesianNetwork, bound: BoundEvidence, first: int = 0) -> None:
         chosen = _observed(model)
         # Where nothing is discrete there is one regime: that of a variable of one state.
         alone = [] if chosen or any(cpd.discrete for cpd in model.transition) else [_NOTHING]
@@ -84,7 +86,8 @@ class Regimes:
         self._column = np.ravel_multi_index(places, shape) if among else np.zeros(1, np.intp)
         self._columns = math.prod(shape)
         self._plan = plan
-        self._slices = TableSlices(plan, _own(bound, model, tables))
+        self._first = first
+        self._slices = TableSlices(plan, _own(bound, model, tables), 1 + first)
         self._evidence = [_rows_of(bound, v) for _, v in chosen]
 
     def states(self, variable: Variable) -> Integers:
@@ -109,23 +112,21 @@ class Regimes:
 
     def onward(self, step: int) -> Array:
         """Ln p(regime at a step | memory at the step before), (memories, size, runs or 1)."""
-        return self._same if self._fixed else self._onward(step)
+        logs = self._same if self._fixed else self._onward(step)
+        for variable, rows in zip(self._observed_ones, self._evidence, strict=True):
+            own = self.states(variable)[:, None] == rows[step - 1, :, 0]
+            # Each state has the probability 1 / size in the tables, and is known.
+            logs = logs + np.where(own, math.log(variable.size), -np.inf)
+        return logs
 
     def likelihood(self, step: int) -> Array | None:
         """Ln p(discrete measurements of a step | regime), (size, runs or 1); None without any."""
         found, scale = self._slices.likelihood(step)
-        total: Array | None = None
-        if found is not None:
-            shape = (*self.shape, self._runs)
-            whole = np.broadcast_to(found.reshape(*found.shape[: len(self.shape)], -1), shape)
-            total = _logs(whole.reshape(self.size, -1)) + scale
-        if step:
-            for variable, rows in zip(self._observed_ones, self._evidence, strict=True):
-                own = self.states(variable)[:, None] == rows[step - 1, :, 0]
-                # Each state has the probability 1 / size in the tables, and is known.
-                logs = np.where(own, math.log(variable.size), -np.inf)
-                total = logs if total is None else total + logs
-        return total
+        if found is None:
+            return None
+        shape = (*self.shape, self._runs)
+        whole = np.broadcast_to(found.reshape(*found.shape[: len(self.shape)], -1), shape)
+        return _logs(whole.reshape(self.size, -1)) + scale
 
     @property
     def _runs(self) -> int:
@@ -206,7 +207,7 @@ def _rows_of(bound: BoundEvidence, variable: Discrete) -> Integers:
     for inputs in bound.transition:
         if variable in inputs:
             return inputs[variable]
-    raise AssertionError(variable)
+    return np.zeros((0, 1, 1), dtype=np.intp)  # of an online update, which predicts nothing
 
 
 def _tables(model: DynamicBayesianNetwork, observed: Sequence[Discrete]) -> DynamicBayesianNetwork:

@@ -46,7 +46,9 @@ class Roles(NamedTuple):
 
 def roles_of(model: DynamicBayesianNetwork, bound: BoundEvidence) -> Roles:
     """The CPDs of continuous variables; one that has no Gaussian beliefs is a ModelError."""
-    pairs = zip(model.transition, bound.transition, strict=True)
+    # An online update has no inputs of the motion, which it does not ask for.
+    known = bound.transition or ({},) * len(model.transition)
+    pairs = zip(model.transition, known, strict=True)
     moved = [(cpd, inputs) for cpd, inputs in pairs if not cpd.discrete]
     readings = [
         part

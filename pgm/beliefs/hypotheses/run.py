@@ -19,7 +19,9 @@ from pgm.errors import GraphError, ModelError
 from pgm.evidence import BoundEvidence
 from pgm.factors.scope import listed
 from pgm.kernels.arrays import Array, components_last, frozen
-from pgm.posteriors.associations import collected
+from pgm.linearisers import Lineariser
+from pgm.networks import DynamicBayesianNetwork
+from pgm.posteriors.associations import Found, collected
 from pgm.posteriors.belief_kind import FILTERED, SMOOTHED, Kind
 from pgm.posteriors.status import Status
 from pgm.progress import counted
@@ -43,7 +45,8 @@ def run(graph: DynamicGraph, bound: BoundEvidence, call: Call, asked: Asked) -> 
     kind = kind_of(call.schedule, "mixtures of Gaussians")
     schedule = call.schedule
     first = schedule if isinstance(schedule, Filtering) else Filtering()
-    roles = roles_of(model, bound)
+    chain = chain_of(model, bound, asked, call.lineariser, first, back=kind != FILTERED)
+    roles, regimes, hidden = chain.roles, chain.regimes, chain.given.hidden
     if not (model.mixed or roles.open):
         raise ModelError(
             "mixtures of Gaussians are of hypotheses: discrete variables that choose among CPDs of "
@@ -51,12 +54,6 @@ def run(graph: DynamicGraph, bound: BoundEvidence, call: Call, asked: Asked) -> 
             "(pgm.unknown); here is neither: leave belief= out"
         )
     _require_once(call, roles)
-    regimes = Regimes(model, bound)
-    settings = _settings(asked, regimes, back=kind != FILTERED)
-    hidden = tuple(cpd.child for cpd in model.transition if not cpd.discrete)
-    given = Given(bound, hidden, frozenset(model.states), call.lineariser, first)
-    _require_room(given, regimes, settings)
-    chain = HypothesisChain(given, regimes, roles, settings)
     record = _Record()
     sweep.forward(chain, bound.steps, record)
     total = frozen(np.sum(record.log_densities, axis=0).reshape(bound.lead))
@@ -70,16 +67,32 @@ def run(graph: DynamicGraph, bound: BoundEvidence, call: Call, asked: Asked) -> 
         [components_last(known.cov, 2) for known in record.known],
         chain.regime_logs,
     )
-    found = dict(
-        collected(sensor.reading, sensor.probabilities(rows), sensor.unknown.count, bound.lead)
-        for sensor, rows in chain.associations.items()
-    )
+    found = associations_of(chain)
     filtered = HypothesisOutcome(graph, status, total, beliefs, regimes, found)
     if kind == FILTERED:
         return filtered
     backward = BackwardChain(chain)
     beliefs = _smoothed(chain, backward, kind, bound.steps)
     return HypothesisOutcome(graph, status, total, beliefs, regimes, found, filtered)
+
+
+def chain_of(
+    model: DynamicBayesianNetwork,
+    bound: BoundEvidence,
+    asked: Asked,
+    lineariser: Lineariser,
+    schedule: Filtering,
+    *,
+    first: int = 0,
+    back: bool = False,
+) -> HypothesisChain:
+    """The forward pass of a network with its evidence, which begins at step `first`."""
+    regimes = Regimes(model, bound, first)
+    settings = _settings(asked, regimes, back=back)
+    hidden = tuple(cpd.child for cpd in model.transition if not cpd.discrete)
+    given = Given(bound, hidden, frozenset(model.states), lineariser, schedule, first)
+    _require_room(given, regimes, settings)
+    return HypothesisChain(given, regimes, roles_of(model, bound), settings)
 
 
 def _settings(asked: Asked, regimes: Regimes, *, back: bool) -> Settings:
@@ -125,6 +138,15 @@ def _require_room(given: Given, regimes: Regimes, settings: Settings) -> None:
         f"({listed(regimes.variables)}) at {bound.steps + 1:,} steps in {bound.runs:,} runs",
         "keep fewer Gaussians, or give fewer runs or steps to a call",
         error=GraphError,
+    )
+
+
+def associations_of(chain: HypothesisChain) -> Found:
+    """By sensor, what its open sightings were taken for."""
+    lead = chain.given.bound.lead
+    return dict(
+        collected(sensor.reading, sensor.probabilities(rows), sensor.unknown.count, lead)
+        for sensor, rows in chain.associations.items()
     )
 
 

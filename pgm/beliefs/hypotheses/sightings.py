@@ -114,7 +114,7 @@ class OpenSensor:
 
     def refuse(self, step: int, count: int) -> NoReturn:
         """Raise the EvidenceError for too many assignments of a step's sightings."""
-        variable = self.reading.cpd.child
+        variable, step = self.reading.cpd.child, self._given.first + step
         raise EvidenceError(
             f"sightings of {variable!r} at step {step} have more than {count:,} assignments to "
             "candidates, none of which is seen twice: give unknown(..., gate=...), or a smaller "
@@ -150,7 +150,7 @@ class OpenSensor:
             which = batch.which
             own = copies, which.size, runs
             before, part, chain = self._read(batch, step, row, sources)
-            after, density = chain.take(step, before, [part])
+            after, density = chain.take(self._given.first + step, before, [part])
             assert chain.certain is not None
             mean[:, :, which] = after.mean.reshape(size, *own)
             cov[:, :, :, which] = after.cov.reshape(size, size, *own)

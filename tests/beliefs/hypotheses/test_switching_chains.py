@@ -595,8 +595,6 @@ def test_what_cannot_be_is_refused():
     )
     with pytest.raises(pgm.ModelError, match="here is neither: leave belief= out"):
         pgm.filter(plain, READ, belief=pgm.Gaussians(2))
-    with pytest.raises(pgm.ModelError, match="no mixtures of Gaussians"):
-        pgm.OnlineFilter(walk())
     with pytest.raises(pgm.ModelError, match="belief of infinite variance has none"):
         pgm.filter(walk(prior=np.inf), READ)
     bent = walk(sensor=pgm.NonlinearGaussianCPD(Z, X, np.sin, cov=1.0))
