@@ -241,8 +241,9 @@ class _Pending:
         if self.unknown.association == SUM:
             raise EvidenceError(
                 f"sightings of {reading.cpd.child!r} leave {self.parent!r} open, to be summed out: "
-                'which mixtures of Gaussians do, and other families; give association="likelihood", '
-                "or belief=pgm.Gaussians(1), pgm.Particles(...) or pgm.Grid(...)",
+                "which mixtures of Gaussians do, and other families; give "
+                'association="likelihood", or belief=pgm.Gaussians(1), pgm.Particles(...) or '
+                "pgm.Grid(...)",
                 variable=self.parent,
                 cpd=reading.cpd,
             )
