@@ -29,7 +29,7 @@ class ByRunCPD(AffineCPD):
     offset : ndarray
         b, (runs, d).
     cov : ndarray
-        Q, (runs, d, d); or (d, d) where runs have it in common.
+        Q, (runs, d, d); or (d, d) where runs have it, and all F, in common.
     """
 
     def __init__(
@@ -80,6 +80,8 @@ def stacked(cases: Sequence[AffineCPD], number: Integers) -> AffineCPD:
     if any(matrix.ndim == 3 for matrix in matrices.values()):
         for parent, matrix in matrices.items():
             matrices[parent] = np.broadcast_to(matrix, (len(offset), *matrix.shape[-2:]))
+        # By the noise it is told whether runs share their matrices.
+        cov = np.broadcast_to(cov, (len(offset), *cov.shape[-2:]))
     return ByRunCPD(child, given, matrices, offset, cov)
 
 

@@ -10,15 +10,15 @@ import numpy.typing as npt
 
 from pgm.arguments import public
 from pgm.boundary import as_floats, as_generator, as_lengths
-from pgm.display import Listing, NoArray, Shown, Summary, few, number
+from pgm.display import Listing, NoArray, Shown, Summary, axes, few, number
 from pgm.errors import ModelError, NumericalError
-from pgm.factors.arrays import lead_index
+from pgm.factors.arrays import as_steps, lead_index
 from pgm.factors.gaussian import Gaussian
 from pgm.factors.scope import Scope, angle_mask, distinct_labels
 from pgm.immutable import Immutable
 from pgm.kernels import roots
 from pgm.kernels.angles import nearest_branch
-from pgm.kernels.arrays import Array, apply, deviation, frozen, transpose
+from pgm.kernels.arrays import Array, Integers, apply, deviation, frozen, transpose
 from pgm.kernels.semirings import log_sum
 from pgm.kernels.solving import solve_lower
 from pgm.resources import require_memory
@@ -47,6 +47,8 @@ class GaussianMixture(Shown, NoArray, Immutable):
         (..., K): w_k, not negative, of sum one.
     components : Gaussian
         The K Gaussians, (..., K, n), along the last of its leading axes.
+    steps : array_like of int, optional
+        The steps that the last leading axis stands for.
 
     Attributes
     ----------
@@ -57,6 +59,7 @@ class GaussianMixture(Shown, NoArray, Immutable):
         (..., K, n).
     mean, cov, std : ndarray
         The moments of the whole mixture, (..., n), (..., n, n) and (..., n).
+    steps : ndarray of int or None
 
     Raises
     ------
@@ -75,8 +78,15 @@ class GaussianMixture(Shown, NoArray, Immutable):
 
     weights: Array
     components: Gaussian
+    steps: Integers | None
 
-    def __init__(self, weights: npt.ArrayLike, components: Gaussian) -> None:
+    def __init__(
+        self,
+        weights: npt.ArrayLike,
+        components: Gaussian,
+        *,
+        steps: npt.ArrayLike | None = None,
+    ) -> None:
         if not isinstance(components, Gaussian):
             raise ModelError(f"the components of a mixture are a Gaussian; found {components!r}")
         found = as_floats(weights, "the weights of a mixture").copy()
@@ -90,21 +100,28 @@ class GaussianMixture(Shown, NoArray, Immutable):
                 "the weights of a mixture are not negative, and their sum is one; found sums of "
                 f"{found.sum(axis=-1)}"
             )
-        self._put(found, components)
+        lead = found.shape[:-1]
+        self._put(
+            found, components, None if steps is None else as_steps(components.scope, steps, lead)
+        )
 
-    def _put(self, weights: Array, components: Gaussian) -> None:
+    def _put(self, weights: Array, components: Gaussian, steps: Integers | None) -> None:
         angles = angle_mask(components.scope)
         if angles.any():
             best = weights.argmax(axis=-1)[..., None, None]
             middle = np.take_along_axis(components.mean, best, axis=-2)
             mean = nearest_branch(components.mean, middle, angles)
             components = Gaussian._make(components.scope, mean, components.cov)
-        self._set(weights=frozen(weights), components=components)
+        if steps is not None:
+            steps.flags.writeable = False
+        self._set(weights=frozen(weights), components=components, steps=steps)
 
     @classmethod
-    def _make(cls, weights: Array, components: Gaussian) -> GaussianMixture:
+    def _make(
+        cls, weights: Array, components: Gaussian, steps: Integers | None = None
+    ) -> GaussianMixture:
         found = object.__new__(cls)
-        found._put(weights, components)
+        found._put(weights, components, steps)
         return found
 
     @property
@@ -135,10 +152,9 @@ class GaussianMixture(Shown, NoArray, Immutable):
         """The mask of components that are angles, (n,)."""
         return angle_mask(self.scope)
 
-    @property
     def gaussian(self) -> Gaussian:
         """The Gaussian with the mixture's mean and covariance: of all, the nearest by KL."""
-        return Gaussian._make(self.scope, self.mean, self.cov)
+        return Gaussian._make(self.scope, self.mean, self.cov, self.steps)
 
     def log_density(self, x: npt.ArrayLike) -> Array:
         """The log-density ln Σ_k w_k N(x; μ_k, P_k) at values (..., n), in nats, (...)."""
@@ -236,31 +252,34 @@ class GaussianMixture(Shown, NoArray, Immutable):
         return np.take_along_axis(drawn, which[..., None, None], axis=-2)[..., 0, :]
 
     def __getitem__(self, index: Any) -> GaussianMixture:
-        """Some of the mixtures, by their places along the leading axes, of runs."""
+        """Some of the mixtures, by their places along the leading axes, of runs and steps."""
         weights, mean, cov = self.weights, self.components.mean, self.components.cov
+        steps = self.steps
         for axis, item in reversed(list(enumerate(lead_index(index, self.lead, self)))):
             at = (slice(None),) * axis + (item,)
             weights, mean, cov = weights[at], mean[at], cov[at]
-        return self._make(weights, Gaussian._make(self.scope, mean, cov))
+            if axis == len(self.lead) - 1 and steps is not None:
+                steps = None if isinstance(item, int) else steps[item]
+        return self._make(weights, Gaussian._make(self.scope, mean, cov), steps)
 
     __iter__ = None  # else Python would go through places until one is refused
 
     @property
     def lead(self) -> tuple[int, ...]:
-        """The axes of runs."""
+        """The leading axes: of runs, and of steps where `steps` says so."""
         return self.weights.shape[:-1]
 
     @property
     def _title(self) -> str:
-        runs = f", runs {self.lead}" if self.lead else ""
         names = ", ".join(map(repr, self.scope))
-        return f"GaussianMixture({names}: {self.weights.shape[-1]} Gaussians{runs})"
+        count = self.weights.shape[-1]
+        return f"GaussianMixture({names}: {count} Gaussians){axes(self.lead, self.steps)}"
 
     def _summary(self) -> Summary:
-        if self.weights.shape[-1] == 1:
-            return self.components[..., 0]._summary()
-        if self.lead:
-            return Summary(self._title, [])
+        if self.lead or self.weights.shape[-1] == 1:
+            found = self.gaussian()._summary()
+            alone = self.weights.shape[-1] == 1
+            return found if alone else Summary(self._title, found.parts)
         heads = distinct_labels(self.scope)
         order = np.argsort(-self.weights, kind="stable")
         rows: list[Any] = [["all", "1", *_shown(self.mean, self.std)]]

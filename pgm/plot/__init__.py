@@ -1,5 +1,6 @@
 """Pictures of networks, cluster graphs and beliefs; those that draw take and return axes."""
 
+from pgm.plot.beliefs.bands import bands
 from pgm.plot.beliefs.cells import belief_map, grid_map, occupancy_map
 from pgm.plot.beliefs.cloud import particles
 from pgm.plot.beliefs.plane import ellipses, trajectory
@@ -17,6 +18,7 @@ from pgm.plot.statistics.records import convergence
 __all__ = [
     "animate",
     "animate_beliefs",
+    "bands",
     "belief_map",
     "beliefs_over_time",
     "cluster_graph",

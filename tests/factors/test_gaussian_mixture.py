@@ -26,7 +26,7 @@ def test_density_and_moments():
     drawn = found.sample(200000, rng=2)
     assert_allclose(drawn.mean(axis=0), found.mean, atol=0.02)
     assert_allclose(np.cov(drawn.T), found.cov, rtol=0.03, atol=0.02)
-    assert_allclose(found.gaussian.cov, found.cov)
+    assert_allclose(found.gaussian().cov, found.cov)
     assert_allclose(found.std**2, np.diagonal(found.cov))
 
 

@@ -19,7 +19,7 @@ from pgm.kernels.arrays import Array, frozen
 from pgm.posteriors.associations import Found
 from pgm.posteriors.belief_kind import Kind
 from pgm.posteriors.hidden import located
-from pgm.posteriors.outcome import MIXTURES, Outcome
+from pgm.posteriors.outcome import Outcome
 from pgm.posteriors.status import Status
 from pgm.posteriors.summaries import over_time
 from pgm.variables import Discrete, Variable
@@ -119,7 +119,9 @@ class Marginals:
         cov = np.moveaxis(own.cov[rows][..., places[:, None], places], 2, 0)
         some = (weights > 0.0).any(axis=(0, 1))
         weights, mean, cov = (over_runs(part[:, :, some]) for part in (weights, mean, cov))
-        return GaussianMixture._make(weights, Gaussian._make(shown, mean, cov))
+        last = len(own.weights)
+        steps = None if alone else np.arange(last)[rows]
+        return GaussianMixture._make(weights, Gaussian._make(shown, mean, cov), steps)
 
     def _table(self, scope: Scope, rows: slice) -> Array:
         """The probabilities of discrete variables, (runs, steps, sizes...)."""
@@ -141,7 +143,7 @@ class HypothesisOutcome(Outcome[Any]):
     """
 
     beliefs: ClassVar[str] = "mixtures of a mixed chain"
-    form: ClassVar[str] = MIXTURES
+    silent: ClassVar[str] = "mixtures go from slice to slice, and no messages are kept"
     moving: ClassVar[bool] = True
 
     graph: DynamicGraph

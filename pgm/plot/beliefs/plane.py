@@ -16,7 +16,7 @@ from pgm.arguments import public
 from pgm.boundary import as_floats, as_tuple, is_unordered
 from pgm.display import titled
 from pgm.errors import ModelError
-from pgm.factors import Gaussian
+from pgm.factors import Gaussian, GaussianMixture
 from pgm.factors.scope import labels
 from pgm.inference import GridBelief, Kind, ParticleBelief
 from pgm.kernels.arrays import Array
@@ -37,6 +37,8 @@ from pgm.plot.drawing.components import as_gaussian, component_places, one_run, 
 _INVISIBLE = 1e-4
 # More ellipses than this along a path hide each other.
 _ELLIPSES = 25
+# Components of a mixture of less weight than this are not drawn.
+_FAINT = 0.01
 # The first path of an axes shows on both sides, and in the gaps, of another upon it.
 _BROAD, _NARROW = 3.2, 1.8
 _PATH, _TRUTH = "path of a belief", "path of the truth"
@@ -44,7 +46,7 @@ _PATH, _TRUTH = "path of a belief", "path of the truth"
 
 @public
 def ellipses(
-    gaussian: Gaussian | ParticleBelief,
+    gaussian: Gaussian | GaussianMixture | ParticleBelief,
     *,
     confidence: float = 0.95,
     components: tuple[str, str] | None = None,
@@ -62,8 +64,9 @@ def ellipses(
 
     Parameters
     ----------
-    gaussian : Gaussian or ParticleBelief
-        With any leading axes; of particles, the Gaussian of the same mean and covariance.
+    gaussian : Gaussian, GaussianMixture or ParticleBelief
+        With any leading axes; of particles, the Gaussian of the same mean and covariance. Of a
+        mixture each component of a weight of .01 or more is drawn, as dark as it weighs.
     confidence : float
         c, the probability of the region, in (0, 1).
     components : pair of str, optional
@@ -89,15 +92,15 @@ def ellipses(
     >>> ax.get_xlabel()
     'east [m]'
     """
-    gaussian = as_gaussian(gaussian)
+    gaussian, weights = _weighed(gaussian)
     found = gaussian.ellipse(confidence, components)
     ax = given_or_new(ax)
     look = look_of(ax, colour)
     colour = look.colour
     defaults: dict[str, Any] = {
-        "edgecolor": to_rgba(colour, 0.75),
+        "edgecolor": _shades(colour, 0.75, weights),
         "linestyle": look.dash,
-        "facecolor": to_rgba(colour, 0.1),
+        "facecolor": _shades(colour, 0.1, weights),
         "linewidth": 0.9,
     }
     style = normalize_kwargs(style, EllipseCollection)
@@ -140,6 +143,21 @@ def ellipses(
     return ax
 
 
+def _weighed(belief: Any) -> tuple[Gaussian, Array | None]:
+    """A belief's Gaussians, and their weights, (k,), if it is a mixture that has several."""
+    if not isinstance(belief, GaussianMixture) or belief.weights.shape[-1] == 1:
+        return as_gaussian(belief), None
+    some, each = belief.weights >= _FAINT, belief.components
+    return Gaussian._make(belief.scope, each.mean[some], each.cov[some]), belief.weights[some]
+
+
+def _shades(colour: str, alpha: float, weights: Array | None) -> Any:
+    """A colour as strong as `alpha`, or for each weight a fainter one."""
+    if weights is None:
+        return to_rgba(colour, alpha)
+    return [to_rgba(colour, alpha * math.sqrt(weight)) for weight in weights.tolist()]
+
+
 def _name_ellipses(ax: Axes, drawn: EllipseCollection, label: str, dash: Any) -> None:
     """Name them by an empty patch of their look: legends take no collection of ellipses."""
     edge, face = (
@@ -159,7 +177,7 @@ def name_plane(ax: Axes, belief: Gaussian, pair: tuple[str, str], unit: Unit) ->
 
 @public
 def trajectory(
-    belief: Gaussian | ParticleBelief,
+    belief: Gaussian | GaussianMixture | ParticleBelief,
     *,
     truth: npt.ArrayLike | None = None,
     landmarks: npt.ArrayLike | None = None,
@@ -178,9 +196,10 @@ def trajectory(
 
     Parameters
     ----------
-    belief : Gaussian or ParticleBelief
+    belief : Gaussian, GaussianMixture or ParticleBelief
         Over steps, as ``posterior[x]``, or at one step, as ``posterior[x.at(3)]``; of one run. Of
-        particles, the Gaussian of the same mean and covariance.
+        particles, the Gaussian of the same mean and covariance; of a mixture the path of the mean,
+        with the ellipses of the components.
     truth : array_like, optional
         (..., rows, k), columns in the order of the belief's components; leading axes are drawn
         as further lines.
@@ -219,6 +238,7 @@ def trajectory(
     >>> [text.get_text() for text in ax.get_legend().get_texts()]
     ['truth', 'filtered']
     """
+    mixture = belief if isinstance(belief, GaussianMixture) else None
     belief = one_run(belief)
     if every is None:
         every = max(1, math.ceil(len(belief.mean) / _ELLIPSES))
@@ -244,8 +264,12 @@ def trajectory(
         draw_landmarks(ax, marks)
     if lines is not None:
         _draw_truth(ax, lines.reshape(-1, *lines.shape[-2:]))
+    shown: Gaussian | GaussianMixture = thinned
+    if mixture is not None:
+        several = mixture[(0,) * (len(mixture.lead) - 1)] if len(mixture.lead) > 1 else mixture
+        shown = several[::every] if several.lead else several
     ellipses(
-        thinned,
+        shown,
         confidence=confidence,
         components=components,
         unit=unit,

@@ -82,7 +82,7 @@ def beliefs_over_time(
     (variable,) = belief.scope
     count = len(found)
     chosen = _steps(steps, count)
-    right = None if truth is None else _truth(variable, truth, count)
+    right = None if truth is None else as_truth_states(variable, truth, count)
     if full is not None and not (np.isfinite(full) and full > 0.0):
         raise ModelError(f"full must be a probability above 0, not {full!r}")
 
@@ -150,7 +150,8 @@ def _steps(steps: Sequence[int] | None, count: int) -> list[int]:
     return [int(step) for step in array]
 
 
-def _truth(variable: Discrete, truth: npt.ArrayLike, count: int) -> npt.NDArray[np.int_]:
+def as_truth_states(variable: Discrete, truth: npt.ArrayLike, count: int) -> npt.NDArray[np.int_]:
+    """The numbers of the right states at so many steps, given by name or number."""
     array = np.asarray(truth)
     if array.shape != (count,):
         raise ModelError(

@@ -10,14 +10,14 @@ import numpy.typing as npt
 from pgm.consistency.errors import check_gaussian
 from pgm.display import titled
 from pgm.errors import ModelError
-from pgm.factors import Gaussian
+from pgm.factors import Gaussian, GaussianMixture
 from pgm.factors.scope import labels, names
 from pgm.kernels.arrays import Array
 
 
 def as_gaussian(belief: Any) -> Gaussian:
-    """A belief as a Gaussian; particles by their mean and covariance; others are refused."""
-    drawn = getattr(belief, "states", None) is not None
+    """A belief as a Gaussian; particles and mixtures by their moments; others are refused."""
+    drawn = getattr(belief, "states", None) is not None or isinstance(belief, GaussianMixture)
     return belief.gaussian() if drawn else check_gaussian(belief)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from mixed.enumerated import drawn, enumerated, observed
 from numpy.testing import assert_allclose
+from scipy.stats import norm
 
 import pgm
 
@@ -462,3 +463,13 @@ def test_the_tree_is_a_strong_one():
     orders = [*discrete, *others], [*others, *discrete]  # whatever an order says
     one, other = (pgm.compile(network, method=pgm.JunctionTree(order=o)).sizes for o in orders)
     assert one == other
+
+
+def test_cases_that_differ_in_their_matrices_alone_are_told_apart():
+    cases = {k: pgm.LinearGaussianCPD(Z, {X: f}, cov=0.1) for k, f in enumerate((1.0, 3.0))}
+    sensor = pgm.SwitchingCPD(Z, given=MODE, cases=cases)
+    found = inferred([FAIR, pgm.GaussianCPD(X, 0.0, 1.0), sensor], {Z: 3.0})
+    each = norm.pdf(3.0, 0.0, np.sqrt([1.1, 9.1]))
+    assert_allclose(found[MODE].probabilities, each / each.sum(), rtol=1e-12)
+    at = found[X].components.mean[:, 0]
+    assert_allclose(at, [3.0 / 1.1, 9.0 / 9.1], rtol=1e-12)
