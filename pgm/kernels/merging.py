@@ -1,4 +1,4 @@
-"""Mixtures of Gaussians merged into fewer, and messages to a merged Gaussian split again.
+"""Mixtures of Gaussians merged into fewer, and what is learnt of a merged Gaussian split again.
 
 *Members* are the Gaussians of a mixture, and *components* those into which they are merged. The
 first axis of arrays is that of members or components; the *batch* comes last where arrays have
@@ -10,7 +10,7 @@ is impossible, and its moments are any finite numbers.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,20 +21,21 @@ from pgm.kernels.arrays import (
     Mask,
     apply,
     components_last,
+    deviation,
     inner,
     sandwich,
     symmetric,
     transpose,
+    variances,
 )
 from pgm.kernels.semirings import log_sum
-from pgm.kernels.solving import regression
 from pgm.kernels.step import nearest
 
 # Covariances are widened by this share of the mixture's for the losses of merging, which invert
 # them: a component may be certain.
 _WIDENED = 1e-9
-# The share of its information that a ratio of densities may leave a member: one that widens a
-# variance more than twice is far from where the ratio was found, and may carry it away altogether.
+# A ratio of densities may widen a variance of a member by one over this: a member that is widened
+# more is far from where the ratio was found, and may be carried away altogether.
 _LEAST = 0.5
 
 
@@ -103,7 +104,6 @@ def merged(
 def seeded(
     logs: Array,
     kind: Integers,
-    kinds: int,
     mean: Array,
     cov: Array,
     count: int,
@@ -112,8 +112,8 @@ def seeded(
 ) -> tuple[Integers, Integers]:
     """The component of each member, (members, *batch), and the kind of each, (count, *batch).
 
-    Members of a component are of one kind; `kind` (members, *batch) numbers them, and `count` is
-    at least the number of `kinds`. Where no more members than `count` are alive, each is a
+    Members of a component are of one kind, of which there are no more than `count`; `kind`
+    (members, *batch) numbers them. Where no more members than `count` are alive, each is a
     component. Elsewhere components begin with a seed: the likeliest member of each kind, then the
     likeliest whose KL divergence from all seeds is more than `apart`; and every other member joins
     the seed of its kind from which its divergence is least. `logs`, `mean` and `cov` are as of
@@ -132,23 +132,30 @@ def seeded(
         first = order[np.minimum(np.arange(count), members - 1)]
         return owner, np.take_along_axis(kind, first, axis=0)
     loss = _losses(logs, mean, cov, angles)  # (*batch, seed, member)
-    same = np.moveaxis(kind, 0, -1)
+    same, weights = np.moveaxis(kind, 0, -1), np.moveaxis(logs, 0, -1)
     loss[same[..., :, None] != same[..., None, :]] = np.inf
-    weights = np.moveaxis(np.exp(logs), 0, -1)
-    free, limit = weights.copy(), np.where(many, apart, 0.0)[..., None]
+    free, limit = weights.copy(), np.where(many, apart, -np.inf)[..., None]
+    due = weights.copy()  # of kinds that have no seed yet
     seeds = np.empty((*logs.shape[1:], count), dtype=np.intp)
     taken = np.empty(seeds.shape, dtype=bool)
     for place in range(count):
-        candidates = np.where(same == place, free, 0.0) if place < kinds else free
+        unlike = (due > -np.inf).any(axis=-1, keepdims=True)
+        candidates = np.where(unlike, due, free)
         seed = candidates.argmax(axis=-1)[..., None]
         seeds[..., place] = seed[..., 0]
-        taken[..., place] = np.take_along_axis(candidates, seed, axis=-1)[..., 0] > 0.0
+        found = np.take_along_axis(candidates, seed, axis=-1) > -np.inf
+        taken[..., place] = found[..., 0]
         near = np.take_along_axis(loss, seed[..., None], axis=-2)[..., 0, :] <= limit
-        free[near & taken[..., place][..., None]] = 0.0
-        np.put_along_axis(free, seed, 0.0, axis=-1)
+        free[near & found] = -np.inf
+        np.put_along_axis(free, seed, -np.inf, axis=-1)
+        due[same == np.take_along_axis(same, seed, axis=-1)] = -np.inf
     chosen = np.take_along_axis(loss, seeds[..., None], axis=-2)
     chosen[~taken] = np.inf
     owner = np.moveaxis(chosen.argmin(axis=-2), -1, 0)
+    own = np.where(
+        taken, np.arange(count), np.take_along_axis(np.moveaxis(owner, 0, -1), seeds, -1)
+    )
+    np.put_along_axis(owner, np.moveaxis(seeds, -1, 0), np.moveaxis(own, -1, 0), axis=0)
     return owner, np.moveaxis(np.take_along_axis(same, seeds, axis=-1), -1, 0)
 
 
@@ -157,8 +164,8 @@ def _losses(logs: Array, mean: Array, cov: Array, angles: Integers) -> Array:
 
     KL(N_h ‖ N_s) = ½ (tr S_s⁻¹ (P_h + (m_h − m_s)(m_h − m_s)ᵀ) − n + ln |S_s| − ln |P_h|)
 
-    Components are scaled by the mixture's deviations, and covariances widened a little, as a
-    belief may be certain of some.
+    Components are scaled by the mixture's deviations, and covariances widened by a share of that
+    and of their own, as a belief may be certain of some.
     """
     if angles.size:
         best = logs.argmax(axis=0)[None, None]
@@ -171,11 +178,11 @@ def _losses(logs: Array, mean: Array, cov: Array, angles: Integers) -> Array:
     m = np.moveaxis(components_last((mean - centre) / unit, 1), 0, -2)  # (*batch, members, n)
     size = m.shape[-1]
     p = np.moveaxis(components_last(cov / unit / unit[:, None], 2), 0, -3)
-    p = p + _WIDENED * np.eye(size)
-    lower = roots.root(p)
-    inverse = np.asarray(np.linalg.inv(lower), dtype=np.float64)
-    information = symmetric(transpose(inverse) @ inverse)
-    volume = 2.0 * np.log(np.diagonal(lower, axis1=-2, axis2=-1)).sum(axis=-1)
+    p = p + _WIDENED * (1.0 + variances(p))[..., None] * np.eye(size)
+    values, vectors = np.linalg.eigh(p)
+    values = np.maximum(values, _WIDENED * values[..., -1:])
+    information = symmetric(vectors / values[..., None, :] @ transpose(vectors))
+    volume = np.log(values).sum(axis=-1)
     pull = apply(information, m)
     flat = (*m.shape[:-1], size * size)
     second = (p + m[..., :, None] * m[..., None, :]).reshape(flat)
@@ -187,156 +194,138 @@ def _losses(logs: Array, mean: Array, cov: Array, angles: Integers) -> Array:
     return 0.5 * found
 
 
-class Message(NamedTuple):
-    """What later evidence says of Gaussians, in the form of Bryson and Frazier.
+def joined(shares: Array, mean: Array, cov: Array) -> tuple[Array, Array]:
+    """The moments of Gaussians that are mixtures of copies each, with their copies' shares.
 
-    Of N(m, P) it makes the mean m + P λ and the covariance P − P Λ P. `vector` is λ,
-    (members, *batch, n), and `matrix` Λ, (members, *batch, n, n).
-
-    Source: Bierman, Factorization Methods for Discrete Sequential Estimation (1977), chapter X.
+    `shares` (members, copies, *batch) are of sum one for each Gaussian; `mean` is
+    (members, copies, *batch, n) and `cov` (members, copies, *batch, n, n).
     """
-
-    vector: Array
-    matrix: Array
-
-    def before(self, matrix: Array, vector: Array, information: Array) -> Message:
-        """The message to a prediction, from that to what it is once measurements are taken in.
-
-        These change the mean m and covariance P of the prediction to m + P u and P − P U P, by
-        `vector`, u, and `information`, U; `matrix` is I − P U.
-        """
-        turned = transpose(matrix)
-        return Message(
-            apply(turned, self.vector) + vector,
-            symmetric(sandwich(turned, self.matrix) + information),
-        )
-
-    def through(self, matrix: Array) -> Message:
-        """The message to what a prediction F x + b is made of; `matrix` is F."""
-        turned = transpose(matrix)
-        return Message(apply(turned, self.vector), symmetric(sandwich(turned, self.matrix)))
-
-    def of(self, mean: Array, cov: Array) -> tuple[Array, Array]:
-        """The moments of the Gaussians given what the message says."""
-        return mean + apply(cov, self.vector), symmetric(cov - sandwich(cov, self.matrix))
-
-
-def joined(shares: Array, message: Message) -> Message:
-    """The message to Gaussians, of one to each of several copies of them.
-
-    `shares` (members, copies, *batch) are the probabilities of the copies given all evidence, of
-    sum one for each Gaussian, and the message's arrays have an axis of copies likewise. The mixture
-    of the copies' moments is then that of the message.
-    """
-    vector = np.einsum("kc...,kc...i->k...i", shares, message.vector)
-    away = message.vector - vector[:, None]
-    inside = np.einsum("kc...,kc...ij->k...ij", shares, message.matrix)
-    spread = np.einsum("kc...,kc...i,kc...j->k...ij", shares, away, away)
-    return Message(vector, symmetric(inside - spread))
+    whole = np.einsum("kc...,kc...i->k...i", shares, mean)
+    away = mean - whole[:, None]
+    inside = np.einsum("kc...,kc...ij->k...ij", shares, cov)
+    between = np.einsum("kc...,kc...i,kc...j->k...ij", shares, away, away)
+    return whole, symmetric(inside + between)
 
 
 class Split(NamedTuple):
-    """A message to components, as messages to their members.
+    """The smoothed belief of components, divided among their members.
 
     logs: The log-weights of the members given all evidence, within their component.
-    message: To each member.
-    divided: Whether it is the component's smoothed belief over its filtered one, multiplied into
-        the member; where that is no density, each member takes the component's smoothed moments.
+    mean, cov: Their smoothed moments, (members, *batch, n) and (members, *batch, n, n).
+    divided: Whether it was by the ratio of smoothed and filtered beliefs, (components, *batch);
+        else each member has the smoothed moments of its component.
     """
 
     logs: Array
-    message: Message
+    mean: Array
+    cov: Array
     divided: Mask
 
 
 def split(
-    message: Message,
-    mean: Array,
-    cov: Array,
+    later: tuple[Array, Array],
+    known: tuple[Array, Array],
     owner: Integers,
     logs: Array,
     members: tuple[Array, Array],
 ) -> Split:
-    r"""A message to merged Gaussians as messages to their members.
+    r"""Smoothed beliefs of merged Gaussians as such of their members.
 
-    The component N(a, V) has the message λ, Λ, which is the ratio of its smoothed to its filtered
-    density, a Gaussian function of the information K and the pull κ at a,
+    Of a component N(a, V) the smoothed belief is N(b, W). Their ratio is what later evidence says,
+    and is multiplied into each member: the product is the member's smoothed belief, and its
+    integral a factor of the member's weight. In coordinates y in which N(a, V) is N(0, I), along
+    the principal axes u of W, with the variances w and the means μ, the ratio is
 
-    .. math:: K = (I - \Lambda V)^{-1} \Lambda, \quad \kappa = (I - \Lambda V)^{-1} \lambda.
+    .. math:: \prod_u N(y_u; \mu, w) / N(y_u; 0, 1),
 
-    A member N(m, P) times the ratio has, with δ = a − m,
+    and is taken in axis by axis: of a member N(m, P), with m and p its mean and variance along u
+    and D = p (1 − w) + w,
 
-    .. math:: \Lambda_m = K (I + P K)^{-1}, \quad \lambda_m = (I + K P)^{-1} (\kappa + K \delta),
+    .. math:: m \mathrel{+}= P u \, (\mu - m (1 - w)) / D, \quad
+              P \mathrel{-}= P u u^\top P \, (1 - w) / D, \\
+              \ln \int = -\tfrac12 \ln D + (\mu^2 (p - 1) + 2 \mu m - m^2 (1 - w)) / (2 D).
 
-    and its weight is multiplied by the ratio's mean under it. Where I + P K has an eigenvalue below
-    one half for some member, each member of the component takes its smoothed moments, as Kim (1994)
-    has it, and keeps its weight: below zero the ratio has no mean.
+    Nothing is divided by but D, so that evidence may make a component certain, w = 0, or say
+    nothing of it, w = 1. Where it widens a belief, w > 1, D may have any sign for a member that is
+    wider than its component; where D < w / 2 for some member, each member of the component takes
+    the component's smoothed moments, as Kim (1994) has it, and keeps its weight.
 
-    `mean` (components, *batch, n) and `cov` are a and V; `owner`, `logs` (members, *batch) and
-    `members`, m and P, are of the members, their angles on the component's branch.
+    `later` are b (components, *batch, n) and W, `known` a and V; `owner`, `logs` (members, *batch)
+    and `members`, m and P, are of the members, their angles on the component's branch.
     """
-    ratio, pull = _ratio(message, cov)
+    mean, cov = known
+    size = mean.shape[-1]
+    out, into = _whitening(cov)
+    spread, axes, middle = _principal(into, later[0] - mean, later[1])
     batch: tuple[Integers, ...] = np.indices(owner.shape[1:], sparse=True)
     at = (owner, *(axis[None] for axis in batch))
-    k, kappa, a = ratio[at], pull[at], mean[at]
-    m, p = members
-    lower = roots.root(p)
-    inside = symmetric(np.eye(m.shape[-1]) + transpose(lower) @ k @ lower)
-    values, vectors = np.linalg.eigh(inside)
     own = owner == np.arange(len(mean)).reshape(-1, *(1,) * owner.ndim)
     alive = own & (logs > -np.inf)
-    proper = (values[..., 0] > _LEAST) | ~(logs > -np.inf)
-    whole = (proper | ~alive).all(axis=1)
     alone = alive.sum(axis=1) <= 1
-    values = np.maximum(values, _LEAST)
-    delta = a - m
-    gradient = kappa + apply(k, delta)
-    # With M = I + LᵀKL, P = L Lᵀ: K (I + P K)⁻¹ = K − K L M⁻¹ Lᵀ K, and so on.
-    turned = transpose(vectors) @ transpose(lower)
-    seen = turned @ k
-    matrix = symmetric(k - transpose(seen) @ (seen / values[..., None]))
-    pulled = apply(turned, gradient)
-    vector = gradient - apply(transpose(seen), pulled / values)
-    gained = 0.5 * (
-        (pulled * pulled / values).sum(axis=-1)
-        - np.log(values).sum(axis=-1)
-        - inner(delta, apply(k, delta))
-    ) - inner(kappa, delta)
-    found = Message(vector, matrix)
+    if alone.all():
+        return Split(_within(own, logs, at), later[0][at], later[1][at], alone)
+    turned = (transpose(axes) @ into)[at]
+    m = apply(turned, members[0] - mean[at])
+    p = symmetric(sandwich(turned, members[1]))
+    gained = np.zeros(logs.shape)
+    proper = np.ones(logs.shape, dtype=bool)
+    for k in range(size):
+        w, mu = spread[..., k][at], middle[..., k][at]
+        column, variance, place = p[..., :, k], p[..., k, k], m[..., k]
+        scale = variance * (1.0 - w) + w
+        proper &= scale >= _LEAST * w
+        scale = np.where(proper & (scale > 0.0), scale, 1.0)
+        gained -= 0.5 * np.log(scale)
+        off = mu - place * (1.0 - w)
+        gained += (mu * mu * (variance - 1.0) + 2.0 * mu * place - place * place * (1.0 - w)) / (
+            2.0 * scale
+        )
+        gain = column * ((1.0 - w) / scale)[..., None]
+        m = m + column * (off / scale)[..., None]
+        keep = np.eye(size) - gain[..., :, None] * np.eye(size)[k]
+        noise = ((1.0 - w) * w / scale**2)[..., None, None]
+        p = sandwich(keep, p) + noise * column[..., :, None] * column[..., None, :]
+        p = symmetric(p)
+    whole = (proper | ~alive).all(axis=1)
+    back = (out @ axes)[at]
+    found = mean[at] + apply(back, m), symmetric(sandwich(back, p))
     plain = (alone | ~whole)[at]
-    if plain.any():
-        kept = Message(message.vector[at], message.matrix[at])
-        if not whole.all():
-            kept = _where(whole[at], kept, _of_moments(kept, a, cov[at], m, p))
-        found = _where(~plain, found, kept)
-        gained = np.where(plain, 0.0, gained)
-    total = logs + gained
-    sums = log_sum(np.where(own, total[None], -np.inf), 1)
-    return Split(total - np.where(sums > -np.inf, sums, 0.0)[at], found, whole | alone)
+    smoothed = [
+        np.where(plain.reshape(*plain.shape, *(1,) * (part.ndim - plain.ndim)), kept[at], part)
+        for part, kept in zip(found, later, strict=True)
+    ]
+    total = logs + np.where(plain, 0.0, gained)
+    return Split(_within(own, total, at), smoothed[0], smoothed[1], whole | alone)
 
 
-def _ratio(message: Message, cov: Array) -> tuple[Array, Array]:
-    """The information K and pull κ of smoothed over filtered densities; see `split`."""
-    lower = roots.root(cov)
-    seen = transpose(lower) @ message.matrix
-    left = symmetric(np.eye(cov.shape[-1]) - seen @ lower)
-    values, vectors = np.linalg.eigh(left)
-    values = np.maximum(values, np.finfo(float).eps)
-    seen = transpose(vectors) @ seen
-    pulled = apply(transpose(vectors), apply(transpose(lower), message.vector))
-    information = message.matrix + transpose(seen) @ (seen / values[..., None])
-    return symmetric(information), message.vector + apply(transpose(seen), pulled / values)
+def _within(own: Mask, logs: Array, at: tuple[Any, ...]) -> Array:
+    """Log-weights of members, of sum one within the component of each."""
+    sums = log_sum(np.where(own, logs, -np.inf), 1)
+    found: Array = logs - np.where(sums > -np.inf, sums, 0.0)[at]
+    return found
 
 
-def _of_moments(message: Message, mean: Array, cov: Array, m: Array, p: Array) -> Message:
-    """The messages that give members N(m, P) the smoothed moments of their component N(a, V)."""
-    after, left = message.of(mean, cov)
-    inverse = regression(np.broadcast_to(np.eye(p.shape[-1]), p.shape), p)
-    return Message(apply(inverse, after - m), symmetric(inverse - inverse @ left @ inverse))
+def _whitening(cov: Array) -> tuple[Array, Array]:
+    """The L and L⁺ with L Lᵀ = P for covariances P (..., n, n), by the axes of correlations.
+
+    Directions in which P is but rounding are left out: L and L⁺ are zero there.
+    """
+    unit = deviation(cov)
+    unit = np.where(unit > 0.0, unit, 1.0)
+    values, vectors = np.linalg.eigh(cov / unit[..., :, None] / unit[..., None, :])
+    some = values > roots.NEGLIGIBLE * values[..., -1:]
+    length = np.sqrt(np.where(some, values, 1.0))
+    out = unit[..., :, None] * vectors * np.where(some, length, 0.0)[..., None, :]
+    into = transpose(vectors * np.where(some, 1.0 / length, 0.0)[..., None, :]) / unit[..., None, :]
+    return out, into
 
 
-def _where(mask: Mask, one: Message, other: Message) -> Message:
-    return Message(
-        np.where(mask[..., None], one.vector, other.vector),
-        np.where(mask[..., None, None], one.matrix, other.matrix),
-    )
+def _principal(into: Array, shift: Array, cov: Array) -> tuple[Array, Array, Array]:
+    """The variances, axes and means of N(shift, cov) in whitened coordinates.
+
+    By singular values of L⁺ times a root of the covariance: they keep twice the digits of variances
+    that are far smaller than one.
+    """
+    root, _ = _whitening(cov)
+    axes, lengths, _ = np.linalg.svd(into @ root)
+    return lengths * lengths, axes, apply(transpose(axes), apply(into, shift))

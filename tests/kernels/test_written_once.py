@@ -315,8 +315,8 @@ PREDICTIONS = listed(
     {"learning/gaussian.py": "_left", "learning/residuals.py": "rows"},
     # Information of two canonical forms.
     {"kernels/canonical.py": "combine"},
-    # What later evidence says, and the spread of a step's measurements under all hypotheses.
-    {"kernels/merging.py": "before split", "beliefs/hypotheses/chain.py": "_flowing"},
+    # A member's smoothed belief, by a ratio; and the spread of a sighting under all candidates.
+    {"kernels/merging.py": "split", "beliefs/hypotheses/sightings.py": "_within"},
 )
 DIFFERENCES = listed(
     # Factorisations, one number after another.
@@ -329,14 +329,14 @@ DIFFERENCES = listed(
     {"kernels/row_messages.py": "_moved change", "kernels/elements.py": "compose"},
     # A projection, and squares of draws.
     {"kernels/rows.py": "_eliminate_exact _eliminate_proper"},
-    # Beliefs given what later evidence says, and a message divided among members.
-    {"kernels/merging.py": "of _of_moments split"},
     {"beliefs/particles/guided_proposal.py": "steered"},
 )
 COMPLEMENTS = listed(
     # A transition given a measurement, and a projection.
     {"beliefs/moments/passes/messages.py": "absorb_readings"},
     {"kernels/rows.py": "_eliminate_exact"},
+    # A ratio of densities, along one axis, for variances that it may widen.
+    {"kernels/merging.py": "split"},
 )
 GAINS = listed({STEP: "gain reweighed after"})
 FACTORISATIONS = listed({"kernels/roots.py": "_semidefinite_root regular_root"})
@@ -346,8 +346,8 @@ GAPS = listed(
     {"kernels/arrays.py": "independent", "kernels/dense.py": "independent"},
     # Of infinite variances, which do not count.
     {"linearisation/costs.py": "squares"},
-    # Of a stack in which some have no elimination.
-    {"kernels/rows.py": "_eliminate_proper"},
+    # Of a stack in which some have no elimination, and of hypotheses that are impossible.
+    {"kernels/rows.py": "_eliminate_proper", "beliefs/hypotheses/chain.py": "_replaced"},
 )
 WEIGHED = listed(
     # Of points without values, and of eigenvalues.
@@ -376,9 +376,8 @@ SOLUTIONS = listed(
     {"beliefs/particles/guided_proposal.py": "_whitened steered"},
     {"inference/audit/corrected.py": "_from_gaussian"},
     {"kernels/joint_compatibility.py": "__init__"},
-    # The losses of merging, and messages to what was merged.
-    {"kernels/merging.py": "_losses _of_moments _ratio split"},
-    {"beliefs/hypotheses/chain.py": "_flowing"},
+    # The losses of merging, and the coordinates of what is learnt of what was merged.
+    {"kernels/merging.py": "_losses _principal _whitening"},
     # Information: canonical forms, rows of square roots, elements of a scan.
     {"kernels/canonical.py": "_backward_indefinite _invertible_root _split backward combine"},
     {"kernels/canonical.py": "from_affine from_moments marginalise to_moments"},

@@ -1,11 +1,11 @@
 """What later evidence says of a mixed chain's components, back from step to step.
 
-The message to a component is in the form of Bryson and Frazier (`kernels.merging.Message`), which
-inverts no covariance. It is split into messages to the members that were merged into the component;
-each of these goes back through what the member has taken in; and those to the copies of one
-component are joined: those of a step's stages, and at last, through the motion, those of the step
-before. Arrays are as of the forward pass (`chain`), but hypotheses and runs come first:
-(K, runs, n) of components.
+The smoothed belief of a component is split into such of the members that were merged into it
+(`kernels.merging.split`). What the members have taken in within a step leaves the state as it is,
+so the smoothed beliefs of one component's copies are joined to that of the component; and those of
+pairs go back through the motion, reversed by Bayes' rule, to the components of the step before.
+Arrays are as of the forward pass (`chain`), but hypotheses and runs come first: (K, runs, n) of
+components.
 """
 
 from __future__ import annotations
@@ -14,17 +14,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.beliefs.hypotheses.chain import HypothesisChain, Mixing, Stage
+from pgm.beliefs.hypotheses.chain import HypothesisChain, Kept, Pairs, Stage
+from pgm.beliefs.moments.steps.readings import Moments
 from pgm.kernels.arrays import Array, Mask, components_last
-from pgm.kernels.merging import Message, joined, split
+from pgm.kernels.merging import joined, split
+from pgm.kernels.moments import push
 from pgm.kernels.semirings import log_sum
 
 
 class Flow(NamedTuple):
-    """The log-weights of hypotheses given all evidence, (hypotheses, runs), and the messages."""
+    """Hypotheses given all evidence: log-weights (hypotheses, runs), and moments."""
 
     logs: Array
-    message: Message
+    mean: Array
+    cov: Array
 
 
 class BackwardChain:
@@ -33,7 +36,7 @@ class BackwardChain:
     Attributes
     ----------
     undivided : ndarray of int
-        (runs,): how many times a ratio of smoothed and filtered beliefs was no density.
+        (runs,): how many times the ratio of smoothed and filtered beliefs did not serve.
     """
 
     def __init__(self, chain: HypothesisChain) -> None:
@@ -41,97 +44,88 @@ class BackwardChain:
         self.undivided = np.zeros(chain.runs, dtype=np.intp)
 
     def last(self, step: int) -> Flow:
-        """What flows back from a step whose belief knows no later evidence."""
+        """The components of a step whose belief knows no later evidence."""
         known = self.chain.kept[step].known
-        size = self.chain.size
-        shape = known.logs.shape
-        none = Message(np.zeros((*shape, size)), np.zeros((*shape, size, size)))
-        return Flow(known.shares, none)
+        return Flow(known.shares, components_last(known.mean, 1), components_last(known.cov, 2))
 
     def opened(self, step: int, flow: Flow) -> Flow:
-        """What flows back to a step's components, as it flows back to the members of its end."""
+        """The members of a step's last stage, by its components."""
         return self._split(self.chain.kept[step].stages[-1], flow)
 
     def back(self, step: int, later: Flow) -> Flow:
-        """What flows back to a step's components from the last members of the step after."""
+        """A step's components, by the last members of the step after."""
         kept = self.chain.kept[step + 1]
         flow = later
         for before, stage in zip(kept.stages[-2::-1], kept.stages[:0:-1], strict=True):
-            flow = self._split(before, self._joined(self._through(stage, flow), stage))
-        first = kept.stages[0]
-        flow = self._through(first, flow)
-        copies = first.members.copies
-        shape = len(flow.logs) // copies, copies, self.chain.runs
-        assert kept.choice is not None
-        slopes = self.chain.slopes(step + 1, kept.choice, shape[0])
-        size = slopes.shape[-1]
-        flow = Flow(flow.logs, flow.message.through(slopes.reshape(-1, shape[2], size, size)))
-        if kept.mixed is not None:
-            return self._unmixed(kept.mixed, flow)
-        return self._joined(flow, first)
+            flow = self._split(before, self._joined(flow, stage.members.copies))
+        return self._moved_back(step, kept, flow)
 
     def regimes(self, step: int, opened: Flow) -> Array:
-        """The log-probabilities of a step's regimes given what flows back, (S, runs)."""
+        """The log-probabilities of regimes, by the members of a step's last stage, (S, runs)."""
         stage = self.chain.kept[step].stages[-1]
         return self.chain.by_regime(opened.logs, stage.members)
 
-    @staticmethod
-    def _through(stage: Stage, flow: Flow) -> Flow:
-        """What flows back to members through the measurements that they have taken in."""
-        if stage.seen is None:
-            return flow
-        seen = stage.seen
-        return Flow(flow.logs, flow.message.before(seen.matrix, seen.vector, seen.information))
-
     def _split(self, stage: Stage, flow: Flow) -> Flow:
-        """What flows back to components, as it flows back to their members."""
+        """The members of a stage, by its components."""
         members = stage.members
         found = split(
-            flow.message,
-            components_last(stage.mean, 1),
-            components_last(stage.cov, 2),
+            (flow.mean, flow.cov),
+            (components_last(stage.mean, 1), components_last(stage.cov, 2)),
             stage.owner,
             members.logs,
             (components_last(members.mean, 1), components_last(members.cov, 2)),
         )
         self._count(found.divided, flow.logs)
         logs = found.logs + np.take_along_axis(flow.logs, stage.owner, axis=0)
-        return Flow(logs, found.message)
+        return Flow(logs, found.mean + components_last(stage.turned, 1), found.cov)
 
     def _count(self, divided: Mask, logs: Array) -> None:
         self.undivided += (~divided & (logs > -np.inf)).sum(axis=0)
 
-    def _joined(self, flow: Flow, stage: Stage) -> Flow:
-        """What flows back to components, from that to the copies of each."""
-        copies, runs = stage.members.copies, self.chain.runs
-        logs = flow.logs.reshape(-1, copies, runs)
-        size = flow.message.vector.shape[-1]
-        message = Message(
-            flow.message.vector.reshape(*logs.shape, size),
-            flow.message.matrix.reshape(*logs.shape, size, size),
-        )
-        return _of_copies(logs, message)
+    def _moved_back(self, step: int, kept: Kept, flow: Flow) -> Flow:
+        """The components of a step, by the pairs of the step after."""
+        pairs, known = kept.pairs, self.chain.kept[step].known
+        logs = flow.logs.reshape(-1, self.chain.regimes.size, self.chain.runs)
+        mean = flow.mean.reshape(*logs.shape, -1)
+        cov = flow.cov.reshape(*logs.shape, mean.shape[-1], -1)
+        if pairs.mixed is None:
+            before = Moments(known.mean[:, :, None], known.cov[:, :, :, None])
+        else:
+            before = Moments(pairs.mixed.mean, pairs.mixed.whole)
+        mean, cov = push(mean, cov, self.chain.reversed(step + 1, pairs, before))
+        if pairs.mixed is not None:
+            logs, mean, cov = self._unmixed(pairs, Flow(logs[0], mean, cov))
+        return _of_copies(logs, mean, cov)
 
-    def _unmixed(self, mixed: Mixing, later: Flow) -> Flow:
-        """The messages to mixtures, one a regime, as such to the components that were mixed."""
-        logs = later.logs[None]
+    def _unmixed(self, pairs: Pairs, later: Flow) -> Flow:
+        """The components that were mixed for each regime, by the mixtures, (K, S, runs)."""
+        mixed = pairs.mixed
+        assert mixed is not None
         found = split(
-            Message(later.message.vector[None], later.message.matrix[None]),
-            components_last(mixed.mean, 1),
-            components_last(mixed.whole, 2),
+            (later.mean, later.cov),
+            (components_last(mixed.mean, 1), components_last(mixed.whole, 2)),
             np.zeros(mixed.logs.shape, dtype=np.intp),
             mixed.logs,
             (components_last(mixed.members, 1), components_last(mixed.cov, 2)),
         )
         self._count(found.divided[0], later.logs)
-        return _of_copies(found.logs + logs, found.message)
+        turned = components_last(mixed.turned, 1)
+        return Flow(found.logs + later.logs[None], found.mean + turned, found.cov)
+
+    def _joined(self, flow: Flow, copies: int) -> Flow:
+        """Components, by the copies of each."""
+        logs = flow.logs.reshape(-1, copies, self.chain.runs)
+        size = flow.mean.shape[-1]
+        return _of_copies(
+            logs, flow.mean.reshape(*logs.shape, size), flow.cov.reshape(*logs.shape, size, size)
+        )
 
 
-def _of_copies(logs: Array, message: Message) -> Flow:
-    """The messages to components from those to their copies, (components, copies, runs, ...)."""
+def _of_copies(logs: Array, mean: Array, cov: Array) -> Flow:
+    """Components by their copies, (components, copies, runs, ...)."""
     total = log_sum(logs, 1)
     shares = np.exp(logs - np.where(total > -np.inf, total, 0.0)[:, None])
     dead = total == -np.inf
     if dead.any():
         shares = np.where(dead[:, None], 1.0 / shares.shape[1], shares)
-    return Flow(total, joined(shares, message))
+    return Flow(total, *joined(shares, mean, cov))

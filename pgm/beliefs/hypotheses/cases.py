@@ -32,6 +32,7 @@ from pgm.evidence import BoundEvidence, Reading
 from pgm.evidence.dynamic import Inputs
 from pgm.factors.axes import sizes
 from pgm.kernels.arrays import Array, Integers, Kind, Mask
+from pgm.kernels.moments import Conditional
 from pgm.linearisers import Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.schedules.schedule import Filtering
@@ -187,7 +188,7 @@ class Batch:
         self.used = False
         self._window = -1
         self._chain: MomentChain | None = None
-        self._slopes: dict[int, Array] = {}
+        self._moved: dict[int, Conditional] = {}
         self._residuals: list[Array] = []
         self._converged = np.ones(given.bound.runs, dtype=bool)
 
@@ -199,13 +200,13 @@ class Batch:
             self._window, self._chain = window, self._made(window * self._length)
         return self._chain, step - window * self._length
 
-    def slopes(self, step: int) -> Array:
-        """The F of the motion to a step, as it was linearised there, (runs, n, n)."""
+    def motion(self, step: int) -> Conditional:
+        """The motion to a step, as it was linearised there, of slices (runs, n, n)."""
         window = (step - 1) // self._length
-        if window not in self._slopes:
+        if window not in self._moved:
             self._close()
-        found: Array = self._slopes[window][step - 1 - window * self._length]
-        return found
+        own = step - 1 - window * self._length
+        return Conditional(*(part[own] for part in self._moved[window]))
 
     def settled(self) -> tuple[list[Array], Mask]:
         """The largest move of a mean at each relinearisation, and whether all settled, (runs,)."""
@@ -224,7 +225,7 @@ class Batch:
             self._converged &= every & chain.converged.reshape(self._count, runs).all(axis=0)
         self.used = False
         if self._keep:
-            self._slopes[self._window] = between_slices(chain.plan).matrix
+            self._moved[self._window] = between_slices(chain.plan)
 
     def _made(self, first: int) -> MomentChain:
         given, bound = self._given, self._given.bound

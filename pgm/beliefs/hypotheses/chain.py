@@ -18,24 +18,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 
 from pgm.beliefs.hypotheses.cases import Batch, Choices, Given, motions, sensors, starts
-from pgm.beliefs.hypotheses.measured import Counts, Seen, best_of, flowing, leading, nothing
+from pgm.beliefs.hypotheses.counts import Counts, best_of, leading
 from pgm.beliefs.hypotheses.regimes import Regimes
 from pgm.beliefs.hypotheses.roles import Roles
 from pgm.beliefs.hypotheses.sightings import OpenSensor
 from pgm.beliefs.moments.steps.chain import MomentChain, largest
 from pgm.beliefs.moments.steps.readings import Moments
 from pgm.errors import ModelError, NumericalError
-from pgm.kernels import merging
-from pgm.kernels.arrays import (
-    Array,
-    Integers,
-    Mask,
-)
+from pgm.kernels import merging, moments
+from pgm.kernels.arrays import Array, Integers, Mask, components_last
+from pgm.kernels.moments import Conditional
 from pgm.kernels.semirings import log_sum
 
 # Members further apart than this, by their KL divergence, may begin a component each.
@@ -64,7 +61,9 @@ class Belief(NamedTuple):
 class Pairs(NamedTuple):
     """The pairs of a step: log-weights and counts, (K, S, runs), and moments.
 
-    `choice` is the number of the motion's choice that leads to each, (K, S, runs or 1).
+    `choice` is the number of the motion's choice that leads to each, (K, S, runs or 1), and `moved`
+    are the moments that the choices lead to, (n, K, choices, runs); or, of components that were
+    `mixed` before, (n, 1, S, runs).
     """
 
     logs: Array
@@ -72,6 +71,7 @@ class Pairs(NamedTuple):
     mean: Array
     cov: Array
     choice: Integers | None = None
+    moved: Moments | None = None
     mixed: Mixing | None = None
 
     def repeated(self, runs: int) -> Pairs:
@@ -91,11 +91,13 @@ class Mixing(NamedTuple):
     """The components of a step as they were mixed for each regime of the next: (K, S, runs).
 
     `logs` are the log-weights of the components in each regime; `members` their means, moved to the
-    branch of the mixture; `mean` (n, 1, S, runs) and `cov` are those of the mixtures.
+    branch of the mixture, from which `turned` leads back; `cov` their covariances; `mean`
+    (n, 1, S, runs) and `whole` are the moments of the mixtures.
     """
 
     logs: Array
     members: Array
+    turned: Array
     cov: Array
     mean: Array
     whole: Array
@@ -124,13 +126,13 @@ class Members(NamedTuple):
 class Stage(NamedTuple):
     """Members as they were merged into components, for what flows back.
 
-    The members' means are on the branch of their component, and those of lower counts than others
-    of it are dead. `owner` is the component of each, `mean` and `cov` are the components'; `seen`
-    is what the members have taken in.
+    The members' means are on the branch of their component, from which `turned` (n, members, runs)
+    leads back to their own; and those of lower counts than others of it are dead. `owner` is the
+    component of each, `mean` and `cov` are the components'.
     """
 
     members: Members
-    seen: Seen | None
+    turned: Array
     owner: Integers
     mean: Array
     cov: Array
@@ -139,13 +141,12 @@ class Stage(NamedTuple):
 class Kept(NamedTuple):
     """A step as what flows back needs it.
 
-    The stages, the choices of the motion that led to the pairs of the first, and how these were
-    mixed before; and the belief that the step ends with.
+    The stages, the pairs of the first as they were predicted, and the belief that the step ends
+    with.
     """
 
     stages: Sequence[Stage]
-    choice: Integers | None
-    mixed: Mixing | None
+    pairs: Pairs
     known: Belief
 
 
@@ -243,7 +244,8 @@ class HypothesisChain:
         if self.settings.mix:
             return self._mixed(step, belief, logs, counts)
         count, of = len(belief.logs), self._moving.of
-        mean, cov = self._moved(step, belief.mean[:, :, None], belief.cov[:, :, :, None], count)
+        moved = self._moved(step, belief.mean[:, :, None], belief.cov[:, :, :, None], count)
+        mean, cov = moved
         if self._moving.count == 1:
             shape = (count, self.regimes.size, self.runs)
             choice = np.zeros((1, self.regimes.size, 1), dtype=np.intp)
@@ -256,7 +258,10 @@ class HypothesisChain:
             choice = np.moveaxis(of[belief.memory], -1, 1)
             mean = np.take_along_axis(mean, choice[None], axis=2)
             cov = np.take_along_axis(cov, choice[None, None], axis=3)
-        return Pairs(logs, counts, mean, cov, choice)
+        pairs = Pairs(logs, counts, mean, cov, choice, moved if self.settings.back else None)
+        return self._proper(
+            step, pairs, Moments(belief.mean[:, :, None], belief.cov[:, :, :, None])
+        )
 
     def _mixed(self, step: int, belief: Belief, logs: Array, counts: Counts) -> Pairs:
         """The pairs of one Gaussian and each regime, mixed of all components beforehand."""
@@ -267,11 +272,47 @@ class HypothesisChain:
         owner = np.zeros(shape, dtype=np.intp)
         logs, counts = best_of(logs, counts, owner, 1)
         found = merging.merged(logs, owner, 1, mean, cov, self.angles)
-        before = Mixing(logs, found.members, cov, found.mean, found.cov)
+        turned = mean - found.members
+        before = Mixing(logs, found.members, turned, cov, found.mean, found.cov)
         after = self._moved(step, found.mean, found.cov, 1)
-        return Pairs(found.logs, counts, *after, self._moving.of[:1, :, None], before)
+        choice = self._moving.of[:1, :, None]
+        pairs = Pairs(found.logs, counts, *after, choice, after, before)
+        return self._proper(step, pairs, Moments(found.mean, found.cov))
 
-    def _moved(self, step: int, mean: Array, cov: Array, copies: int) -> tuple[Array, Array]:
+    def _proper(self, step: int, pairs: Pairs, before: Moments) -> Pairs:
+        """The predicted pairs, with any finite moments of those that are impossible.
+
+        Where others have none the error names the CPD whose function has no value at a component of
+        `before`, as of `_moved`.
+        """
+        if np.isfinite(pairs.mean.sum() + pairs.cov.sum()):
+            return pairs
+        bad = ~_finite(pairs.mean, pairs.cov)
+        alive = bad & (pairs.logs > -np.inf)
+        if alive.any():
+            self._moved(step, *before, before.mean.shape[1], check=True)
+            self._infinite("prediction", step, alive)
+        mean, cov = _replaced(pairs.mean, pairs.cov, bad)
+        moved = pairs.moved
+        if moved is not None:
+            moved = Moments(*_replaced(*moved, ~_finite(*moved)))
+        return pairs._replace(mean=mean, cov=cov, moved=moved)
+
+    def _infinite(self, what: str, step: int, bad: Mask) -> NoReturn:
+        """Raise the NumericalError for beliefs that are not finite."""
+        run = self.given.bound.first_run + int(bad.any(axis=(0, 1)).argmax())
+        step += self.given.first
+        raise NumericalError(
+            f"the {what} at step {step}, run {run}, is not finite under some state of the discrete "
+            "variables; are the belief before it, the measurements and the noises of a size that "
+            "float64 can hold?",
+            step=step,
+            run=run,
+        )
+
+    def _moved(
+        self, step: int, mean: Array, cov: Array, copies: int, *, check: bool = False
+    ) -> Moments:
         """Moments predicted by each choice of the motion, or mixed ones by that of their regime.
 
         `mean` is (n, copies, 1, runs), and what is returned has the choices on the axis of length
@@ -282,7 +323,9 @@ class HypothesisChain:
         for batch in parts:
             chain, local = batch.at(step)
             own = _as_runs(mean, cov, batch.which, copies, chain)
+            chain.check = check
             moved, batch.used = chain.predict(local, own), True
+            chain.check = False
             shape = copies, batch.which.size, self.runs
             found.append(
                 Moments(moved.mean.reshape(size, *shape), moved.cov.reshape(size, size, *shape))
@@ -294,22 +337,22 @@ class HypothesisChain:
         spread = np.empty((size, size, copies, total, self.runs))
         for batch, part in zip(parts, found, strict=True):
             whole[:, :, batch.which], spread[:, :, :, batch.which] = part
-        return whole, spread
+        return Moments(whole, spread)
 
     def take(self, step: int, pairs: State) -> tuple[State, Array]:
         """The components given the measurements of a step, and their log-density, (runs,)."""
         assert isinstance(pairs, Pairs)
-        stages, members, seen, total = self._informed(step, pairs)
+        stages, members, total = self._informed(step, pairs)
         shares = leading(members.logs, members.counts, 0)
         self.regime_logs.append(self.by_regime(shares, members))
-        known, stage = self._closed(members, seen)
+        known, stage = self._closed(members)
         if self.settings.back:
-            self.kept.append(Kept([*stages, stage], pairs.choice, pairs.mixed, known))
+            self.kept.append(Kept([*stages, stage], pairs, known))
         return known, total
 
     def update(self, step: int, pairs: Pairs) -> tuple[Pairs, Array]:
         """The pairs given some measurements of a step, to which others may be added."""
-        _, members, _, total = self._informed(step, pairs)
+        _, members, total = self._informed(step, pairs)
         count = self.regimes.size
         if not self._open:
             shape = -1, count, self.runs
@@ -323,7 +366,7 @@ class HypothesisChain:
         each = []
         for regime in range(count):
             logs = np.where(members.regime == regime, members.logs, -np.inf)
-            each.append(self._closed(members._replace(logs=logs), None, self._most)[0])
+            each.append(self._closed(members._replace(logs=logs), self._most)[0])
         logs, mean, cov = (
             np.stack([getattr(part, name) for part in each], axis=axis)
             for name, axis in (("logs", 1), ("mean", 2), ("cov", 3))
@@ -335,64 +378,55 @@ class HypothesisChain:
 
     def merged(self, pairs: Pairs) -> Belief:
         """The pairs of a step, merged into components."""
-        copies, count, runs = pairs.logs.shape
-        shape = copies * count, runs
-        regime = np.broadcast_to(np.tile(np.arange(count), copies)[:, None], shape)
-        counts = pairs.counts
-        if isinstance(counts, np.ndarray):
-            counts = counts.reshape(shape)
-        mean, cov = (part.reshape(*part.shape[:-3], *shape) for part in (pairs.mean, pairs.cov))
-        members = Members(pairs.logs.reshape(shape), counts, regime, mean, cov, count)
-        return self._closed(members, None)[0]
+        return self._closed(self._flat(*pairs[:4]))[0]
 
     @property
     def _most(self) -> int:
         """How many components are kept between the open sightings of a step, at the most."""
         return max(self.settings.count, self.regimes.size, _BETWEEN)
 
-    def _informed(self, step: int, pairs: Pairs) -> tuple[list[Stage], Members, Seen | None, Array]:
+    def _informed(self, step: int, pairs: Pairs) -> tuple[list[Stage], Members, Array]:
         """The stages of a step but the last one, whose members are given all measurements.
 
-        And what these have taken in, and the log-density of the measurements, (runs,).
+        And the log-density of the measurements, (runs,).
         """
-        members, seen = self._pairs(step, pairs)
+        members, total = self._pairs(step, pairs).scaled()
         stages: list[Stage] = []
-        members, total = members.scaled()
         for sensor in self._open:
             used: Integers | None = None
             for row, _ in enumerate(sensor.rows(step)):
-                known, stage = self._closed(members, seen, self._between(sensor, step, members))
+                known, stage = self._closed(members, self._between(sensor, step, members))
                 if sensor.exclusive:
                     used = sensor.used(members.logs, len(known.logs), used)
                 stages.append(stage)
-                members, seen = self._tried(sensor, step, row, known, used)
-                members, more = members.scaled()
+                members, more = self._tried(sensor, step, row, known, used).scaled()
                 total = total + more
                 self._note(sensor, members)
         if not (total > -np.inf).all():
             self._refuse(step, total)
-        return stages, members, seen, total
+        return stages, members, total
 
-    def _pairs(self, step: int, pairs: Pairs) -> tuple[Members, Seen | None]:
+    def _pairs(self, step: int, pairs: Pairs) -> Members:
         """The pairs as members of a stage, given all measurements but open sightings."""
         found = self._taken(step, pairs)
-        logs, counts, mean, cov, seen = *pairs[:4], None
+        logs, counts, mean, cov = pairs[:4]
         if found is not None:
-            mean, cov, seen = found.mean, found.cov, found.seen
+            mean, cov = found.mean, found.cov
             logs, counts = logs + found.density, counts + found.certain
         likelihood = self.regimes.likelihood(step)
         if likelihood is not None:
             logs = logs + likelihood
+        return self._flat(logs, counts, mean, cov)
+
+    def _flat(self, logs: Array, counts: Counts, mean: Array, cov: Array) -> Members:
+        """Pairs (K, S, runs) as members of a stage."""
         copies, count, runs = logs.shape
-        shape = copies * count, runs
-        size = len(mean)
+        shape, size = (copies * count, runs), len(mean)
         regime = np.broadcast_to(np.tile(np.arange(count), copies)[:, None], shape)
-        moments = mean.reshape(size, *shape), cov.reshape(size, size, *shape)
         if isinstance(counts, np.ndarray):
             counts = counts.reshape(shape)
-        if seen is not None:
-            seen = Seen(*(part.reshape(*shape, *part.shape[3:]) for part in seen))
-        return Members(logs.reshape(shape), counts, regime, *moments, count), seen
+        moments = mean.reshape(size, *shape), cov.reshape(size, size, *shape)
+        return Members(logs.reshape(shape), counts, regime, *moments, count)
 
     def _between(self, sensor: OpenSensor, step: int, members: Members) -> int:
         """How many components are kept of a step's members before an open sighting."""
@@ -410,13 +444,13 @@ class HypothesisChain:
         row: int,
         known: Belief,
         used: Integers | None,
-    ) -> tuple[Members, Seen | None]:
+    ) -> Members:
         """The components so far, each with each alternative of an open sighting.
 
         `used` are the candidates that each component has given already; see `OpenSensor.tried`.
         """
-        back, size = self.settings.back, self.size
-        found = sensor.tried(step, row, Moments(known.mean, known.cov), used, back=back)
+        size = self.size
+        found = sensor.tried(step, row, Moments(known.mean, known.cov), used)
         sources, alternatives, runs = found.logs.shape
         shape = sources * alternatives, runs
         logs = known.logs[:, None] + found.logs
@@ -427,14 +461,9 @@ class HypothesisChain:
             counts = np.broadcast_to(counts, logs.shape).reshape(shape)
         moments = found.mean.reshape(size, *shape), found.cov.reshape(size, size, *shape)
         regime = np.repeat(known.memory, alternatives, axis=0)
-        seen = None
-        if found.seen is not None:
-            seen = Seen(*(part.reshape(*shape, *part.shape[3:]) for part in found.seen))
-        return Members(logs.reshape(shape), counts, regime, *moments, alternatives), seen
+        return Members(logs.reshape(shape), counts, regime, *moments, alternatives)
 
-    def _closed(
-        self, members: Members, seen: Seen | None, between: int | None = None
-    ) -> tuple[Belief, Stage]:
+    def _closed(self, members: Members, between: int | None = None) -> tuple[Belief, Stage]:
         """Members merged into components of one memory each, and the stage.
 
         With `between`, before an open sighting, they are merged into so many components of one
@@ -449,12 +478,14 @@ class HypothesisChain:
             owner = kind
             memory = np.broadcast_to(np.arange(count)[:, None], (count, self.runs))
         else:
-            owner, memory = merging.seeded(logs, kind, kinds, mean, cov, count, APART, self.angles)
+            ranked = logs
+            if isinstance(counts, np.ndarray) and ((logs > -np.inf).sum(axis=0) > count).any():
+                ranked, _ = best_of(logs, counts, kind, kinds)
+            owner, memory = merging.seeded(ranked, kind, mean, cov, count, APART, self.angles)
         logs, counts = best_of(logs, counts, owner, count)
         found = merging.merged(logs, owner, count, mean, cov, self.angles)
-        stage = Stage(
-            members._replace(logs=logs, mean=found.members), seen, owner, found.mean, found.cov
-        )
+        own = members._replace(logs=logs, mean=found.members)
+        stage = Stage(own, mean - found.members, owner, found.mean, found.cov)
         return Belief(found.logs, memory, counts, found.mean, found.cov), stage
 
     def by_regime(self, shares: Array, members: Members) -> Array:
@@ -488,14 +519,10 @@ class HypothesisChain:
         shape = pairs.logs.shape
         mean, cov, density = pairs.mean.copy(), pairs.cov.copy(), np.zeros(shape)
         certain = np.zeros(shape, dtype=np.intp)
-        seen = nothing(len(mean), shape) if self.settings.back else None
         for which, each in found:
             mean[:, :, which], cov[:, :, :, which] = each.mean, each.cov
             density[:, which], certain[:, which] = each.density, each.certain
-            if seen is not None and each.seen is not None:
-                for whole, part in zip(seen, each.seen, strict=True):
-                    whole[:, which] = part
-        return Taken(mean, cov, density, certain if certain.any() else 0, seen)
+        return Taken(mean, cov, density, certain if certain.any() else 0)
 
     def _of_batch(self, batch: Batch, step: int, pairs: Pairs) -> Taken | None:
         """The pairs of a batch's regimes, with the measurements of a step; None without any."""
@@ -508,6 +535,18 @@ class HypothesisChain:
         shape = copies, batch.which.size, self.runs
         own = _as_runs(pairs.mean, pairs.cov, batch.which, copies, chain)
         after, density = chain.take(chain.plan.first + local, own, parts)
+        density = np.broadcast_to(density, chain.plan.batch).reshape(shape)
+        after = Moments(after.mean.reshape(size, *shape), after.cov.reshape(size, size, *shape))
+        if not np.isfinite(density.sum() + after.mean.sum() + after.cov.sum()):
+            # A contradiction has the density −∞, and no other number is to be infinite.
+            bad = np.isnan(density) | (density == np.inf) | ~_finite(*after)
+            alive = bad & (pairs.logs[:, batch.which] > -np.inf)
+            if alive.any():
+                chain.check = True
+                chain.take(chain.plan.first + local, own, parts)
+                self._infinite("belief", step, alive)
+            density = np.where(bad, -np.inf, density)
+            after = Moments(*_replaced(*after, bad))
         assert chain.certain is not None
         certain = chain.certain.count
         if np.any(certain):
@@ -515,11 +554,10 @@ class HypothesisChain:
         else:
             certain = 0
         return Taken(
-            after.mean.reshape(size, *shape),
-            after.cov.reshape(size, size, *shape),
-            np.broadcast_to(density, chain.plan.batch).reshape(shape),
+            after.mean,
+            after.cov,
+            density,
             certain,
-            flowing(parts, own, shape) if self.settings.back else None,
         )
 
     def settled(self) -> tuple[list[Array], Mask]:
@@ -533,22 +571,48 @@ class HypothesisChain:
             residuals, converged = largest(residuals, moved), converged & own
         return residuals, converged
 
-    def slopes(self, step: int, choice: Integers, copies: int) -> Array:
-        """The F of the motion that led to each pair of a step, (copies, S, runs, n, n).
+    def reversed(self, step: int, pairs: Pairs, known: Moments) -> Conditional:
+        """The motion to a step, reversed: its components given each pair, (copies, S, runs, ...).
 
-        `choice` (copies or 1, S, runs or 1) are the numbers of the pairs' choices of a motion.
+        `pairs` are those of the step, and `known` the components of the step before, or mixtures of
+        them, (n, copies, 1, runs) or (n, 1, S, runs).
         """
-        size, mixed = self.size, self.settings.mix
-        total = self.regimes.size if mixed else self._moving.count
-        shape = copies, self.regimes.size, self.runs
-        whole = np.empty((copies, total, self.runs, size, size))
+        moved, size = pairs.moved, self.size
+        assert moved is not None
+        shape = moved.mean.shape[1:]
+        matrix, noise = np.empty((*shape, size, size)), np.empty((*shape, size, size))
         for batch in self._motions:
-            own = copies, batch.which.size, self.runs, size, size
-            whole[:, batch.which] = batch.slopes(step).reshape(own)
-        if mixed:
-            return whole
-        index = np.broadcast_to(choice, shape)[..., None, None]
-        return np.take_along_axis(whole, index, axis=1)
+            own = shape[0], batch.which.size, self.runs, size, size
+            found = batch.motion(step)
+            matrix[:, batch.which] = found.matrix.reshape(own)
+            noise[:, batch.which] = found.cov.reshape(own)
+        each = (
+            np.broadcast_to(known.mean, (size, *shape)),
+            np.broadcast_to(known.cov, (size, size, *shape)),
+        )
+        back = moments.reverse(
+            components_last(each[0], 1),
+            components_last(each[1], 2),
+            matrix,
+            noise,
+            components_last(moved.mean, 1),
+            components_last(moved.cov, 2),
+        )
+        if self.settings.mix:
+            return back
+        assert pairs.choice is not None
+        index = np.broadcast_to(pairs.choice, (shape[0], *pairs.choice.shape[1:]))
+        index = np.broadcast_to(index, (*index.shape[:2], self.runs))
+        return Conditional(
+            *(
+                np.take_along_axis(
+                    np.broadcast_to(part, (*shape, *part.shape[3:])),
+                    index.reshape(*index.shape, *(1,) * (part.ndim - 3)),
+                    axis=1,
+                )
+                for part in back
+            )
+        )
 
     def _refuse(self, step: int, total: Array) -> None:
         """Raise the NumericalError for measurements that every hypothesis excludes."""
@@ -556,8 +620,9 @@ class HypothesisChain:
         step += self.given.first
         raise NumericalError(
             f"the measurements at step {step}, run {run}, have probability zero, whatever the "
-            "discrete variables are: each of their states is impossible, or contradicts an exact "
-            "model; let the tables allow more, or give the CPDs of some case noise",
+            "discrete variables are: each of their states is impossible, contradicts an exact "
+            "model, or expects readings too far from these; let the tables allow more, or give the "
+            "CPDs of some case noise",
             step=step,
             run=run,
         )
@@ -574,7 +639,17 @@ class Taken(NamedTuple):
     cov: Array
     density: Array
     certain: Counts
-    seen: Seen | None
+
+
+def _finite(mean: Array, cov: Array) -> Mask:
+    """Whether moments (n, *batch) and (n, n, *batch) are finite, (*batch)."""
+    return np.asarray(np.isfinite(mean).all(axis=0) & np.isfinite(cov).all(axis=(0, 1)))
+
+
+def _replaced(mean: Array, cov: Array, bad: Mask) -> tuple[Array, Array]:
+    """Moments with N(0, I) where they are bad, (*batch)."""
+    eye = np.eye(len(mean)).reshape(len(mean), len(mean), *(1,) * bad.ndim)
+    return np.where(bad, 0.0, mean), np.where(bad, eye, cov)
 
 
 def _as_runs(mean: Array, cov: Array, which: Integers, copies: int, chain: MomentChain) -> Moments:

@@ -126,7 +126,8 @@ class Marginals:
     def _table(self, scope: Scope, rows: slice) -> Array:
         """The probabilities of discrete variables, (runs, steps, sizes...)."""
         regimes, shares = self.regimes, self.beliefs.regimes[rows]
-        values = np.moveaxis(shares, -1, 0).reshape(-1, len(shares), *regimes.shape)
+        lead = shares.shape[-1], len(shares)
+        values = np.moveaxis(shares, -1, 0).reshape(*lead, *regimes.shape)
         order = [regimes.variables.index(v) for v in discrete(scope)]
         others = tuple(k + 2 for k in range(len(regimes.shape)) if k not in order)
         left = sorted(order)

@@ -131,9 +131,13 @@ def _require_room(given: Given, regimes: Regimes, settings: Settings) -> None:
     bound, pairs = given.bound, settings.count * regimes.size
     each = settings.count * (1 + size + size * size)
     if settings.back:
-        each = 2 * each + pairs * (2 + 2 * size + 4 * size * size)
+        each = 2 * each + 2 * pairs * (2 + size + size * size)
+    merging = 4 * pairs * settings.count
+    if settings.count != regimes.memories:
+        merging += 2 * pairs * min(pairs, settings.count * regimes.size)
+    passing = merging + 8 * pairs * (size + 1) ** 2
     require_memory(
-        (bound.steps + 1) * bound.runs * each + 8 * pairs * bound.runs * (size + 1) ** 2,
+        bound.runs * ((bound.steps + 1) * each + passing),
         f"the beliefs of {settings.count:,} Gaussians with {regimes.size:,} joint states of "
         f"({listed(regimes.variables)}) at {bound.steps + 1:,} steps in {bound.runs:,} runs",
         "keep fewer Gaussians, or give fewer runs or steps to a call",
@@ -165,18 +169,12 @@ class _Record:
 
 def _told(chain: HypothesisChain, kind: Kind, flows: Sequence[tuple[Flow, Array]]) -> Beliefs:
     """The beliefs of all steps by what flows back to each, with the logs of its regimes."""
-    moments = []
-    for step, (flow, _) in enumerate(flows):
-        known = chain.kept[step].known
-        moments.append(
-            flow.message.of(components_last(known.mean, 1), components_last(known.cov, 2))
-        )
     return Beliefs.of(
         kind,
         chain.given.hidden,
         [flow.logs for flow, _ in flows],
-        [mean for mean, _ in moments],
-        [cov for _, cov in moments],
+        [flow.mean for flow, _ in flows],
+        [flow.cov for flow, _ in flows],
         [regimes for _, regimes in flows],
     )
 

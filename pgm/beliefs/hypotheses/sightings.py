@@ -15,7 +15,7 @@ from typing import NamedTuple, NoReturn
 import numpy as np
 
 from pgm.beliefs.hypotheses.cases import Batch, Given
-from pgm.beliefs.hypotheses.measured import Counts, Seen, flowing, nothing
+from pgm.beliefs.hypotheses.counts import Counts
 from pgm.beliefs.moments.steps.chain import MomentChain
 from pgm.beliefs.moments.steps.readings import Moments
 from pgm.beliefs.moments.steps.readings import Reading as Read
@@ -41,14 +41,12 @@ class Tried(NamedTuple):
     logs: The logarithms of the alternatives' probabilities times their densities.
     counts: How many components an alternative makes certain.
     mean, cov: (n, sources, k + 1, runs) and (n, n, ...).
-    seen: What flows back, or None if nothing is to.
     """
 
     logs: Array
     counts: Counts
     mean: Array
     cov: Array
-    seen: Seen | None
 
 
 class OpenSensor:
@@ -124,9 +122,7 @@ class OpenSensor:
             step=step,
         )
 
-    def tried(
-        self, step: int, row: int, sources: Moments, used: Integers | None, *, back: bool
-    ) -> Tried:
+    def tried(self, step: int, row: int, sources: Moments, used: Integers | None) -> Tried:
         """A sighting under each alternative, of sources of moments (n, sources, runs).
 
         `row` counts the sightings of the step. Candidates that are `used`, as bits (sources, runs),
@@ -145,7 +141,6 @@ class OpenSensor:
         uniform = np.where(measured, log_sum(self.unknown.log_outliers, 0), -np.inf)
         logs[:, -1] = np.where(measured, uniform, log_sum(self.unknown.log_shares[-2:], 0))
         counts = np.zeros(shape, dtype=np.intp)
-        seen = nothing(size, shape) if back else None
         for batch in self._of(copies):
             which = batch.which
             own = copies, which.size, runs
@@ -159,9 +154,6 @@ class OpenSensor:
             logs[:, which] += density
             certain = np.broadcast_to(chain.certain.count, chain.plan.batch)
             counts[:, which] = certain.reshape(own)
-            if seen is not None:
-                for whole, each in zip(seen, flowing([part], before, own), strict=True):
-                    whole[:, which] = each
         if used is not None:
             bits = 1 << np.arange(self.unknown.count, dtype=np.int64)
             logs[:, :-1] = np.where(used[:, None] & bits[:, None], -np.inf, logs[:, :-1])
@@ -171,7 +163,7 @@ class OpenSensor:
         # A sighting that nothing explains, where nothing else was declared, is left out.
         lost = (logs == -np.inf).all(axis=(0, 1))
         logs[:, -1] = np.where(lost, 0.0, logs[:, -1])
-        return Tried(logs, counts if counts.any() else 0, mean, cov, seen)
+        return Tried(logs, counts if counts.any() else 0, mean, cov)
 
     def _read(
         self, batch: Batch, step: int, row: int, sources: Moments

@@ -401,3 +401,31 @@ def test_the_rmse_of_a_later_belief_is_not_cut():
     low, high = ax.get_ylim()
     assert low == 0.0
     assert high > max(line.get_ydata().max() for line in ax.lines)
+
+
+def test_ellipses_of_a_mixture_are_as_dark_as_they_weigh():
+    x = pgm.Variable("x", components=("a", "b"))
+    each = pgm.Gaussian(x, [[0.0, 0.0], [5.0, 0.0], [9.0, 9.0]], np.eye(2))
+    ax = pgm.plot.ellipses(pgm.GaussianMixture([0.64, 0.355, 0.005], each))
+    (drawn,) = ax.collections
+    edges = drawn.get_edgecolor()
+    assert len(edges) == 2  # the third is too unlikely to be seen
+    np.testing.assert_allclose(edges[:, 3], 0.75 * np.sqrt([0.64, 0.355]))
+    assert ax.get_xlim()[1] < 9.0
+    plt.close(ax.figure)
+
+
+def test_the_path_of_a_mixture_is_that_of_its_mean():
+    x = pgm.Variable("x", components=("a", "b"))
+    means = np.array([[[0.0, 0.0], [2.0, 0.0]], [[1.0, 1.0], [3.0, 1.0]]])
+    mixture = pgm.GaussianMixture(
+        [[0.5, 0.5], [0.25, 0.75]], pgm.Gaussian(x, means, np.eye(2)), steps=[0, 1]
+    )
+    ax = pgm.plot.trajectory(mixture)
+    (line,) = ax.lines
+    np.testing.assert_allclose(line.get_xydata(), [[1.0, 0.0], [2.5, 1.0]])
+    assert len(ax.collections[0].get_offsets()) == 4
+    assert mixture[1:].steps.tolist() == [1]
+    assert mixture[1].steps is None
+    assert "steps 0..1" in repr(mixture)
+    plt.close(ax.figure)

@@ -60,20 +60,27 @@ def contradicted(parts: Sequence[Measured], mean: Array, left: Array) -> Mask:
     the step's hidden variables. Rounding of the numbers summed up, and of a linearisation, is
     allowed.
     """
-    allowed = [max(CONTRADICTION, rounding) * size for size, rounding in _sizes(parts, mean)]
-    far: Mask = left > np.max(allowed, axis=0)
+    sizes, roundings = _sizes(parts, mean)
+    far: Mask = left > np.maximum(CONTRADICTION * sizes, roundings)
     return far
 
 
-def _sizes(parts: Sequence[Measured], mean: Array) -> list[tuple[Array, float]]:
-    """The size of the numbers of each part, (*batch), and the rounding of its linearisation."""
-    found = []
+def _sizes(parts: Sequence[Measured], mean: Array) -> tuple[Array, Array]:
+    """The size of the numbers that each component is summed up from, and their rounding.
+
+    They are (D, *batch) each; of a sensor that is linearised the largest of its components, which a
+    function may have summed up together.
+    """
+    sizes, roundings = [], []
     for seen in parts:
         # Numbers of this size are summed up to the expected value.
         expected = times(np.abs(seen.matrix), np.abs(mean[seen.sensor.parents]))
-        size = (np.abs(seen.reading) + expected + np.abs(seen.constant)).max(axis=0)
-        found.append((size, _OF_ROUNDING * cancellation(seen.sensor.family)))
-    return found
+        size = np.abs(seen.reading) + expected + np.abs(seen.constant)
+        if not seen.sensor.family.exact:
+            size = np.broadcast_to(size.max(axis=0), size.shape)
+        sizes.append(size)
+        roundings.append(_OF_ROUNDING * cancellation(seen.sensor.family) * size)
+    return np.concatenate(sizes), np.concatenate(roundings)
 
 
 def contradiction(parts: Sequence[Measured], step: int, mean: Array, left: Array) -> None:
@@ -84,7 +91,7 @@ def contradiction(parts: Sequence[Measured], step: int, mean: Array, left: Array
     far = contradicted(parts, mean, left)
     if not far.any():
         return
-    rounded = [_MAGNIFIED * rounding * size for size, rounding in _sizes(parts, mean)]
+    _, roundings = _sizes(parts, mean)
     where = tuple(int(axis[0]) for axis in np.nonzero(far.T))
     run, place = where if far.ndim > 1 else (0, *where)
     heights = [len(seen.value) for seen in parts]
@@ -94,7 +101,7 @@ def contradiction(parts: Sequence[Measured], step: int, mean: Array, left: Array
     if not sensor.family.exact:
         fault += f", as {sensor.family.lineariser!r} linearises it"
     advice = "give the sensor, the motion or the prior some noise"
-    if off <= np.max(rounded, axis=0).T[where[:-1]]:
+    if off <= _MAGNIFIED * roundings.T[where]:
         fault = f"may contradict an exact model, or {sensor.family.lineariser!r} rounds by as much"
         advice = f"use a larger alpha, so that sigma points lie further apart, or {advice}"
     raise NumericalError(
