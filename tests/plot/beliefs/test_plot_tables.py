@@ -267,7 +267,7 @@ def test_rows_refuse_what_they_cannot_draw(belief, settings, told):
 
 def test_bands_stand_one_upon_the_other_and_a_strip_tells_the_right_states():
     values = np.array([[0.5, 0.3, 0.2], [0.1, 0.6, 0.3], [0.0, 0.0, 1.0]])
-    ax = pgm.plot.bands(pgm.Table(COLUMN, values, lead=1), truth=["left", 1, "right"])
+    ax = pgm.plot.bands(pgm.Table(COLUMN, values, lead=3), truth=["left", "middle", "right"])
     tops = [band.get_paths()[0].get_extents().y1 for band in ax.collections[:3]]
     np.testing.assert_allclose(tops, [0.5, 0.8, 1.0])
     assert [text.get_text() for text in ax.get_legend().get_texts()] == list(COLUMN.states)
@@ -281,9 +281,9 @@ def test_bands_stand_one_upon_the_other_and_a_strip_tells_the_right_states():
     ("belief", "options", "words"),
     [
         (pgm.Table(COLUMN, np.ones(3)), {}, "with one leading axis, of steps"),
-        (pgm.Table(COLUMN, np.ones((2, 3)), lead=1), {"truth": [0]}, "a state at each step"),
-        (pgm.Table(COLUMN, np.ones((2, 3)), lead=1), {"colours": ["red"]}, "one for each of 3"),
-        (pgm.Table(pgm.Discrete("many", 13), np.ones((2, 13)), lead=1), {}, "beliefs_over_time"),
+        (pgm.Table(COLUMN, np.ones((2, 3)), lead=2), {"truth": [0]}, "a state at each step"),
+        (pgm.Table(COLUMN, np.ones((2, 3)), lead=2), {"colours": ["red"]}, "one for each of 3"),
+        (pgm.Table(pgm.Discrete("many", 13), np.ones((2, 13)), lead=2), {}, "beliefs_over_time"),
     ],
 )
 def test_bands_refuse_what_they_cannot_draw(belief, options, words):
