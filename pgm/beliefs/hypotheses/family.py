@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from pgm.arguments import public
+from pgm.beliefs.hypotheses import modes
 from pgm.beliefs.hypotheses.online import HypothesisSteps
 from pgm.beliefs.hypotheses.run import Asked, run
 from pgm.beliefs.own.family import BeliefFamily
@@ -42,9 +43,14 @@ class Gaussians(BeliefFamily[Any]):
     Parameters
     ----------
     count : int, optional
-        How many Gaussians in all are kept at each step.
+        How many Gaussians in all are kept at each step; with `starts` how many modes at the most.
     mix : bool
         Whether they are mixed before they are predicted.
+    starts : int
+        Of a nonlinear network without discrete variables the number of starts of iterated
+        smoothers, points of the prior that are sent through the motion; 0 is none. The fixed points
+        that are more than half a deviation apart, whole turns of angles aside, are the modes of the
+        posterior, weighed by their evidence: one call of as many runs.
 
     References
     ----------
@@ -78,17 +84,26 @@ class Gaussians(BeliefFamily[Any]):
 
     count: int | None
     mix: bool
+    starts: int
 
     takes: ClassVar[frozenset[str]] = frozenset({"lineariser", "iterations", "damping", "schedule"})
     beliefs: ClassVar[str] = "mixtures of Gaussians"
     spare: ClassVar[str] = "is not for chains of discrete and continuous variables"
 
-    def __init__(self, count: int | None = None, mix: bool = False) -> None:
+    def __init__(self, count: int | None = None, mix: bool = False, starts: int = 0) -> None:
         if count is not None and (not is_whole(count) or count < 1):
             raise ModelError(f"a count of Gaussians is a whole number, 1 or more, not {count!r}")
         if not isinstance(mix, bool):
             raise ModelError(f"mix says whether Gaussians are mixed, True or False, not {mix!r}")
+        if not is_whole(starts) or starts < 0:
+            raise ModelError(f"starts is a number of smoothers, 0 or more, not {starts!r}")
+        if starts and (mix or count is None):
+            raise ModelError(
+                f"starts={starts} looks for modes of one posterior, of which a count is kept, and "
+                "none are mixed: give pgm.Gaussians(count, starts=...)"
+            )
         self.count, self.mix = None if count is None else int(count), mix
+        self.starts = int(starts)
 
     def require(self, model: DynamicBayesianNetwork) -> None:
         """Refuse a network of discrete variables alone, whose tables are exact."""
@@ -97,10 +112,15 @@ class Gaussians(BeliefFamily[Any]):
 
     def infer(self, graph: DynamicGraph, bound: BoundEvidence, call: Call) -> Outcome[Any]:
         """The outcome of a call's schedule on a dynamic network's graph, given its evidence."""
+        if self.starts:
+            assert self.count is not None
+            return modes.run(graph, bound, call, self.count, self.starts)
         return run(graph, bound, call, Asked(self.count, self.mix))
 
     def online(self, model: DynamicBayesianNetwork, options: dict[str, Any]) -> HypothesisSteps:
         """The steps of an online filter."""
+        if self.starts:
+            raise ModelError(f"{self!r}: starts are of smoothers, not of an online filter")
         return HypothesisSteps(model, Asked(self.count, self.mix), **options)
 
 

@@ -1,0 +1,324 @@
+"""Several modes of one posterior: iterated smoothers from many starts, as runs of one call.
+
+A *start* is a trajectory: a point of the prior, sent through the motion without its noise. From
+each an iterated smoother goes to a *fixed point*, at which all CPDs are linearised; fixed points
+that are apart are the *modes* of the posterior, and the evidence of the model as it is linearised
+there, Laplace's approximation of a mode's mass, weighs them. Arrays have the S starts or K modes
+first, then the runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.beliefs.moments.family import MOMENTS
+from pgm.beliefs.moments.steps.chain import MomentChain
+from pgm.beliefs.moments.steps.plan import ChainPlan
+from pgm.beliefs.moments.steps.readings import Moments
+from pgm.compile import DynamicGraph
+from pgm.display import Summary
+from pgm.errors import EvidenceError, ModelError, PgmError
+from pgm.evidence import BoundEvidence, Reading
+from pgm.evidence.dynamic import Inputs
+from pgm.factors import Gaussian, GaussianMixture
+from pgm.factors.scope import Scope
+from pgm.kernels import roots
+from pgm.kernels.angles import difference
+from pgm.kernels.arrays import Array, Integers, Kind, Mask
+from pgm.kernels.semirings import log_sum
+from pgm.posteriors.belief_kind import SMOOTHED
+from pgm.posteriors.belief_kind import Kind as Knows
+from pgm.posteriors.figures import Figures
+from pgm.posteriors.outcome import Outcome
+from pgm.posteriors.status import Status
+from pgm.posteriors.summaries import over_time
+from pgm.schedules.damping import LevenbergMarquardt
+from pgm.schedules.options import Call
+from pgm.schedules.schedule import ONCE, Smoothing, kind_of
+from pgm.variables import Variable
+
+# Two fixed points are one mode if no component differs by more of its deviations.
+APART = 0.5
+# Linearisations of a smoother from a start, unless a call asks for others.
+ITERATIONS = 50
+
+
+class ModeFigures(Figures):
+    """How the smoothers of several starts went.
+
+    Attributes
+    ----------
+    starts : int
+        How many there were, in each run.
+    arrived : ndarray of int
+        (*runs): how many of them settled.
+    modes : ndarray of int
+        (*runs): how many modes they settled at.
+    """
+
+    starts: int
+    arrived: Integers
+    modes: Integers
+
+    def __init__(self, starts: int, arrived: Integers, modes: Integers) -> None:
+        for array in (arrived, modes):
+            array.flags.writeable = False
+        self._set(starts=starts, arrived=arrived, modes=modes)
+
+    @property
+    def phrases(self) -> list[str]:
+        """The figures in words."""
+        return [
+            f"{_range(self.modes)} modes",
+            f"{_range(self.arrived)} of {self.starts} starts settled",
+        ]
+
+
+def _range(values: Integers) -> str:
+    low, high = (int(values.min()), int(values.max())) if values.size else (0, 0)
+    return str(low) if low == high else f"{low} to {high}"
+
+
+class _Part(NamedTuple):
+    """Some starts, and the outcome of smoothers from them, with an axis of starts before runs."""
+
+    starts: Integers
+    outcome: Outcome[Gaussian]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ModesOutcome(Outcome[GaussianMixture]):
+    """Mixtures of the modes of a chain's posterior; leading axes are runs.
+
+    ``posterior[x]`` is a `GaussianMixture` with the user's axes of runs, then one of steps; its
+    Gaussians are those of the modes.
+    """
+
+    beliefs: ClassVar[str] = "mixtures of several modes"
+    silent: ClassVar[str] = "each mode is of a smoother of its own, and no messages are kept"
+    moving: ClassVar[bool] = True
+
+    graph: DynamicGraph
+    status: Status
+    log_evidence: Array
+    _parts: Sequence[_Part]
+    # By mode the start that found it, (K, runs), and its weight.
+    _index: Integers
+    _weights: Array
+
+    kind: ClassVar[Knows] = SMOOTHED  # type: ignore[misc]
+
+    @property
+    def log_evidence_kind(self) -> str:
+        """``modes``: of the modes that were found, by Laplace's approximation."""
+        return "modes"
+
+    @property
+    def _hidden(self) -> Scope:
+        return (*self.graph.model.states, *self.graph.model.controls)
+
+    def __getitem__(self, variable: Variable) -> GaussianMixture:
+        """The marginal of a hidden variable, at all its steps or at one."""
+        return self._mixture([part.outcome[variable] for part in self._parts])
+
+    def joint(self, *variables: Variable) -> GaussianMixture:
+        """The joint of hidden variables at steps, ``x.at(3)``."""
+        return self._mixture([part.outcome.joint(*variables) for part in self._parts])
+
+    def _mixture(self, each: Sequence[Gaussian]) -> GaussianMixture:
+        lead = np.shape(self.log_evidence)
+        axes = 1 + len(lead)
+        mean = np.concatenate([own.mean for own in each])
+        cov = np.concatenate([own.cov for own in each])
+        count, runs = self._index.shape
+        steps = mean.shape[axes:-1]
+        at = self._index, np.broadcast_to(np.arange(runs), (count, runs))
+
+        def of_modes(values: Array, own: int) -> Array:
+            """Values (S, *lead, *steps, ...) of the modes, (*lead, *steps, K, ...)."""
+            flat = values.reshape(len(values), runs, *values.shape[axes:])
+            chosen = np.moveaxis(flat[at], 0, values.ndim - len(lead) - own)
+            return chosen.reshape(*lead, *chosen.shape[1:])
+
+        weights = np.moveaxis(self._weights, 0, 1).reshape(*lead, *(1,) * len(steps), count)
+        weights = np.broadcast_to(weights, (*lead, *steps, count)).copy()
+        found = Gaussian._make(each[0].scope, of_modes(mean, 1), of_modes(cov, 2))
+        return GaussianMixture._make(weights, found, each[0].steps)
+
+    @property
+    def _title(self) -> str:
+        lead = np.shape(self.log_evidence)
+        runs = f", runs {lead}" if lead else ""
+        return f"Posterior({self.kind}, steps 0..{self.graph.steps}{runs})"
+
+    def _summary(self) -> Summary:
+        lead = np.shape(self.log_evidence)
+        return over_time(self._title, self, self._hidden, lead, self.graph.steps)
+
+
+def run(
+    graph: DynamicGraph, bound: BoundEvidence, call: Call, count: int, starts: int
+) -> ModesOutcome:
+    """The modes at which smoothers from so many starts arrive, `count` at the most."""
+    if kind_of(call.schedule, "modes of one posterior") != SMOOTHED:
+        raise ModelError(
+            f"starts are of smoothers, which find modes of a whole record, not of "
+            f"{call.schedule!r}: use pgm.smooth without a lag"
+        )
+    if graph.model.mixed or any(reading.unknown is not None for reading in bound.readings):
+        raise ModelError(
+            "starts= looks for modes of continuous variables, whose CPDs are nonlinear; discrete "
+            "variables and open sightings have hypotheses already: leave starts out"
+        )
+    schedule = _schedule(call)
+    begun = _begun(graph, bound, call, starts)
+    parts = _arrived(graph, bound, call._replace(schedule=schedule), begun)
+    return _chosen(graph, bound, parts, count, starts)
+
+
+def _schedule(call: Call) -> Smoothing:
+    """The smoother from each start: of many iterations, whose steps lower the cost."""
+    asked = call.schedule
+    if isinstance(asked, Smoothing) and asked.iterations > 1:
+        damping = asked.damping or LevenbergMarquardt()
+        return Smoothing(asked.iterations, asked.tolerance, damping)
+    return Smoothing(ITERATIONS, damping=LevenbergMarquardt())
+
+
+def _repeated(bound: BoundEvidence, count: int) -> BoundEvidence:
+    """The evidence with all its runs so many times, on an axis before them."""
+
+    def tiled(array: npt.NDArray[Kind]) -> npt.NDArray[Kind]:
+        return array if array.shape[1] == 1 else np.concatenate([array] * count, axis=1)
+
+    def inputs(own: Inputs) -> Inputs:
+        return {v: tiled(values) for v, values in own.items()}
+
+    def reading(own: Reading) -> Reading:
+        values, taken = tiled(own.values), tiled(own.taken)
+        return replace(own, values=values, taken=taken, inputs=inputs(own.inputs))
+
+    return replace(
+        bound,
+        lead=(count, *bound.lead),
+        transition=tuple(map(inputs, bound.transition)),
+        readings=tuple(map(reading, bound.readings)),
+        own_runs=bound.runs,
+        form=None,
+    )
+
+
+def _begun(graph: DynamicGraph, bound: BoundEvidence, call: Call, starts: int) -> Array:
+    """The trajectories of the starts, (T+1, starts, runs, n): points of the prior, driven on."""
+    from scipy.stats import norm, qmc  # here, since it is slow to import
+
+    many = _repeated(bound, starts)
+    plan = ChainPlan.make(graph, many, call.lineariser)
+    chain = MomentChain(plan, ONCE, keep=False)
+    mean, cov = chain.start().by_run
+    lower = roots.root(cov)
+    if not np.isfinite(lower).all():
+        raise EvidenceError(
+            "starts= are points of the prior, which has an infinite variance: give it a finite one"
+        )
+    size = mean.shape[-1]
+    whole = 2 ** int(np.ceil(np.log2(starts)))  # points that are balanced
+    white = norm.ppf(qmc.Sobol(size, seed=0).random(whole))[:starts]
+    every = np.repeat(white, bound.runs, axis=0)
+    at = Moments.of(plan, mean + (lower @ every[..., None])[..., 0], np.zeros_like(cov))
+    found = [at.by_run[0]]
+    for step in range(1, bound.steps + 1):
+        moved = chain.predict(step, at)
+        at = Moments(moved.mean, np.zeros_like(moved.cov))
+        found.append(at.by_run[0])
+    return np.stack(found).reshape(bound.steps + 1, starts, bound.runs, size)
+
+
+def _arrived(graph: DynamicGraph, bound: BoundEvidence, call: Call, begun: Array) -> list[_Part]:
+    """The smoothers from all starts; those that fail are left out."""
+    layout = graph.layout
+    left = [np.arange(begun.shape[1])]
+    found: list[_Part] = []
+    refused: PgmError | None = None
+    while left:
+        some = left.pop()
+        start: dict[Variable, Array] = {}
+        for variable, place in layout.places.items():
+            own = np.moveaxis(begun[:, some][..., place], 0, 2)
+            if variable not in layout.states:
+                own = own[..., 1:, :]
+            start[variable] = own.reshape(some.size, *bound.lead, *own.shape[-2:])
+        part = _repeated(bound, some.size)
+        try:
+            outcome = MOMENTS.infer(graph, part, call._replace(start=start))
+        except (PgmError, np.linalg.LinAlgError) as error:
+            if isinstance(error, PgmError):
+                refused = refused or error
+            if some.size > 1:
+                left += [some[: some.size // 2], some[some.size // 2 :]]
+            continue
+        found.append(_Part(some, outcome))
+    if not found:
+        raise refused or ModelError("no smoother from any start has arrived")
+    return found
+
+
+def _chosen(
+    graph: DynamicGraph, bound: BoundEvidence, parts: Sequence[_Part], count: int, starts: int
+) -> ModesOutcome:
+    """The outcome of the modes at which smoothers have arrived."""
+    runs, layout = bound.runs, graph.layout
+
+    def by_start(name: str) -> Array:
+        each = [np.asarray(getattr(part.outcome, name)) for part in parts]
+        return np.concatenate([own.reshape(-1, runs) for own in each])
+
+    logs = by_start("log_evidence")
+    settled = np.concatenate(
+        [np.asarray(part.outcome.status.converged).reshape(-1, runs) for part in parts]
+    )
+    settled &= np.isfinite(logs)
+    none = ~settled.any(axis=0)
+    ranked = np.where(settled | (none & np.isfinite(logs)), logs, -np.inf)
+    mean, std, angles = _trajectories(parts, layout.slice, runs)
+    order = np.argsort(-ranked, axis=0, kind="stable")
+    each, filled = np.arange(runs), np.zeros(runs, dtype=np.intp)
+    index, weights = np.tile(order[0], (count, 1)), np.full((count, runs), -np.inf)
+    for place in order:
+        new = (ranked[place, each] > -np.inf) & (filled < count)
+        for k, other in enumerate(index):
+            off = np.abs(difference(mean[place, each], mean[other, each], angles))
+            wide = std[other, each]
+            apart = np.where(wide > 0.0, off / np.where(wide > 0.0, wide, 1.0), off > 0.0)
+            new &= (k >= filled) | (apart.max(axis=-1, initial=0.0) > APART)
+        at = filled[new], each[new]
+        index[at], weights[at] = place[new], ranked[place, each][new]
+        filled = filled + new
+    found = max(int(filled.max(initial=1)), 1)
+    index, weights = index[:found], weights[:found]
+    total, lead = log_sum(weights, 0), bound.lead
+    figures = ModeFigures(starts, settled.sum(axis=0).reshape(lead), filled.reshape(lead))
+    status = Status(1, np.zeros((0, *lead)), np.asarray(~none.reshape(lead)), _figures=figures)
+    return ModesOutcome(
+        graph, status, np.asarray(total.reshape(lead)), parts, index, np.exp(weights - total)
+    )
+
+
+def _trajectories(parts: Sequence[_Part], hidden: Scope, runs: int) -> tuple[Array, Array, Mask]:
+    """The means and deviations of all slices at each fixed point, (S, runs, all), and angles."""
+    means: list[Array] = []
+    stds: list[Array] = []
+    angles = []
+    for variable in hidden:
+        each = [part.outcome[variable] for part in parts]
+        for found, name in ((means, "mean"), (stds, "std")):
+            whole = np.concatenate([getattr(own, name) for own in each])
+            found.append(whole.reshape(len(whole), runs, -1))
+        steps = each[0].mean.shape[-2]
+        angles.append(np.tile(variable.angle_mask, steps))
+    return np.concatenate(means, -1), np.concatenate(stds, -1), np.concatenate(angles)

@@ -1,0 +1,128 @@
+"""Posteriors of several modes: smoothers from many starts, against a grid."""
+
+import numpy as np
+import pytest
+
+import pgm
+from tests.beliefs.hypotheses.test_switching_chains import READ, far, walk
+
+P, R = pgm.Variable("p", components=("e", "n")), pgm.Variable("r")
+BEACON, PUSH = (pgm.Variable(name, components=("e", "n")) for name in ("beacon", "push"))
+STEPS = 20
+
+
+def ranging(p, beacon):
+    return np.linalg.norm(beacon - p, axis=-1, keepdims=True)
+
+
+# Two beacons on a line, of which ranges alone are known: the other side is as good.
+MIRROR = pgm.DynamicBayesianNetwork(
+    prior=[pgm.GaussianCPD(P, [0.0, 0.3], 1.0)],
+    transition=[pgm.LinearGaussianCPD(P, {P.previous: np.eye(2), PUSH: np.eye(2)}, cov=0.0025)],
+    observation=[pgm.NonlinearGaussianCPD(R, (P, BEACON), ranging, cov=0.01)],
+)
+WHEN = np.repeat(np.arange(1, STEPS + 1), 2)
+WHERE = np.tile([[-3.0, 0.0], [2.0, 0.0]], (STEPS, 1))
+ASKED = {PUSH: np.tile([0.05, 0.0], (STEPS, 1)), R: pgm.sightings(step=WHEN, given={BEACON: WHERE})}
+
+
+def drive(seed):
+    return MIRROR.sample(ASKED, rng=seed).evidence
+
+
+def divergence(evidence, mixture):
+    """KL of a grid's belief at the last step from the mixture."""
+    edges = np.linspace(-4, 5, 241), np.linspace(-4, 4, 221)
+    belief = pgm.Grid({"e": (-4, 5, 240), "n": (-4, 4, 220)})
+    found = pgm.filter(MIRROR, evidence, belief=belief)[P.at(STEPS)].values
+    centres = np.stack(np.meshgrid(*((e[1:] + e[:-1]) / 2 for e in edges), indexing="ij"), -1)
+    cell = np.log(np.prod([e[1] - e[0] for e in edges]))
+    some = found > 1e-14
+    logs = mixture.log_density(centres) + cell
+    return float((found[some] * (np.log(found[some]) - logs[some])).sum())
+
+
+@pytest.mark.parametrize("seed", [1, 3, 8, 11])
+def test_both_modes_of_a_mirror_drive_are_found_and_weighed(seed):
+    evidence = drive(seed)
+    found = pgm.smooth(MIRROR, evidence, belief=pgm.Gaussians(4, starts=8))
+    last = found[P.at(STEPS)]
+    assert last.weights.shape == (2,)
+    assert found.status.modes == 2
+    sides = np.sign(last.components.mean[:, 1])
+    assert sorted(sides.tolist()) == [-1.0, 1.0]
+    assert divergence(evidence, last) < 0.05
+    one = pgm.smooth(MIRROR, evidence, iterations=50)[P.at(STEPS)]
+    away = np.abs(last.components.mean - one.mean).max(axis=1).min()
+    assert away < 1e-3
+
+
+@pytest.mark.slow
+def test_all_of_twenty_mirror_drives():
+    found = []
+    for seed in range(20):
+        evidence = drive(seed)
+        posterior = pgm.smooth(MIRROR, evidence, belief=pgm.Gaussians(4, starts=8))
+        assert posterior.status.modes == 2
+        found.append(divergence(evidence, posterior[P.at(STEPS)]))
+    assert np.mean(found) <= 0.05
+
+
+def test_runs_have_modes_of_their_own_and_joints_over_steps():
+    many = MIRROR.sample(ASKED, runs=(2, 2), rng=5)
+    found = pgm.smooth(MIRROR, many.evidence, belief=pgm.Gaussians(3, starts=8))
+    assert found[P].weights.shape == (2, 2, STEPS + 1, 2)
+    assert found[P].steps.tolist() == list(range(STEPS + 1))
+    joint = found.joint(P.at(3), P.at(4))
+    assert joint.components.mean.shape == (2, 2, 2, 4)
+    values = np.asarray(many.evidence[R].values)
+    for run in np.ndindex(2, 2):
+        seen = pgm.sightings(values[run], step=WHEN, given={BEACON: WHERE})
+        own = {PUSH: ASKED[PUSH], R: seen}
+        alone = pgm.smooth(MIRROR, own, belief=pgm.Gaussians(3, starts=8))
+        assert far(found.log_evidence[run], alone.log_evidence) < 1e-6
+        assert far(found[P].mean[run], alone[P].mean) < 1e-4
+
+
+def test_a_linear_model_has_one_mode_the_exact_one():
+    model = walk().replace(prior=walk().prior[1:], transition=[walk().transition[1].cases[1,]])
+    found = pgm.smooth(model, READ, belief=pgm.Gaussians(4, starts=4))
+    wanted = pgm.smooth(model, READ)
+    assert found.status.modes == 1
+    assert far(found[model.states[0]].mean, wanted[model.states[0]].mean) < 1e-12
+    assert far(found.log_evidence, wanted.log_evidence) < 1e-12
+
+
+def test_modes_a_whole_turn_apart_are_one():
+    heading = pgm.Variable("heading", angles=("heading",))
+    compass = pgm.Variable("compass", angles=("compass",))
+    model = pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(heading, 0.0, 25.0)],
+        transition=[pgm.LinearGaussianCPD(heading, {heading.previous: 1.0}, cov=0.01)],
+        observation=[pgm.NonlinearGaussianCPD(compass, heading, lambda h: h, cov=0.04)],
+    )
+    found = pgm.smooth(model, {compass: [[1.0], [1.1]]}, belief=pgm.Gaussians(4, starts=16))
+    assert found.status.modes == 1
+
+
+def test_starts_that_do_not_settle_are_told():
+    evidence = drive(0)
+    found = pgm.smooth(
+        MIRROR, evidence, iterations=2, tolerance=0.0, belief=pgm.Gaussians(2, starts=8)
+    )
+    assert found.status.arrived == 0
+    assert not found.status.converged
+    assert "0 of 8 starts settled" in repr(found.status)
+
+
+def test_what_cannot_be_is_refused():
+    with pytest.raises(pgm.ModelError, match="of which a count is kept"):
+        pgm.Gaussians(starts=4)
+    with pytest.raises(pgm.ModelError, match="starts is a number"):
+        pgm.Gaussians(2, starts=-1)
+    with pytest.raises(pgm.ModelError, match="starts are of smoothers"):
+        pgm.filter(MIRROR, drive(0), belief=pgm.Gaussians(2, starts=4))
+    with pytest.raises(pgm.ModelError, match="have hypotheses already"):
+        pgm.smooth(walk(), READ, belief=pgm.Gaussians(2, starts=4))
+    with pytest.raises(pgm.ModelError, match="not of an online filter"):
+        pgm.OnlineFilter(MIRROR, belief=pgm.Gaussians(2, starts=4))
