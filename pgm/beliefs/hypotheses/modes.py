@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -88,7 +88,7 @@ class _Part(NamedTuple):
     """Some starts, and the outcome of smoothers from them, with an axis of starts before runs."""
 
     starts: Integers
-    outcome: Outcome[Gaussian]
+    outcome: Any
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -111,7 +111,7 @@ class ModesOutcome(Outcome[GaussianMixture]):
     _index: Integers
     _weights: Array
 
-    kind: ClassVar[Knows] = SMOOTHED  # type: ignore[misc]
+    kind: ClassVar[Knows] = SMOOTHED
 
     @property
     def log_evidence_kind(self) -> str:

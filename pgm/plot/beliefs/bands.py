@@ -86,8 +86,8 @@ def bands(
         )
     if right is not None:
         for state, shade in enumerate(shades):
-            own = np.append(right == state, False)
-            ax.fill_between(edges, *_STRIP, where=own, step="post", color=shade, lw=0)
+            steps = [(step - 0.5, 1.0) for step in np.flatnonzero(right == state).tolist()]
+            ax.broken_barh(steps, (_STRIP[0], _STRIP[1] - _STRIP[0]), color=shade, lw=0)
     ax.set_xlim(edges[0], edges[-1])
     ax.set_ylim(0.0, 1.0 if right is None else _STRIP[1])
     ax.set_yticks([0.0, 0.5, 1.0])
