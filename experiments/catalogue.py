@@ -23,7 +23,9 @@ from experiments import (
     learning,
     linearisers,
     localisation,
+    manoeuvre,
     maze,
+    mirror,
     nonlinear_measurement,
     particle_counts,
     plaza,
@@ -33,6 +35,7 @@ from experiments import (
     slam,
     smoothing,
     topological,
+    two_targets,
     wide_start,
 )
 
@@ -68,6 +71,11 @@ THEMES: dict[str, dict[str, ModuleType]] = {
         "grid_localisation": grid_localisation,
         "global_localisation": global_localisation,
         "kidnapped": kidnapped,
+    },
+    "Modes and identities that no one has named": {
+        "manoeuvre": manoeuvre,
+        "two_targets": two_targets,
+        "mirror": mirror,
     },
     "Graphs and messages": {
         "basics": basics,

@@ -240,6 +240,29 @@ FINDINGS = {
         "{at_truth/smoother/place:.2f} in the smoother, its right heading "
         "{at_truth/filter/heading:.2f} and {at_truth/smoother/heading:.2f}.",
     ),
+    "manoeuvre": Finding(
+        "What does it gain to know the ways in which a target moves?",
+        "Over {settings/runs} targets that turn now and then the place is off by "
+        "{methods/one motion/smoother:.2f} m (RMSE, smoothed) with one motion of larger noise, by "
+        "{methods/IMM/smoother:.2f} m with the interacting multiple model, and by "
+        "{methods/3 Gaussians/smoother:.2f} and {methods/9 Gaussians/smoother:.2f} m with three "
+        "and nine Gaussians, whose mode is the right one in {methods/3 Gaussians/right:.0%} and "
+        "{methods/9 Gaussians/right:.0%} of the steps.",
+    ),
+    "two_targets": Finding(
+        "What is lost by taking the likeliest source of a reading?",
+        "Where two targets cross, a filter that takes the likeliest has a NEES of "
+        "{methods/the likeliest, 1/nees:.2f} a component, and loses or swaps them in "
+        "{methods/the likeliest, 1/lost:.0%} of the runs; summed over all that a reading may be "
+        "these are {methods/summed, 1/nees:.2f} and {methods/summed, 1/lost:.0%}, with one "
+        "Gaussian.",
+    ),
+    "mirror": Finding(
+        "Are both places found where ranges leave two open?",
+        "From {settings/starts} starts both were found in {found_both:.0%} of "
+        "{settings/drives} drives; the mean KL divergence of a grid from their mixture is "
+        "{mean_divergence:.3f} nats.",
+    ),
 }
 
 

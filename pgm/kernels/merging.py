@@ -34,9 +34,6 @@ from pgm.kernels.step import nearest
 # Covariances are widened by this share of the mixture's for the losses of merging, which invert
 # them: a component may be certain.
 _WIDENED = 1e-9
-# A ratio of densities may widen a variance of a member by one over this: a member that is widened
-# more is far from where the ratio was found, and may be carried away altogether.
-_LEAST = 0.5
 
 
 def normalised(logs: Array) -> tuple[Array, Array]:
@@ -212,14 +209,11 @@ class Split(NamedTuple):
 
     logs: The log-weights of the members given all evidence, within their component.
     mean, cov: Their smoothed moments, (members, *batch, n) and (members, *batch, n, n).
-    divided: Whether it was by the ratio of smoothed and filtered beliefs, (components, *batch);
-        else each member has the smoothed moments of its component.
     """
 
     logs: Array
     mean: Array
     cov: Array
-    divided: Mask
 
 
 def split(
@@ -246,9 +240,10 @@ def split(
               \ln \int = -\tfrac12 \ln D + (\mu^2 (p - 1) + 2 \mu m - m^2 (1 - w)) / (2 D).
 
     Nothing is divided by but D, so that evidence may make a component certain, w = 0, or say
-    nothing of it, w = 1. Where it widens a belief, w > 1, D may have any sign for a member that is
-    wider than its component; where D < w / 2 for some member, each member of the component takes
-    the component's smoothed moments, as Kim (1994) has it, and keeps its weight.
+    nothing of it, w = 1. No evidence widens a Gaussian's belief; where that of a component, which
+    stands for several, came back wider, w is taken as 1, and the ratio is exp(μ y − μ² / 2). As a
+    density's it would have no integral for members that are wider than 1 / (w − 1), and carry
+    others away step by step. A component's only member takes its belief as it is.
 
     `later` are b (components, *batch, n) and W, `known` a and V; `owner`, `logs` (members, *batch)
     and `members`, m and P, are of the members, their angles on the component's branch.
@@ -263,20 +258,18 @@ def split(
     alive = own & (logs > -np.inf)
     alone = alive.sum(axis=1) <= 1
     if alone.all():
-        return Split(_within(own, logs, at), later[0][at], later[1][at], alone)
+        return Split(_within(own, logs, at), later[0][at], later[1][at])
     turned = (transpose(axes) @ into)[at]
     m = apply(turned, members[0] - mean[at])
     p = symmetric(sandwich(turned, members[1]))
     gained = np.zeros(logs.shape)
-    proper = np.ones(logs.shape, dtype=bool)
     for k in range(size):
-        w, mu = spread[..., k][at], middle[..., k][at]
+        w, mu = np.minimum(spread[..., k], 1.0)[at], middle[..., k][at]
         column, variance, place = p[..., :, k], p[..., k, k], m[..., k]
         scale = variance * (1.0 - w) + w
-        proper &= scale >= _LEAST * w
-        scale = np.where(proper & (scale > 0.0), scale, 1.0)
-        gained -= 0.5 * np.log(scale)
+        scale = np.where(scale > 0.0, scale, 1.0)
         off = mu - place * (1.0 - w)
+        gained -= 0.5 * np.log(scale)
         gained += (mu * mu * (variance - 1.0) + 2.0 * mu * place - place * place * (1.0 - w)) / (
             2.0 * scale
         )
@@ -286,16 +279,14 @@ def split(
         noise = ((1.0 - w) * w / scale**2)[..., None, None]
         p = sandwich(keep, p) + noise * column[..., :, None] * column[..., None, :]
         p = symmetric(p)
-    whole = (proper | ~alive).all(axis=1)
     back = (out @ axes)[at]
     found = mean[at] + apply(back, m), symmetric(sandwich(back, p))
-    plain = (alone | ~whole)[at]
+    only = alone[at]
     smoothed = [
-        np.where(plain.reshape(*plain.shape, *(1,) * (part.ndim - plain.ndim)), kept[at], part)
+        np.where(only.reshape(*only.shape, *(1,) * (part.ndim - only.ndim)), kept[at], part)
         for part, kept in zip(found, later, strict=True)
     ]
-    total = logs + np.where(plain, 0.0, gained)
-    return Split(_within(own, total, at), smoothed[0], smoothed[1], whole | alone)
+    return Split(_within(own, logs + np.where(only, 0.0, gained), at), *smoothed)
 
 
 def _within(own: Mask, logs: Array, at: tuple[Any, ...]) -> Array:

@@ -26,6 +26,9 @@ LOOKED_AT = {
     "maze",
     "topological",
     "grid_localisation",
+    "manoeuvre",
+    "two_targets",
+    "mirror",
 }
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from pgm.beliefs.hypotheses.chain import HypothesisChain, Kept, Pairs, Stage
 from pgm.beliefs.moments.steps.readings import Moments
-from pgm.kernels.arrays import Array, Mask, components_last
+from pgm.kernels.arrays import Array, components_last
 from pgm.kernels.merging import joined, split
 from pgm.kernels.moments import push
 from pgm.kernels.semirings import log_sum
@@ -31,17 +31,10 @@ class Flow(NamedTuple):
 
 
 class BackwardChain:
-    """The backward pass over a forward pass that was kept.
-
-    Attributes
-    ----------
-    undivided : ndarray of int
-        (runs,): how many times the ratio of smoothed and filtered beliefs did not serve.
-    """
+    """The backward pass over a forward pass that was kept."""
 
     def __init__(self, chain: HypothesisChain) -> None:
         self.chain = chain
-        self.undivided = np.zeros(chain.runs, dtype=np.intp)
 
     def last(self, step: int) -> Flow:
         """The components of a step whose belief knows no later evidence."""
@@ -75,12 +68,8 @@ class BackwardChain:
             members.logs,
             (components_last(members.mean, 1), components_last(members.cov, 2)),
         )
-        self._count(found.divided, flow.logs)
         logs = found.logs + np.take_along_axis(flow.logs, stage.owner, axis=0)
         return Flow(logs, found.mean + components_last(stage.turned, 1), found.cov)
-
-    def _count(self, divided: Mask, logs: Array) -> None:
-        self.undivided += (~divided & (logs > -np.inf)).sum(axis=0)
 
     def _moved_back(self, step: int, kept: Kept, flow: Flow) -> Flow:
         """The components of a step, by the pairs of the step after."""
@@ -108,7 +97,6 @@ class BackwardChain:
             mixed.logs,
             (components_last(mixed.members, 1), components_last(mixed.cov, 2)),
         )
-        self._count(found.divided[0], later.logs)
         turned = components_last(mixed.turned, 1)
         return Flow(found.logs + later.logs[None], found.mean + turned, found.cov)
 

@@ -92,7 +92,8 @@ def bands(
     ax.set_ylim(0.0, 1.0 if right is None else _STRIP[1])
     ax.set_yticks([0.0, 0.5, 1.0])
     if right is not None:
-        ax.set_yticks([0.0, 0.5, 1.0, sum(_STRIP) / 2], ["0", "0.5", "1", "truth"])
+        middle = 1.01, sum(_STRIP) / 2
+        ax.annotate("truth", middle, xycoords=ax.get_yaxis_transform(), va="center", size="small")
     name_axes(ax, "step", f"probability of {variable.name}")
     ax.legend(
         loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=min(variable.size, 4), frameon=False
