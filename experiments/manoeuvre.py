@@ -109,6 +109,8 @@ def _figure(several: Any, one: Any, drawn: Any) -> Figure:
         first = pgm.Table(switching.mode, table.probabilities[0], lead=len(drawn[target][0]))
         pgm.plot.bands(first, truth=drawn[switching.mode][0], ax=axes[name])
         axes[name].set_ylabel(f"probability, {own.kind}")
-    axes["in hindsight"].get_legend().remove()
+    legend = axes["in hindsight"].get_legend()
+    assert legend is not None
+    legend.remove()
     plt.close(figure)
     return figure

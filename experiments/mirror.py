@@ -24,7 +24,7 @@ from models.switching import beacon, place, push, range_to
 QUICK: dict[str, Any] = {"drives": 2}
 STEPS = 20
 BEACONS = np.array([[-3.0, 0.0], [2.0, 0.0]])
-CELLS = {"east": (-4, 5, 240), "north": (-4, 4, 220)}
+CELLS: dict[str, Any] = {"east": (-4, 5, 240), "north": (-4, 4, 220)}
 Array = npt.NDArray[np.float64]
 
 
@@ -98,8 +98,11 @@ def _divergence(cells: Any, log_density: Any) -> float:
 
 def _figure(cells: Any, mixture: Any) -> Figure:
     figure, ax = plt.subplots(figsize=(8.0, 4.6), layout="constrained")
-    pgm.plot.grid_map(cells, landmarks=BEACONS, unit="m", ax=ax)
+    pgm.plot.grid_map(cells, unit="m", ax=ax)
+    ax.plot(*BEACONS.T, "^", color="#222222", label="beacons")
     pgm.plot.ellipses(mixture, colour="#D55E00", label="modes", ax=ax)
+    ax.legend(frameon=False, loc="upper right")
+    ax.set_aspect("equal", adjustable="box")
     ax.set(xlim=(-3.6, 2.6), ylim=(-1.6, 1.6))
     plt.close(figure)
     return figure

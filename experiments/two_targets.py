@@ -75,7 +75,7 @@ def _tracked(
         options["gate"] = 0.9999
     if clutter:
         options |= {"spurious": clutter, "volume": VOLUME}
-    whose = {either: pgm.unknown([first, second], **options)}
+    whose: dict[pgm.Variable, Any] = {either: pgm.unknown([first, second], **options)}
     evidence = {switching.blip: pgm.sightings(drawn.blips, step=drawn.step, given=whose)}
     model = switching.crossing()
     return pgm.smooth(model, evidence, steps=steps, belief=pgm.Gaussians(count))

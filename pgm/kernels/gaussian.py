@@ -55,8 +55,9 @@ _MILD = 1e3
 # Of a batch lines of Python are quicker than products of arrays up to n d (n + d) of this size, and
 # so many runs.
 _FEW, _SHORT = 54, 2000
-# But beyond this size and up to so many runs LAPACK is quickest, run by run.
-_BRIEF, _STACKED = 16, 64
+# But beyond this size and up to so many runs LAPACK is quickest, run by run. Parts of 32
+# runs have the bits of the whole.
+_BRIEF, _STACKED = 16, 31
 
 
 def deviations(cov: Array) -> Array:

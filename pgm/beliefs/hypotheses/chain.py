@@ -350,7 +350,7 @@ class HypothesisChain:
             self.kept.append(Kept([*stages, stage], pairs, known))
         return known, total
 
-    def update(self, step: int, pairs: Pairs) -> tuple[Pairs, Array]:
+    def observe(self, step: int, pairs: Pairs) -> tuple[Pairs, Array]:
         """The pairs given some measurements of a step, to which others may be added."""
         _, members, total = self._informed(step, pairs)
         count = self.regimes.size

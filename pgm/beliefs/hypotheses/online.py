@@ -184,7 +184,7 @@ class HypothesisSteps(InCode, Immutable):
         bound = step_evidence.readings(self.model, belief, given, among=True)
         belief = self._of_runs(belief, bound.lead)
         chain = self._chain(bound, belief.step)
-        pairs, density = chain.update(0, belief._pairs)
+        pairs, density = chain.observe(0, belief._pairs)
         total = belief.log_evidence.reshape(-1) + density
         return self._belief(chain, belief.step, FILTERED, pairs, total)
 

@@ -29,6 +29,7 @@ STEPPING = {
     ("pgm.beliefs.moments.online.moment_steps", "MomentSteps"),
     ("pgm.beliefs.moments.online.compiled", "CompiledSteps"),
     ("pgm.beliefs.markov.online", "TableSteps"),
+    ("pgm.beliefs.hypotheses.online", "HypothesisSteps"),
     ("pgm.beliefs.points.filter", "PointFilter"),
 }
 
