@@ -24,7 +24,7 @@ from models.switching import beacon, place, push, range_to
 QUICK: dict[str, Any] = {"drives": 2}
 STEPS = 20
 BEACONS = np.array([[-3.0, 0.0], [2.0, 0.0]])
-CELLS: dict[str, Any] = {"east": (-4, 5, 240), "north": (-4, 4, 220)}
+CELLS: dict[str | pgm.Variable, Any] = {"east": (-4, 5, 240), "north": (-4, 4, 220)}
 Array = npt.NDArray[np.float64]
 
 
