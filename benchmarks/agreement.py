@@ -126,6 +126,18 @@ def ways(library: str, ours: Array, theirs: Array) -> None:
     _require(library, "places and headings", away / np.array([1.0, 1.0, 0.2]), 1.0)
 
 
+def modes(library: str, ours: tuple[Array, Array], theirs: tuple[Array, Array]) -> None:
+    """Probabilities of modes to 1e-9, means of states to 1e-7 of their units.
+
+    Raises
+    ------
+    AssertionError
+        Where they differ.
+    """
+    _require(library, "probabilities of modes", theirs[0] - ours[0], 1e-9)
+    _require(library, "means", theirs[1] - ours[1], 1e-7)
+
+
 def marginals(library: str, ours: list[Array], theirs: list[Array]) -> None:
     """Probabilities.
 

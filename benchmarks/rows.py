@@ -12,6 +12,7 @@ from benchmarks.work import (
     clouds,
     fields,
     landmarks,
+    manoeuvres,
     pose_graphs,
     repository,
     robots,
@@ -250,6 +251,43 @@ def markov_shifts() -> Row:
         size=100,
         quick=20,
         timed=least,
+    )
+
+
+def switching(kind: str, modes: int) -> Row:
+    """One target with several motions, by the interacting multiple model or its peer of order 2.
+
+    filterpy has the former alone, which costs less.
+    """
+    return Row(
+        name=f"{kind}_{modes}",
+        unit="step",
+        work=lambda size: manoeuvres.draw(modes, size),
+        contenders={
+            "pgm": part("pgm_manoeuvres", "filtering", kind),
+            "filterpy": part("filterpy_manoeuvres", "filtering"),
+        },
+        check=agreement.modes,
+        size=2_000,
+        quick=500,
+        unchecked=frozenset() if kind == "imm" else frozenset({"filterpy"}),
+    )
+
+
+def switching_runs() -> Row:
+    """A thousand targets of two motions, in one call."""
+    return Row(
+        name="imm_runs",
+        unit="run and step",
+        work=lambda size: manoeuvres.draw(2, 60, runs=size),
+        contenders={
+            "pgm": part("pgm_manoeuvres", "filtering", "imm"),
+            "filterpy": part("filterpy_manoeuvres", "filtering"),
+        },
+        check=agreement.modes,
+        size=1_000,
+        quick=1_000,
+        most={"filterpy": 5},
     )
 
 
@@ -551,6 +589,9 @@ ROWS = [
     hidden_markov(10, steps=10_000, quick=10_000),
     markov_runs(),
     markov_shifts(),
+    *(switching("imm", modes) for modes in (2, 3, 5)),
+    *(switching("gpb2", modes) for modes in (2, 3)),
+    switching_runs(),
     *(on_grid(each, kind) for kind in rooms.KINDS for each in ("filter", "smoother")),
     *(bootstrap(functions) for functions in clouds.FUNCTIONS),
     backwards(),

@@ -34,6 +34,8 @@ CHEAPER = (  # row, peer, how many times our cost may be the peer's
     ("rts_unscented", "filterpy", 0.5),
     ("online_taylor", "filterpy", 1.3),
     ("online_unscented", "filterpy", 0.6),
+    *((f"imm_{modes}", "filterpy", 0.6) for modes in (2, 3, 5)),
+    *((f"gpb2_{modes}", "filterpy", 0.6) for modes in (2, 3)),
     *((name, "stonesoup", 0.4) for name in ("grid_filter", "grid_wide_filter")),
 )
 FASTEST = (  # row, peer, how many times our cost its fastest way must be
