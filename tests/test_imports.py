@@ -39,7 +39,7 @@ ROOMS = {
         *("grid", "particles"),
     ),
     "pgm.beliefs.moments": (
-        *("steps", "compiled", "passes", "digits", "smoothers"),
+        *("steps", "compiled", "passes", "trajectories", "digits", "smoothers"),
         *("association", "outcomes", "bound", "solvers", "parts", "online"),
     ),
     "pgm.inference": ("audit", "query", "growing"),

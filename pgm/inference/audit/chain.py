@@ -27,17 +27,16 @@ from pgm.beliefs.moments.passes import backward
 from pgm.beliefs.moments.passes.backward import Beliefs, Reverse
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.sensor import Sensor
-from pgm.compile import SliceLayout
+from pgm.beliefs.moments.trajectories.density import Links, Term, has_exact
+from pgm.beliefs.moments.trajectories.law import ChainLaw
+from pgm.beliefs.moments.trajectories.proposal import Path
 from pgm.errors import NumericalError
 from pgm.factors.scope import positions
 from pgm.inference.audit import chain_modes
 from pgm.inference.audit.corrected import Sums
-from pgm.inference.audit.density import Links, Term, has_exact
 from pgm.inference.audit.draws import Draws, Strand
 from pgm.inference.audit.excursions import PREDICTED, Excursions
 from pgm.inference.audit.modes import MOST, Modes
-from pgm.inference.audit.proposal import Path, Proposal
-from pgm.kernels import moments
 from pgm.kernels.arrays import Array, Mask, block, transpose
 from pgm.kernels.dense import Stack
 from pgm.kernels.moments import Conditional
@@ -130,11 +129,7 @@ class ChainDraws:
             measurements.
         """
         relative = reference is not None
-        prior, transition = (
-            [(link, Term.make(link.family, relative=relative)) for link in links]
-            for links in (plan.prior, plan.transition)
-        )
-        law = _Law(plan.layout, prior, transition)
+        law = ChainLaw.make(plan, relative=relative)
         answer = law.path(beliefs, reverse.states)
         modes = Modes.none(plan.runs)
         if relative or answer.regular:
@@ -144,8 +139,8 @@ class ChainDraws:
             plan,
             answer,
             modes,
-            prior,
-            transition,
+            law.prior,
+            law.transition,
             [
                 (sensor, Term.make(sensor.family, relative=relative, taken=sensor.taken))
                 for sensor in plan.sensors
@@ -283,61 +278,6 @@ class ChainDraws:
         relative, the model's own CPDs.
         """
         return Excursions(self.plan.steps + 1, 0.0 if self.relative else PREDICTED)
-
-
-@dataclass(frozen=True, eq=False)
-class _Law:
-    """Makes, from smoothed moments, Gaussian laws by which trajectories are drawn forward in time.
-
-    layout: Where variables stand in the vectors of states, slices and pairs.
-    prior, transition: Pairs of a CPD's `Link` and its `Term`.
-    """
-
-    layout: SliceLayout
-    prior: Links
-    transition: Links
-
-    def onward(self, beliefs: Beliefs, states: Conditional) -> Conditional:
-        """The conditionals p(slice at t + 1 | states at t, z), (T, runs, ...), z all measurements.
-
-        Bayes' rule makes them of `states`, the conditionals p(states at t | slice at t + 1,
-        measurements up to t), (T, runs, ...), and `beliefs`, the smoothed moments of all slices.
-        """
-        mean, cov, places = beliefs.mean, beliefs.cov, self.layout.state_places
-        before = block(cov[:-1], places, places)
-        return moments.reverse(
-            mean[1:], cov[1:], states.matrix, states.cov, mean[:-1][..., places], before
-        )
-
-    def path(self, beliefs: Beliefs, states: Conditional) -> Path:
-        """The law of trajectories: the states at step 0, then each slice given the states before.
-
-        `beliefs` are the smoothed moments of all slices, `states` the conditionals p(states at t |
-        slice at t + 1, measurements up to t), (T, runs, ...).
-        """
-        places, front = self.layout.state_places, self.layout.state_size
-        mean, cov = beliefs.mean[:1][..., places], block(beliefs.cov[:1], places, places)
-        start = Conditional(np.zeros((1, *cov.shape[1:-1], 0)), mean, cov)
-        free = _free(self.transition, (len(beliefs.mean) - 1, *beliefs.mean.shape[1:]), front)
-        return Path(
-            Proposal.make(start, _free(self.prior, mean.shape, 0)),
-            Proposal.make(self.onward(beliefs, states), free),
-        )
-
-
-def _free(links: Links, shape: tuple[int, ...], start: int) -> Mask:
-    """The mask of components that have noise given their parents, in the `shape` given.
-
-    links: The CPDs of the prior, or those of the transition.
-    shape: For the prior (1, runs, components of the states); for the transition (T, runs, n), with
-        a row for each step from 1 on.
-    start: The place at which the components begin in the vector of the links: 0 for the prior; for
-        the transition, whose pair has the states before first, their number of components.
-    """
-    free = np.zeros(shape, dtype=bool)
-    for link, term in links:
-        free[..., link.child.start - start : link.child.stop - start] = term.free()
-    return free
 
 
 def _refuse_grouped(plan: ChainPlan) -> None:

@@ -22,11 +22,11 @@ import numpy as np
 from pgm.beliefs.moments.passes.backward import Beliefs
 from pgm.beliefs.moments.smoothers import parallel, smoother
 from pgm.beliefs.moments.steps.plan import ChainPlan
+from pgm.beliefs.moments.trajectories.proposal import Path
 from pgm.errors import ModelError, PgmError
 from pgm.factors.scope import angle_mask
 from pgm.inference.audit.drives import starts
 from pgm.inference.audit.modes import MOST, FixedPoints, Modes, choose
-from pgm.inference.audit.proposal import Path
 from pgm.inference.audit.repeated import repeated
 from pgm.kernels.arrays import Array, deviation, quiet
 from pgm.kernels.moments import Conditional

@@ -18,10 +18,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.inference.audit.density import Afresh
+from pgm.beliefs.moments.trajectories.density import Afresh
+from pgm.beliefs.moments.trajectories.proposal import Path
 from pgm.inference.audit.excursions import PREDICTION, TAILS, Excursions
 from pgm.inference.audit.modes import Modes
-from pgm.inference.audit.proposal import Path
 from pgm.kernels.arrays import Array, Integers
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.beliefs.moments.steps.plan import ChainPlan
-from pgm.inference.audit.density import Term
+from pgm.beliefs.moments.trajectories.density import Term
 from pgm.inference.audit.starts import images, white_points
 from pgm.kernels.arrays import Array, Integers
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pgm.beliefs.moments.trajectories.proposal import Path
 from pgm.errors import NumericalError
-from pgm.inference.audit.proposal import Path
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Integers, Mask
 

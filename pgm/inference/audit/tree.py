@@ -17,14 +17,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.beliefs.gaussian.outcome import GaussianOutcome
+from pgm.beliefs.moments.trajectories.density import has_exact
+from pgm.beliefs.moments.trajectories.proposal import Path, Proposal
 from pgm.errors import GraphError
 from pgm.inference.audit import tree_modes
 from pgm.inference.audit.corrected import Sums
-from pgm.inference.audit.density import has_exact
 from pgm.inference.audit.draws import Draws, Strand
 from pgm.inference.audit.excursions import PREDICTED, Excursions
 from pgm.inference.audit.modes import MOST, Modes
-from pgm.inference.audit.proposal import Path, Proposal
 from pgm.inference.audit.tree_density import TreeDensity
 from pgm.kernels.arrays import Array, block
 from pgm.kernels.moments import Conditional

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.beliefs.gaussian.model import Model
-from pgm.inference.audit.density import Afresh, Term
+from pgm.beliefs.moments.trajectories.density import Afresh, Term
 from pgm.kernels.arrays import Array, Mask
 
 

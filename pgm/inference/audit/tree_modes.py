@@ -20,10 +20,10 @@ from pgm.beliefs.gaussian.prior import prior_predictive
 from pgm.beliefs.gaussian.reweighting import reweigh
 from pgm.beliefs.gaussian.solving import TreeSolver
 from pgm.beliefs.gaussian.tree import TreePlan
+from pgm.beliefs.moments.trajectories.proposal import Path
 from pgm.errors import PgmError
 from pgm.factors.scope import angle_mask
 from pgm.inference.audit.modes import MOST, FixedPoints, Modes, choose
-from pgm.inference.audit.proposal import Path
 from pgm.inference.audit.repeated import of_family, tiled
 from pgm.inference.audit.starts import images, white_points
 from pgm.inference.audit.tree_density import TreeDensity

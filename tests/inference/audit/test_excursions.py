@@ -6,7 +6,7 @@ import pytest
 import pgm
 from pgm.inference.audit.chain import ChainDraws
 from pgm.inference.audit.excursions import AFTER, BEFORE, END, PREDICTION, TAILS, Excursions
-from pgm.inference.audit.student import FREEDOM, log_ratio
+from pgm.beliefs.moments.trajectories.student import FREEDOM, log_ratio
 
 a, z = pgm.variables("a z")
 

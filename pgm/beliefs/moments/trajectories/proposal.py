@@ -13,8 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
+from pgm.beliefs.moments.trajectories.student import log_ratio, stretch
 from pgm.errors import NumericalError
-from pgm.inference.audit.student import log_ratio, stretch
 from pgm.kernels import moments, normal_density, roots, solving
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, transpose
 from pgm.kernels.moments import Conditional

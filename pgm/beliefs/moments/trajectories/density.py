@@ -23,10 +23,10 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from pgm.beliefs.moments.steps.plan import Link
+from pgm.beliefs.moments.trajectories.student import log_ratio, stretch
 from pgm.cpds import RobustNoise
 from pgm.errors import LinearisationError, NumericalError, PgmError
 from pgm.factors.scope import names
-from pgm.inference.audit.student import log_ratio, stretch
 from pgm.kernels import normal_density, roots, solving
 from pgm.kernels.angles import difference, nearest_branch
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, independent, inner, transpose

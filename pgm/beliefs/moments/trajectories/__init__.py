@@ -1,0 +1,1 @@
+"""Draws of whole trajectories from Gaussian laws, and their densities by the model."""
