@@ -26,9 +26,8 @@ from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
 from pgm.beliefs.moments.passes import backward
 from pgm.beliefs.moments.passes.backward import Beliefs, Reverse
 from pgm.beliefs.moments.steps.plan import ChainPlan
-from pgm.beliefs.moments.steps.sensor import Sensor
-from pgm.beliefs.moments.trajectories.density import Links, Term, has_exact
-from pgm.beliefs.moments.trajectories.law import ChainLaw
+from pgm.beliefs.moments.trajectories.density import has_exact
+from pgm.beliefs.moments.trajectories.model import ChainModel
 from pgm.beliefs.moments.trajectories.proposal import Path
 from pgm.errors import NumericalError
 from pgm.factors.scope import positions
@@ -48,16 +47,12 @@ from pgm.posteriors.belief_kind import SMOOTHED
 class ChainDraws:
     """Trajectories from q or from the defensive density, drawn forward in time.
 
-    plan : ChainPlan
-        The linearised chain with its evidence.
+    model : ChainModel
+        The densities of the linearised chain with its evidence.
     answer : Path
         The law q of the smoothed trajectories.
     modes : Modes
         Gaussians at other modes, for defensive draws.
-    prior, transition : list
-        Pairs of a CPD's `Link` and its `Term`.
-    sensors : list
-        Pairs of a `Sensor`, which has the measurements, and its `Term`.
     reference : ndarray
         (runs,): added to all log-densities: ln p(z) of the linearised model where they are
         `relative`, else zero.
@@ -71,12 +66,9 @@ class ChainDraws:
         (T, runs, ...): each slice given the states before and all measurements.
     """
 
-    plan: ChainPlan
+    model: ChainModel
     answer: Path
     modes: Modes
-    prior: Links
-    transition: Links
-    sensors: list[tuple[Sensor, Term]]
     reference: Array
     relative: bool
     beliefs: Beliefs
@@ -129,28 +121,28 @@ class ChainDraws:
             measurements.
         """
         relative = reference is not None
-        law = ChainLaw.make(plan, relative=relative)
+        model = ChainModel.make(plan, relative=relative)
+        law = model.law
         answer = law.path(beliefs, reverse.states)
         modes = Modes.none(plan.runs)
         if relative or answer.regular:
             most = 0 if relative else MOST
             modes = chain_modes.find(plan, beliefs, reverse.states, law.path, most)
         return cls(
-            plan,
+            model,
             answer,
             modes,
-            law.prior,
-            law.transition,
-            [
-                (sensor, Term.make(sensor.family, relative=relative, taken=sensor.taken))
-                for sensor in plan.sensors
-            ],
             np.zeros(plan.runs) if reference is None else reference,
             relative,
             beliefs,
             judged,
             law.onward(beliefs, reverse.states),
         )
+
+    @property
+    def plan(self) -> ChainPlan:
+        """The linearised chain with its evidence."""
+        return self.model.plan
 
     @property
     def width(self) -> int:
@@ -212,63 +204,12 @@ class ChainDraws:
         density. Where a function of the model is NaN or infinite at a defensive draw, the model's
         log-density is NaN; at a draw from q, a LinearisationError is raised.
         """
-        plan, layout = self.plan, self.plan.layout
-        shape, places, front = (plan.runs, count), layout.state_places, layout.state_size
-        total = np.repeat(self.reference[:, None], count, axis=1)
+        shape = self.plan.runs, count
         strand = Strand(
             self.answer, self.modes, self.excursions, shape, rng, defensive, self.relative
         )
-        states, values = np.zeros((*shape, 0)), []
-        for step in range(plan.steps + 1):
-            links = self.transition if step else self.prior
-            row = max(step - 1, 0)
-            fresh, afresh = strand.propose(states)
-            vector = np.concatenate([states, fresh], axis=-1)
-            start = states.shape[-1]
-            predicted = np.zeros(shape)
-            for link, term in links:
-                drawn = term.child(
-                    row,
-                    vector[..., link.parents],
-                    vector[..., link.child],
-                    afresh,
-                    strict=not defensive,
-                )
-                vector[..., link.child] = drawn.values
-                predicted += drawn.log_tails
-                total += np.where(drawn.lost, np.nan, drawn.log_density)
-            strand.weigh(states, vector[..., start:], predicted)
-            if step:
-                pair = vector
-            else:
-                pair = np.zeros((*shape, front + layout.slice_size))
-                pair[..., front:][..., places] = vector
-            slices = pair[..., front:]
-            total += self._readings(step, slices, strict=not defensive)
-            values.append(pair)
-            states = slices[..., places]
-        return strand.drawn(total, values)
-
-    def _readings(self, step: int, slices: Array, *, strict: bool) -> Array:
-        """The log-density (runs, S) of a step's measurements at draws of its slice (runs, S, n).
-
-        A function value that is not finite raises a LinearisationError if `strict`; if not, the
-        log-density of the draw is NaN.
-        """
-        total = np.zeros(slices.shape[:2])
-        for sensor, term in self.sensors:
-            rows = sensor.rows(step)
-            if rows.start == rows.stop:
-                continue
-            parents = slices[..., sensor.parents]
-            total += term.readings(
-                rows,
-                np.broadcast_to(parents, (rows.stop - rows.start, *parents.shape)),
-                sensor.values[rows],
-                sensor.moved[rows],
-                strict=strict,
-            )
-        return total
+        found = self.model.draw(strand, shape, strict=not defensive)
+        return strand.drawn(self.reference[:, None] + found.log_density, found.values)
 
     @property
     def excursions(self) -> Excursions:
