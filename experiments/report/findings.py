@@ -261,7 +261,7 @@ FINDINGS = {
         "Are both places found where ranges leave two open?",
         "From {settings/starts} starts both were found in {found_both:.0%} of "
         "{settings/drives} drives; the mean KL divergence of a grid from their mixture is "
-        "{mean_divergence:.3f} nats.",
+        "{mean_divergence:.3f} nats, and {mean_adapted:.3f} after it was adapted by draws.",
     ),
 }
 

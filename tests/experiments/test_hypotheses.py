@@ -31,4 +31,5 @@ def test_hypotheses_summed_keep_what_the_likeliest_loses(summary):
 def test_both_sides_of_the_beacons_are_found(summary):
     found = summary("mirror")
     assert found["found_both"] == 1.0
+    assert np.all(np.array(found["adapted"]) < 0.05)
     assert np.all(np.array(found["divergence"]) < np.array(found["one"]) / 10.0)

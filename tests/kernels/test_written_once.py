@@ -356,6 +356,8 @@ WEIGHED = listed(
     # The information of scalars, expected counts, and distances.
     {f"{DIGITS}careful_belief.py": "informed", "learning/steps.py": "likeliest at"},
     {"viewer/placing.py": "_stressed", "factors/gaussian_mixture.py": "cov"},
+    # The moments of draws.
+    {"beliefs/hypotheses/adapted.py": "_moments"},
 )
 KINDS = listed(
     {"kernels/numbers.py": "Matrix", "kernels/dense.py": "Dense Runs Stack"},
@@ -375,6 +377,8 @@ SOLUTIONS = listed(
     {"consistency/errors.py": "nees_and_dof", "consistency/ranking.py": "_by_sighting"},
     {"beliefs/particles/guided_proposal.py": "_whitened steered"},
     {"inference/audit/corrected.py": "_from_gaussian"},
+    # Conditionals of Gaussians whose moments are those of draws.
+    {"beliefs/hypotheses/adapted.py": "_given"},
     {"kernels/joint_compatibility.py": "__init__"},
     # The losses of merging, and the coordinates of what is learnt of what was merged.
     {"kernels/merging.py": "_losses _principal _whitening"},

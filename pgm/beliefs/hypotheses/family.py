@@ -51,6 +51,11 @@ class Gaussians(BeliefFamily[Any]):
         smoothers, points of the prior that are sent through the motion; 0 is none. The fixed points
         that are more than half a deviation apart, whole turns of angles aside, are the modes of the
         posterior, weighed by their evidence: one call of as many runs.
+    draws : int
+        With `starts`, the number of draws of trajectories of each run, by which the modes' weights
+        and moments are adapted, in three rounds; 0 is none. Draws are of the modes' mixture, one in
+        twenty of the model alone, and are weighed with the model as it was declared. Many
+        thousands are a good number; ``status.effective`` tells how many the last were worth.
 
     References
     ----------
@@ -85,12 +90,15 @@ class Gaussians(BeliefFamily[Any]):
     count: int | None
     mix: bool
     starts: int
+    draws: int
 
     takes: ClassVar[frozenset[str]] = frozenset({"lineariser", "iterations", "damping", "schedule"})
     beliefs: ClassVar[str] = "mixtures of Gaussians"
     spare: ClassVar[str] = "is not for chains of discrete and continuous variables"
 
-    def __init__(self, count: int | None = None, mix: bool = False, starts: int = 0) -> None:
+    def __init__(
+        self, count: int | None = None, mix: bool = False, starts: int = 0, draws: int = 0
+    ) -> None:
         if count is not None and (not is_whole(count) or count < 1):
             raise ModelError(f"a count of Gaussians is a whole number, 1 or more, not {count!r}")
         if not isinstance(mix, bool):
@@ -102,8 +110,12 @@ class Gaussians(BeliefFamily[Any]):
                 f"starts={starts} looks for modes of one posterior, of which a count is kept, and "
                 "none are mixed: give pgm.Gaussians(count, starts=...)"
             )
+        if not is_whole(draws) or draws < 0:
+            raise ModelError(f"draws is a number of trajectories, 0 or more, not {draws!r}")
+        if draws and not starts:
+            raise ModelError(f"draws={draws} adapts the modes that starts= finds: give both")
         self.count, self.mix = None if count is None else int(count), mix
-        self.starts = int(starts)
+        self.starts, self.draws = int(starts), int(draws)
 
     def require(self, model: DynamicBayesianNetwork) -> None:
         """Refuse a network of discrete variables alone, whose tables are exact."""
@@ -114,7 +126,7 @@ class Gaussians(BeliefFamily[Any]):
         """The outcome of a call's schedule on a dynamic network's graph, given its evidence."""
         if self.starts:
             assert self.count is not None
-            return modes.run(graph, bound, call, self.count, self.starts)
+            return modes.run(graph, bound, call, self.count, self.starts, self.draws)
         return run(graph, bound, call, Asked(self.count, self.mix))
 
     def online(self, model: DynamicBayesianNetwork, options: dict[str, Any]) -> HypothesisSteps:

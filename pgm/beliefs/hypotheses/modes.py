@@ -16,7 +16,9 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from pgm.beliefs.hypotheses.adapted import ModeBeliefs, adapt
 from pgm.beliefs.moments.family import MOMENTS
+from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
 from pgm.beliefs.moments.steps.chain import MomentChain
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.readings import Moments
@@ -59,24 +61,34 @@ class ModeFigures(Figures):
         (*runs): how many of them settled.
     modes : ndarray of int
         (*runs): how many modes they settled at.
+    effective : ndarray or None
+        (*runs): of draws that adapted the modes the effective number of the last round's; None if
+        none were asked for.
     """
 
     starts: int
     arrived: Integers
     modes: Integers
+    effective: Array | None
 
-    def __init__(self, starts: int, arrived: Integers, modes: Integers) -> None:
-        for array in (arrived, modes):
-            array.flags.writeable = False
-        self._set(starts=starts, arrived=arrived, modes=modes)
+    def __init__(
+        self, starts: int, arrived: Integers, modes: Integers, effective: Array | None = None
+    ) -> None:
+        for array in (arrived, modes, effective):
+            if array is not None:
+                array.flags.writeable = False
+        self._set(starts=starts, arrived=arrived, modes=modes, effective=effective)
 
     @property
     def phrases(self) -> list[str]:
         """The figures in words."""
-        return [
+        found = [
             f"{_range(self.modes)} modes",
             f"{_range(self.arrived)} of {self.starts} starts settled",
         ]
+        if self.effective is not None:
+            found.append(f"{_range(self.effective.astype(np.intp))} effective draws")
+        return found
 
 
 def _range(values: Integers) -> str:
@@ -85,7 +97,7 @@ def _range(values: Integers) -> str:
 
 
 class _Part(NamedTuple):
-    """Some starts, and the outcome of smoothers from them, with an axis of starts before runs."""
+    """Some starts, and the beliefs that they led to, with an axis of starts before runs."""
 
     starts: Integers
     outcome: Any
@@ -115,8 +127,9 @@ class ModesOutcome(Outcome[GaussianMixture]):
 
     @property
     def log_evidence_kind(self) -> str:
-        """``modes``: of the modes that were found, by Laplace's approximation."""
-        return "modes"
+        """``modes`` by Laplace's approximation of those that were found; ``draws`` by weighing."""
+        figures = self.status._figures
+        return "modes" if getattr(figures, "effective", None) is None else "draws"
 
     @property
     def _hidden(self) -> Scope:
@@ -162,9 +175,12 @@ class ModesOutcome(Outcome[GaussianMixture]):
 
 
 def run(
-    graph: DynamicGraph, bound: BoundEvidence, call: Call, count: int, starts: int
+    graph: DynamicGraph, bound: BoundEvidence, call: Call, count: int, starts: int, draws: int
 ) -> ModesOutcome:
-    """The modes at which smoothers from so many starts arrive, `count` at the most."""
+    """The modes at which smoothers from so many starts arrive, `count` at the most.
+
+    They are adapted by so many `draws`; by none if it is 0.
+    """
     if kind_of(call.schedule, "modes of one posterior") != SMOOTHED:
         raise ModelError(
             f"starts are of smoothers, which find modes of a whole record, not of "
@@ -178,7 +194,38 @@ def run(
     schedule = _schedule(call)
     begun = _begun(graph, bound, call, starts)
     parts = _arrived(graph, bound, call._replace(schedule=schedule), begun)
-    return _chosen(graph, bound, parts, count, starts)
+    found = _chosen(graph, bound, parts, count, starts)
+    return _adapted(found, bound, call._replace(schedule=schedule), draws) if draws else found
+
+
+def _adapted(found: ModesOutcome, bound: BoundEvidence, call: Call, draws: int) -> ModesOutcome:
+    """The modes of an outcome, adapted by weighed draws."""
+    graph, lead = found.graph, bound.lead
+    marginals = {variable: found[variable].components.mean for variable in graph.layout.slice}
+    # A mode's own linearisation, of all runs, is that of a smoother which starts there.
+    outcomes = []
+    for k in range(len(found._weights)):
+        start = {variable: mean[..., k, :] for variable, mean in marginals.items()}
+        outcome = MOMENTS.infer(graph, bound, call._replace(start=start))
+        assert isinstance(outcome, ChainOutcome)
+        outcomes.append(outcome)
+    adapted = adapt(outcomes, found._weights, draws)
+    weights = adapted.laws.weights
+    beliefs = ModeBeliefs.make(adapted.laws, graph.layout, lead)
+    figures = found.status._figures
+    assert isinstance(figures, ModeFigures)
+    told = ModeFigures(
+        figures.starts, figures.arrived, figures.modes, adapted.effective.reshape(lead)
+    )
+    count = len(weights)
+    return replace(
+        found,
+        status=found.status._with(_figures=told),
+        log_evidence=np.asarray(adapted.log_evidence.reshape(lead)),
+        _parts=[_Part(np.arange(count), beliefs)],
+        _index=np.tile(np.arange(count)[:, None], (1, bound.runs)),
+        _weights=weights,
+    )
 
 
 def _schedule(call: Call) -> Smoothing:

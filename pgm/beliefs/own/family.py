@@ -32,7 +32,7 @@ class BeliefFamily(ByAttributes, Generic[B]):
     """A family of beliefs of a dynamic network's slices, such as ensembles.
 
     A family of your own is a subclass. It says how a belief begins, is predicted and takes the
-    measurements of a step, for all runs at once; and what it shows: `moments`, or `draws`. That is
+    measurements of a step, for all runs at once; and what it shows: `moments`, or `points`. That is
     all that `filter`, `infer` and `OnlineFilter` ask; with `back` it is smoothed, too. A belief may
     be any value. Values of a family should not change, and hold a seed where they draw.
 
@@ -204,11 +204,11 @@ class BeliefFamily(ByAttributes, Generic[B]):
         ndarray, ndarray
         """
         raise ModelError(
-            f"{self!r} shows nothing of its beliefs: define moments(belief), draws(belief) or "
+            f"{self!r} shows nothing of its beliefs: define moments(belief), points(belief) or "
             "marginal(beliefs, asked)"
         )
 
-    def draws(self, belief: Any) -> tuple[Array, Array | None] | None:
+    def points(self, belief: Any) -> tuple[Array, Array | None] | None:
         """The points of a belief over a slice, (runs, n, d), and their log-weights, (runs, n).
 
         ``posterior[x]`` is then a `ParticleBelief`, and `moments` is not asked.
@@ -304,7 +304,7 @@ class BeliefFamily(ByAttributes, Generic[B]):
 
 
 # What is asked of a family whose beliefs are carried from slice to slice by the package.
-_ASKED = ("begin", "predict", "take", "back", "moments", "draws", "marginal", "numbers")
+_ASKED = ("begin", "predict", "take", "back", "moments", "points", "marginal", "numbers")
 
 
 def require_family(belief: Any, model: Any) -> None:

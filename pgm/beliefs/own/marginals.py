@@ -78,7 +78,7 @@ def shown(family: BeliefFamily[Any], beliefs: Sequence[Any], asked: Asked) -> An
     found = family.marginal(beliefs, asked)
     if found is not None:
         return found
-    each = [family.draws(belief) for belief in beliefs]
+    each = [family.points(belief) for belief in beliefs]
     if each[0] is not None:
         return _draws(family, each, asked)
     return _moments(family, beliefs, asked)
@@ -159,27 +159,27 @@ def _draws(family: BeliefFamily[Any], each: Sequence[Any], asked: Asked) -> Part
 
 def _cloud(family: BeliefFamily[Any], draws: Any, columns: Integers, runs: int, size: int) -> Cloud:
     """Draws (runs, n, d), with their log-weights (runs, n) or None, as a cloud of some rows."""
-    points, log_weights = pair(family, "draws(belief)", draws, "points and their log-weights")
-    points = as_floats(points, f"{family!r}: the points of draws(belief)", ModelError)
+    points, log_weights = pair(family, "points(belief)", draws, "points and their log-weights")
+    points = as_floats(points, f"{family!r}: the points of points(belief)", ModelError)
     if points.ndim != 3 or len(points) != runs or points.shape[2] != size:
         raise ModelError(
-            f"{family!r}: draws(belief) has points of shape {points.shape}; ({runs}, n, {size}) "
+            f"{family!r}: points(belief) has points of shape {points.shape}; ({runs}, n, {size}) "
             "was due: runs, points, components of a slice"
         )
     count = points.shape[1]
     logs: Array = np.full((runs, count), -np.log(max(count, 1)))
     if log_weights is not None:
-        logs = as_floats(log_weights, f"{family!r}: the log-weights of draws(belief)", ModelError)
+        logs = as_floats(log_weights, f"{family!r}: the log-weights of points(belief)", ModelError)
         if logs.shape != (runs, count):
             raise ModelError(
-                f"{family!r}: draws(belief) has log-weights of shape {logs.shape}; ({runs}, "
+                f"{family!r}: points(belief) has log-weights of shape {logs.shape}; ({runs}, "
                 f"{count}) was due"
             )
         with np.errstate(invalid="ignore"):  # which is refused below
             logs = logs - np.logaddexp.reduce(logs, axis=1, keepdims=True)
     if not (count and np.isfinite(points).all()) or np.isnan(logs).any():
         raise NumericalError(
-            f"{family!r}: draws(belief) has no points, points that are not finite, or log-weights "
+            f"{family!r}: points(belief) has no points, points that are not finite, or log-weights "
             "that are NaN or infinite, or all of them minus infinity"
         )
     states = np.ascontiguousarray(points[..., columns].reshape(runs * count, -1).T)

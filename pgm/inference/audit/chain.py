@@ -36,10 +36,8 @@ from pgm.inference.audit.corrected import Sums
 from pgm.inference.audit.draws import Draws, Strand
 from pgm.inference.audit.excursions import PREDICTED, Excursions
 from pgm.inference.audit.modes import MOST, Modes
-from pgm.kernels.arrays import Array, Mask, block, transpose
-from pgm.kernels.dense import Stack
+from pgm.kernels.arrays import Array, Mask, block
 from pgm.kernels.moments import Conditional
-from pgm.kernels.step import crossed
 from pgm.posteriors.belief_kind import SMOOTHED
 
 
@@ -188,13 +186,8 @@ class ChainDraws:
             )
         known = judged[1:] & judged[:-1]
         if known.any():
-            states, (matrix, _, rest) = layout.state_places, self.onward
-            before = block(cov[:-1], states, states)
-            parts = Stack(before, True), Stack(matrix), Stack(rest)
-            cross, slices = (each.array for each in crossed(*parts))
-            means = np.concatenate([mean[:-1][..., states], mean[1:]], axis=-1)
-            pair = np.block([[before, transpose(cross)], [cross, slices]])
-            sums.append(Sums(layout.pair, slice(None), 1, means, pair, known, timed=True))
+            pairs = self.model.law.pairs(self.beliefs, self.onward)
+            sums.append(Sums(layout.pair, slice(None), 1, pairs.mean, pairs.cov, known, timed=True))
         return sums
 
     def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:

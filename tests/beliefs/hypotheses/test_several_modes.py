@@ -59,13 +59,17 @@ def test_both_modes_of_a_mirror_drive_are_found_and_weighed(seed):
 
 @pytest.mark.slow
 def test_all_of_twenty_mirror_drives():
-    found = []
+    found, adapted = [], []
     for seed in range(20):
         evidence = drive(seed)
-        posterior = pgm.smooth(MIRROR, evidence, belief=pgm.Gaussians(4, starts=8))
-        assert posterior.status.modes == 2
-        found.append(divergence(evidence, posterior[P.at(STEPS)]))
+        for each, draws in ((found, 0), (adapted, 4000)):
+            belief = pgm.Gaussians(4, starts=8, draws=draws)
+            posterior = pgm.smooth(MIRROR, evidence, belief=belief)
+            assert posterior.status.modes == 2
+            each.append(divergence(evidence, posterior[P.at(STEPS)]))
     assert np.mean(found) <= 0.05
+    assert np.mean(adapted) <= 0.02
+    assert np.max(adapted) <= 0.05
 
 
 def test_runs_have_modes_of_their_own_and_joints_over_steps():
@@ -126,3 +130,68 @@ def test_what_cannot_be_is_refused():
         pgm.smooth(walk(), READ, belief=pgm.Gaussians(2, starts=4))
     with pytest.raises(pgm.ModelError, match="not of an online filter"):
         pgm.OnlineFilter(MIRROR, belief=pgm.Gaussians(2, starts=4))
+
+
+@pytest.mark.parametrize("seed", [0, 4, 10])
+def test_draws_adapt_modes_that_are_not_gaussian(seed):
+    """Drives whose modes are bent, or of which one is weighed wrongly."""
+    evidence = drive(seed)
+    plain = pgm.smooth(MIRROR, evidence, belief=pgm.Gaussians(4, starts=8))
+    found = pgm.smooth(MIRROR, evidence, belief=pgm.Gaussians(4, starts=8, draws=4000))
+    assert divergence(evidence, plain[P.at(STEPS)]) > 0.08
+    assert divergence(evidence, found[P.at(STEPS)]) < 0.05
+    grid = pgm.Grid({"e": (-4, 5, 240), "n": (-4, 4, 220)})
+    exact = pgm.filter(MIRROR, evidence, belief=grid).log_evidence
+    assert abs(found.log_evidence - exact) < 0.06
+    assert found.log_evidence_kind == "draws"
+    assert found.status.effective > 500
+    assert "effective draws" in repr(found.status)
+
+
+def test_draws_leave_a_linear_model_as_it_is():
+    """With controls that are hidden, and joints over steps: against the exact smoother."""
+    x, u, z = pgm.Variable("x", components=("p", "v")), pgm.Variable("u"), pgm.Variable("z")
+    model = pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(x, [0.0, 1.0], np.diag([1.0, 0.5]))],
+        transition=[
+            pgm.GaussianCPD(u, 0.0, 0.3),
+            pgm.LinearGaussianCPD(
+                x,
+                {x.previous: [[1.0, 1.0], [0.0, 1.0]], u: [[0.5], [1.0]]},
+                cov=np.diag([0.1, 0.2]),
+            ),
+        ],
+        observation=[pgm.LinearGaussianCPD(z, {x: [[1.0, 0.0]]}, cov=0.5)],
+    )
+    read = {z: model.sample(steps=6, runs=(2,), rng=0)[z]}
+    wanted = pgm.smooth(model, read)
+    found = pgm.smooth(model, read, belief=pgm.Gaussians(2, starts=2, draws=20_000))
+    assert far(found.log_evidence, wanted.log_evidence) < 0.01
+    assert found[x].mean.shape == wanted[x].mean.shape
+    assert np.abs((found[x].mean - wanted[x].mean) / wanted[x].std).max() < 0.03
+    assert np.abs(found[x].std / wanted[x].std - 1.0).max() < 0.03
+    assert found[u].steps.tolist() == wanted[u].steps.tolist()
+    assert np.abs((found[u].mean - wanted[u].mean) / wanted[u].std).max() < 0.03
+    several = x.at(1), u.at(3), x.at(5)
+    own, exact = found.joint(*several), wanted.joint(*several)
+    scale = np.sqrt(np.einsum("...ii->...i", exact.cov))
+    off = (own.cov - exact.cov) / scale[..., :, None] / scale[..., None, :]
+    assert np.abs(off).max() < 0.04
+    assert np.all(found.status.effective > 15_000)
+
+
+def test_draws_that_cannot_be_are_refused():
+    with pytest.raises(pgm.ModelError, match="draws is a number"):
+        pgm.Gaussians(2, starts=4, draws=-1)
+    with pytest.raises(pgm.ModelError, match="give both"):
+        pgm.Gaussians(2, draws=100)
+    with pytest.raises(pgm.GraphError, match="draws of trajectories"):
+        pgm.smooth(MIRROR, drive(1), belief=pgm.Gaussians(2, starts=2, draws=10**10))
+    x, z = pgm.Variable("x"), pgm.Variable("z")
+    exact = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(x, 0.0, 1.0)],
+        [pgm.NonlinearGaussianCPD(x, x.previous, np.tanh, cov=0.1)],
+        [pgm.LinearGaussianCPD(z, {x: 1.0}, cov=0.0)],
+    )
+    with pytest.raises(pgm.NumericalError, match="these have none"):
+        pgm.smooth(exact, {z: [[0.1], [0.3]]}, belief=pgm.Gaussians(2, starts=2, draws=100))

@@ -55,7 +55,7 @@ class EnsembleKalman(pgm.BeliefFamily):
         cov = np.linalg.pinv(product(off, off), rcond=1e-10, hermitian=True)
         return known + (later - predicted) @ (cov @ product(off, spread(known)))
 
-    def draws(self, belief):
+    def points(self, belief):
         return belief, None
 
     def numbers(self, belief):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import pgm
+from pgm.beliefs.moments.trajectories.student import FREEDOM, log_ratio
 from pgm.inference.audit.chain import ChainDraws
 from pgm.inference.audit.excursions import AFTER, BEFORE, END, PREDICTION, TAILS, Excursions
-from pgm.beliefs.moments.trajectories.student import FREEDOM, log_ratio
 
 a, z = pgm.variables("a z")
 

@@ -17,8 +17,10 @@ from pgm.beliefs.moments.trajectories.density import Links, Term
 from pgm.beliefs.moments.trajectories.proposal import Path, Proposal
 from pgm.compile import SliceLayout
 from pgm.kernels import moments
-from pgm.kernels.arrays import Mask, block
+from pgm.kernels.arrays import Array, Mask, block, transpose
+from pgm.kernels.dense import Stack
 from pgm.kernels.moments import Conditional
+from pgm.kernels.step import crossed
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,19 +56,38 @@ class ChainLaw:
             mean[1:], cov[1:], states.matrix, states.cov, mean[:-1][..., places], before
         )
 
+    def pairs(self, beliefs: Beliefs, onward: Conditional) -> Beliefs:
+        """The moments of the pairs of steps 1 to T, (T, runs, ...).
+
+        `onward` has each slice given the states before; `beliefs` are the moments of all slices.
+        """
+        mean, places = beliefs.mean, self.layout.state_places
+        before = block(beliefs.cov[:-1], places, places)
+        parts = Stack(before, True), Stack(onward.matrix), Stack(onward.cov)
+        cross, slices = (each.array for each in crossed(*parts))
+        means = np.concatenate([mean[:-1][..., places], mean[1:]], axis=-1)
+        return Beliefs(means, np.block([[before, transpose(cross)], [cross, slices]]))
+
     def path(self, beliefs: Beliefs, states: Conditional) -> Path:
         """The law of trajectories: the states at step 0, then each slice given the states before.
 
         `beliefs` are the smoothed moments of all slices, `states` the conditionals p(states at t |
         slice at t + 1, measurements up to t), (T, runs, ...).
         """
-        places, front = self.layout.state_places, self.layout.state_size
+        places = self.layout.state_places
         mean, cov = beliefs.mean[:1][..., places], block(beliefs.cov[:1], places, places)
+        return self.path_of(mean, cov, self.onward(beliefs, states))
+
+    def path_of(self, mean: Array, cov: Array, onward: Conditional) -> Path:
+        """The law whose states at step 0 have a mean and covariance, (1, runs, ...).
+
+        `onward` has each slice given the states before, (T, runs, ...).
+        """
         start = Conditional(np.zeros((1, *cov.shape[1:-1], 0)), mean, cov)
-        free = _free(self.transition, (len(beliefs.mean) - 1, *beliefs.mean.shape[1:]), front)
+        free = _free(self.transition, onward.offset.shape, self.layout.state_size)
         return Path(
             Proposal.make(start, _free(self.prior, mean.shape, 0)),
-            Proposal.make(self.onward(beliefs, states), free),
+            Proposal.make(onward, free),
         )
 
 
