@@ -51,9 +51,10 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
         together.
     log_evidence_kind : str
         ``exact``; ``linearised``, of the linearised model; ``laplace``, at the fixed point of
-        Taylor relinearisation; ``bethe``, on a graph with loops; ``grid`` or ``particles``; or
-        ``own``, of a family of your own. With robust noise a lower ``bound``, a ``linearised
-        bound``, or ``unnormalised``, if a density has no finite integral.
+        Taylor relinearisation; ``bethe``, on a graph with loops; ``grid`` or ``particles``;
+        ``merged``, ``modes`` or ``draws``, of `Gaussians`; or ``own``, of a family of your own.
+        With robust noise a lower ``bound``, a ``linearised bound``, or ``unnormalised``, if a
+        density has no finite integral.
 
     Examples
     --------
