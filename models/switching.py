@@ -1,4 +1,4 @@
-"""Networks whose hidden modes or identities choose: a target that turns, two that cross, a mirror.
+"""Networks whose hidden modes or identities choose: targets that turn or cross, faults, a mirror.
 
 The state of a target is that of `models.tracking`, (east, north, v_east, v_north) [m, m/s].
 
@@ -21,6 +21,7 @@ from models.networks import fix, target
 Array = NDArray[np.float64]
 
 mode = pgm.Discrete("mode", states=("straight", "left", "right"))
+fault = pgm.Discrete("fault", states=("none", "faulty"))
 first, second, either = (
     pgm.Variable(name, components=("place", "speed")) for name in ("first", "second", "either")
 )
@@ -91,7 +92,7 @@ def manoeuvring(
                 },
             ),
         ],
-        observation=[pgm.LinearGaussianCPD(fix, given={target: np.eye(2, 4)}, cov=25.0)],
+        observation=[_fixes(25.0)],
     )
 
 
@@ -100,13 +101,7 @@ def one_motion(density: float = 2.0, dt: float = 1.0) -> pgm.DynamicBayesianNetw
     model = manoeuvring(dt)
     return pgm.DynamicBayesianNetwork(
         prior=model.prior[1:],
-        transition=[
-            pgm.LinearGaussianCPD(
-                target,
-                given={target.previous: tracking.constant_velocity(dt)},
-                cov=tracking.white_acceleration(dt, density),
-            )
-        ],
+        transition=[_white_motion(density, dt)],
         observation=model.observation,
     )
 
@@ -156,3 +151,45 @@ def mirrored() -> pgm.DynamicBayesianNetwork:
         ],
         observation=[pgm.NonlinearGaussianCPD(range_to, (place, beacon), distance, cov=0.01)],
     )
+
+
+def faulty_fixes() -> pgm.DynamicBayesianNetwork:
+    """A target whose fixes are now and then of a place that is carried away, for some steps.
+
+    A faulty receiver stays so for five steps in the mean; its fixes err by 40 m, others by 5 m.
+    """
+    return pgm.DynamicBayesianNetwork(
+        prior=[pgm.TableCPD(fault, table=[1.0, 0.0]), manoeuvring().prior[1]],
+        transition=[
+            pgm.TableCPD(fault, given=fault.previous, table=[[0.95, 0.05], [0.2, 0.8]]),
+            _white_motion(0.3),
+        ],
+        observation=[
+            pgm.SwitchingCPD(
+                fix,
+                given=fault,
+                cases={"none": _fixes(25.0), "faulty": _fixes(1600.0)},
+            )
+        ],
+    )
+
+
+def plain_fixes(noise: pgm.RobustNoise | None = None) -> pgm.DynamicBayesianNetwork:
+    """The same target with fixes of one kind, perhaps of robust noise."""
+    return pgm.DynamicBayesianNetwork(
+        prior=manoeuvring().prior[1:],
+        transition=[_white_motion(0.3)],
+        observation=[_fixes(25.0, noise)],
+    )
+
+
+def _white_motion(density: float, dt: float = 1.0) -> pgm.LinearGaussianCPD:
+    return pgm.LinearGaussianCPD(
+        target,
+        given={target.previous: tracking.constant_velocity(dt)},
+        cov=tracking.white_acceleration(dt, density),
+    )
+
+
+def _fixes(cov: float, noise: pgm.RobustNoise | None = None) -> pgm.LinearGaussianCPD:
+    return pgm.LinearGaussianCPD(fix, given={target: np.eye(2, 4)}, cov=cov, noise=noise)

@@ -249,6 +249,25 @@ FINDINGS = {
         "and nine Gaussians, whose mode is the right one in {methods/3 Gaussians/right:.0%} and "
         "{methods/9 Gaussians/right:.0%} of the steps.",
     ),
+    "height_and_group": Finding(
+        "What does a weight tell of a group and of a height?",
+        "Someone of {weights/1:.0f} kg is of the first group with the probability {chance/1:.2f}, "
+        "and {height/1:.1f} ± {std/1:.1f} cm tall, a mixture of two Gaussians.",
+    ),
+    "incinerator": Finding(
+        "Are the figures of Lauritzen's paper found?",
+        "The emission of heavy metals, given industrial waste, light and dioxide, has the mean "
+        "{after/metals_out/mean/1:.3f} and the deviation {after/metals_out/std/1:.3f}; published "
+        "are {after/metals_out/mean/0:.2f} and {after/metals_out/std/0:.3f}.",
+    ),
+    "outlier_cause": Finding(
+        "Is a fault that lasts better a state than robust noise?",
+        "The smoothed place is off by {methods/one noise/smoother:.2f} m (RMSE) where fixes have "
+        "one noise, by {methods/Student's t/smoother:.2f} m with Student's t, and by "
+        "{methods/fault as a state/smoother:.2f} m with the fault as a state, which is told right "
+        "at {found:.1%} of the steps; the gate loses targets, "
+        "{methods/gate of 99 %/smoother:.1f} m.",
+    ),
     "two_targets": Finding(
         "What is lost by taking the likeliest source of a reading?",
         "Where two targets cross, a filter that takes the likeliest has a NEES of "

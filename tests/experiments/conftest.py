@@ -26,7 +26,9 @@ LOOKED_AT = {
     "maze",
     "topological",
     "grid_localisation",
+    "height_and_group",
     "manoeuvre",
+    "outlier_cause",
     "two_targets",
     "mirror",
 }

@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 from scipy.stats import norm
 
 import pgm
+from models import mixed
 
 MODE = pgm.Discrete("mode", states=("calm", "wild"))
 FAIR = pgm.TableCPD(MODE, table=[0.5, 0.5])
@@ -61,50 +62,19 @@ def test_many_drawn_networks(part, exact):
         assert_enumerated(network, observed(network, rng))
 
 
+NAMED = {
+    "E": mixed.efficiency,
+    "C": mixed.dioxide,
+    "D": mixed.dust,
+    "L": mixed.light,
+    "Min": mixed.metals_in,
+    "Mout": mixed.metals_out,
+}
+
+
 def incinerator():
-    """The emission of a waste incinerator (Lauritzen, 1992, section 5)."""
-    filters = pgm.Discrete("filter", states=("intact", "defect"))
-    waste = pgm.Discrete("waste", states=("industrial", "household"))
-    burning = pgm.Discrete("burning", states=("stable", "unstable"))
-    named = {name: pgm.Variable(name) for name in ("E", "C", "D", "L", "Min", "Mout")}
-    E, C, D, L, inward, outward = named.values()
-    emitted = {
-        ("intact", "industrial"): (-3.9, 2e-5),
-        ("defect", "industrial"): (-0.4, 1e-4),
-        ("intact", "household"): (-3.2, 2e-5),
-        ("defect", "household"): (-0.5, 1e-4),
-    }
-    dust = {
-        ("stable", "industrial"): (6.5, 0.03),
-        ("unstable", "industrial"): (7.5, 0.1),
-        ("stable", "household"): (6.0, 0.04),
-        ("unstable", "household"): (7.0, 0.1),
-    }
-    metals = {"industrial": (0.5, 0.01), "household": (-0.5, 0.005)}
-    dioxide = {"stable": (-2.0, 0.1), "unstable": (-1.0, 0.3)}
-
-    def priors(child, given, numbers):
-        cases = {k: pgm.GaussianCPD(child, *moments) for k, moments in numbers.items()}
-        return pgm.SwitchingCPD(child, given, cases)
-
-    through = {
-        k: pgm.LinearGaussianCPD(D, {E: 1.0}, cov, offset=offset)
-        for k, (offset, cov) in dust.items()
-    }
-    network = pgm.BayesianNetwork(
-        [
-            pgm.TableCPD(filters, table=[0.95, 0.05]),
-            pgm.TableCPD(waste, table=[2 / 7, 5 / 7]),
-            pgm.TableCPD(burning, table=[0.85, 0.15]),
-            priors(E, (filters, waste), emitted),
-            priors(C, burning, dioxide),
-            pgm.SwitchingCPD(D, (burning, waste), through),
-            pgm.LinearGaussianCPD(L, {D: -0.5}, 0.25, offset=3.0),
-            priors(inward, waste, metals),
-            pgm.LinearGaussianCPD(outward, {D: 1.0, inward: 1.0}, 0.002),
-        ]
-    )
-    return network, named, (filters, waste, burning)
+    """The network, its variables by Lauritzen's names, and its discrete ones."""
+    return mixed.incinerator(), NAMED, (mixed.filter_state, mixed.waste, mixed.burning)
 
 
 def test_published_figures_of_the_incinerator():
