@@ -39,6 +39,7 @@ from experiments import (
     smoothing,
     topological,
     two_targets,
+    unknown_landmarks,
     wide_start,
 )
 
@@ -81,6 +82,7 @@ THEMES: dict[str, dict[str, ModuleType]] = {
         "manoeuvre": manoeuvre,
         "outlier_cause": outlier_cause,
         "two_targets": two_targets,
+        "unknown_landmarks": unknown_landmarks,
         "mirror": mirror,
     },
     "Graphs and messages": {
@@ -106,6 +108,7 @@ NEEDS = {
     "plaza": "recordings: pip install gtsam",
     "calibration": "recordings: pip install gtsam",
     "freiburg": "a recording: --path, or PGM_DATA",
+    "unknown_landmarks": "a recording: --path, or PGM_DATA",
     "killian": "a recording: pip install 'rtb-data>=2.0'; or --data made_up",
     "global_localisation": "a floor plan: pip install 'rtb-data>=2.0'",
     "kidnapped": "a floor plan: pip install 'rtb-data>=2.0'",

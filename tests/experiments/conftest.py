@@ -30,6 +30,7 @@ LOOKED_AT = {
     "manoeuvre",
     "outlier_cause",
     "two_targets",
+    "unknown_landmarks",
     "mirror",
 }
 

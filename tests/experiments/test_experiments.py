@@ -65,6 +65,7 @@ def test_a_missing_package_is_told_in_a_line(missing):
         ("plaza", "experiments.plaza.log.find"),
         ("calibration", "experiments.plaza.log.find"),
         ("freiburg", "experiments.freiburg.log.find"),
+        ("unknown_landmarks", "experiments.freiburg.log.find"),
         ("killian", "experiments.killian.log.find"),
         ("global_localisation", "experiments.house.find"),
         ("kidnapped", "experiments.house.find"),

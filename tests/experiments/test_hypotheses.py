@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from experiments.freiburg import log
+
 
 @pytest.fixture
 def summary(quick):
@@ -63,6 +65,17 @@ def test_hypotheses_summed_keep_what_the_likeliest_loses(summary):
     for found in methods.values():
         assert found["filter"] < likeliest["filter"]
         assert found["nees"] == pytest.approx(1.0, abs=0.2)
+
+
+@pytest.mark.skipif(log.find() is None, reason="the Freiburg recording is not here")
+def test_sums_over_landmarks_follow_a_recorded_robot(summary):
+    ways = summary("unknown_landmarks")["ways"]
+    for way in ("summed, 1", "exclusive, 4"):
+        assert ways[way]["error"] < ways["joint compatibility"]["error"]
+        assert ways[way]["error"] < ways["named"]["error"]
+        assert ways[way]["right"] > 0.97
+        assert ways[way]["nees"] < 2.0 < ways["the likeliest"]["nees"]
+    assert ways["the likeliest"]["error"] > 1.5 * ways["named"]["error"]
 
 
 def test_both_sides_of_the_beacons_are_found(summary):
