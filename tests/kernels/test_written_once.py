@@ -377,8 +377,8 @@ SOLUTIONS = listed(
     {"consistency/errors.py": "nees_and_dof", "consistency/ranking.py": "_by_sighting"},
     {"beliefs/particles/guided_proposal.py": "_whitened steered"},
     {"inference/audit/corrected.py": "_from_gaussian"},
-    # Conditionals of Gaussians whose moments are those of draws.
-    {"beliefs/hypotheses/adapted.py": "_given"},
+    # Conditionals of Gaussians whose moments are those of draws; points of unit covariance.
+    {"beliefs/hypotheses/adapted.py": "_given", "beliefs/hypotheses/points.py": "cut"},
     {"kernels/joint_compatibility.py": "__init__"},
     # The losses of merging, and the coordinates of what is learnt of what was merged.
     {"kernels/merging.py": "_losses _principal _whitening"},

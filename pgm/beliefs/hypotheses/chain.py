@@ -17,21 +17,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple, NoReturn
 
 import numpy as np
 
 from pgm.beliefs.hypotheses.cases import Batch, Choices, Given, motions, sensors, starts
 from pgm.beliefs.hypotheses.counts import Counts, best_of, leading
+from pgm.beliefs.hypotheses.points import cut
 from pgm.beliefs.hypotheses.regimes import Regimes
 from pgm.beliefs.hypotheses.roles import Roles
 from pgm.beliefs.hypotheses.sightings import OpenSensor
 from pgm.beliefs.moments.steps.chain import MomentChain, largest
 from pgm.beliefs.moments.steps.readings import Moments
 from pgm.errors import ModelError, NumericalError
-from pgm.kernels import merging, moments
-from pgm.kernels.arrays import Array, Integers, Mask, components_last
+from pgm.kernels import merging, moments, roots
+from pgm.kernels.arrays import Array, Integers, Mask, components_last, sandwich
 from pgm.kernels.moments import Conditional
 from pgm.kernels.semirings import log_sum
 
@@ -152,11 +152,15 @@ class Kept(NamedTuple):
 
 @dataclass(frozen=True)
 class Settings:
-    """How many Gaussians are kept, whether they are mixed before a prediction, and for what."""
+    """How many Gaussians are kept, whether they are mixed before a prediction, and for what.
+
+    `pieces` is the number of Gaussians that the prior is cut into, 1 if it is left whole.
+    """
 
     count: int
     mix: bool
     back: bool
+    pieces: int = 1
 
 
 class HypothesisChain:
@@ -197,27 +201,23 @@ class HypothesisChain:
             )
         self._readings = roles.readings
         self._sensors: dict[int, list[Batch]] = {}
+        self._moved_by: dict[int, list[Batch]] = {}
         self._open = [OpenSensor(given, reading) for reading in roles.open]
         self._exclusive = any(sensor.exclusive for sensor in self._open)
         self.kept: list[Kept] = []
         self.associations: dict[OpenSensor, list[Array]] = {}
         self.regime_logs: list[Array] = []
 
-    @cached_property
-    def _motions(self) -> list[Batch]:
-        """The batches of the transition."""
-        mix, count = self.settings.mix, self.settings.count
-        return motions(
-            self.given,
-            self._moving,
-            self.roles.inputs,
-            1 if mix else count,
-            keep=self.settings.back,
-            mixed=mix,
-        )
+    def _motions(self, copies: int) -> list[Batch]:
+        """The batches of the transition, for so many components, or for mixtures of them."""
+        mix, back = self.settings.mix, self.settings.back
+        if copies not in self._moved_by:
+            parts = self.given, self._moving, self.roles.inputs, copies
+            self._moved_by[copies] = motions(*parts, keep=back, mixed=mix)
+        return self._moved_by[copies]
 
     def start(self) -> State:
-        """The pairs of step 0: the prior's Gaussian in each regime."""
+        """The pairs of step 0: the prior's Gaussian in each regime, or its pieces."""
         regimes, size = self.regimes, self.size
         mean = np.zeros((size, 1, regimes.size, self.runs))
         cov = np.zeros((size, size, 1, regimes.size, self.runs))
@@ -227,6 +227,19 @@ class HypothesisChain:
             mean[:, 0, which] = found.mean.reshape(size, *shape)
             cov[:, :, 0, which] = found.cov.reshape(size, size, *shape)
         logs = np.broadcast_to(regimes.prior(), (regimes.size, self.runs))[None]
+        pieces = self.settings.pieces
+        if 1 < pieces < 2 * (size + 1):
+            raise ModelError(
+                f"starts={pieces} is too few to cut a prior of {size} components into, which takes "
+                f"{2 * (size + 1)} pieces or more"
+            )
+        if pieces > 1:
+            first = components_last(cov[:, :, 0], 2)
+            means, lower = cut(components_last(mean[:, 0], 1), roots.root(first), pieces)
+            mean = np.moveaxis(means, -1, 0)
+            spread = np.moveaxis(sandwich(lower, np.eye(size)), (-2, -1), (0, 1))
+            cov = np.repeat(spread[:, :, None], pieces, axis=2)
+            logs = np.repeat(logs - np.log(pieces), pieces, axis=0)
         return Pairs(logs, 0, mean, cov)
 
     def predict(self, step: int, belief: State) -> State:
@@ -318,7 +331,7 @@ class HypothesisChain:
         `mean` is (n, copies, 1, runs), and what is returned has the choices on the axis of length
         one; or (n, 1, regimes, runs), and so is what is returned.
         """
-        size, parts = len(mean), self._motions
+        size, parts = len(mean), self._motions(copies)
         found: list[Moments] = []
         for batch in parts:
             chain, local = batch.at(step)
@@ -345,6 +358,9 @@ class HypothesisChain:
         stages, members, total = self._informed(step, pairs)
         shares = leading(members.logs, members.counts, 0)
         self.regime_logs.append(self.by_regime(shares, members))
+        if not step and len(members.logs) > self.settings.count and self.settings.pieces > 1:
+            memory = self.regimes.memory[members.regime]
+            return Belief(members.logs, memory, *members[1:2], *members[3:5]), total
         known, stage = self._closed(members)
         if self.settings.back:
             self.kept.append(Kept([*stages, stage], pairs, known))
@@ -463,6 +479,18 @@ class HypothesisChain:
         regime = np.repeat(known.memory, alternatives, axis=0)
         return Members(logs.reshape(shape), counts, regime, *moments, alternatives)
 
+    def reduced(self, known: Belief) -> Belief:
+        """The belief of pieces of the prior, merged into as many components as others have."""
+        count = self.settings.count
+        if len(known.logs) <= count:
+            return known
+        owner, memory = merging.seeded(
+            known.shares, known.memory, known.mean, known.cov, count, APART, self.angles
+        )
+        logs, counts = best_of(known.logs, known.counts, owner, count)
+        found = merging.merged(logs, owner, count, known.mean, known.cov, self.angles)
+        return Belief(found.logs, memory, counts, found.mean, found.cov)
+
     def _closed(self, members: Members, between: int | None = None) -> tuple[Belief, Stage]:
         """Members merged into components of one memory each, and the stage.
 
@@ -565,7 +593,7 @@ class HypothesisChain:
         residuals: list[Array] = []
         converged = np.ones(self.runs, dtype=bool)
         every = [batch for batches in self._sensors.values() for batch in batches]
-        every += self.__dict__.get("_motions", [])
+        every += [batch for batches in self._moved_by.values() for batch in batches]
         for batch in every:
             moved, own = batch.settled()
             residuals, converged = largest(residuals, moved), converged & own
@@ -581,7 +609,7 @@ class HypothesisChain:
         assert moved is not None
         shape = moved.mean.shape[1:]
         matrix, noise = np.empty((*shape, size, size)), np.empty((*shape, size, size))
-        for batch in self._motions:
+        for batch in self._motions(shape[0]):
             own = shape[0], batch.which.size, self.runs, size, size
             found = batch.motion(step)
             matrix[:, batch.which] = found.matrix.reshape(own)

@@ -16,6 +16,7 @@ from pgm.evidence import BoundEvidence
 from pgm.networks import DynamicBayesianNetwork
 from pgm.posteriors.outcome import Outcome
 from pgm.schedules.options import Call
+from pgm.schedules.schedule import Filtering
 
 
 @public
@@ -47,10 +48,12 @@ class Gaussians(BeliefFamily[Any]):
     mix : bool
         Whether they are mixed before they are predicted.
     starts : int
-        Of a nonlinear network without discrete variables the number of starts of iterated
-        smoothers, points of the prior that are sent through the motion; 0 is none. The fixed points
-        that are more than half a deviation apart, whole turns of angles aside, are the modes of the
-        posterior, weighed by their evidence: one call of as many runs.
+        Of a smoother of a nonlinear network without discrete variables the number of starts of
+        iterated smoothers, points of the prior that are sent through the motion; 0 is none. The
+        fixed points that are more than half a deviation apart, whole turns of angles aside, are the
+        modes of the posterior, weighed by their evidence: one call of as many runs. Of a filter the
+        number of narrower Gaussians that its prior is cut into, which are merged into `count` from
+        the first step on.
     draws : int
         With `starts`, the number of draws of trajectories of each run, by which the modes' weights
         and moments are adapted, in three rounds; 0 is none. Draws are of the modes' mixture, one in
@@ -124,15 +127,22 @@ class Gaussians(BeliefFamily[Any]):
 
     def infer(self, graph: DynamicGraph, bound: BoundEvidence, call: Call) -> Outcome[Any]:
         """The outcome of a call's schedule on a dynamic network's graph, given its evidence."""
-        if self.starts:
+        if self.starts and not isinstance(call.schedule, Filtering):
             assert self.count is not None
             return modes.run(graph, bound, call, self.count, self.starts, self.draws)
-        return run(graph, bound, call, Asked(self.count, self.mix))
+        if self.draws:
+            raise ModelError(
+                f"{self!r}: draws adapt the modes that a smoother finds; a filter has none, leave "
+                "them out"
+            )
+        return run(graph, bound, call, Asked(self.count, self.mix, max(self.starts, 1)))
 
     def online(self, model: DynamicBayesianNetwork, options: dict[str, Any]) -> HypothesisSteps:
         """The steps of an online filter."""
         if self.starts:
-            raise ModelError(f"{self!r}: starts are of smoothers, not of an online filter")
+            raise ModelError(
+                f"{self!r}: starts are of pgm.smooth and pgm.filter, not of an online filter"
+            )
         return HypothesisSteps(model, Asked(self.count, self.mix), **options)
 
 

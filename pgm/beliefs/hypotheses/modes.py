@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.beliefs.hypotheses.adapted import ModeBeliefs, adapt
+from pgm.beliefs.hypotheses.points import white_points
 from pgm.beliefs.moments.family import MOMENTS
 from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
 from pgm.beliefs.moments.steps.chain import MomentChain
@@ -262,8 +263,6 @@ def _repeated(bound: BoundEvidence, count: int) -> BoundEvidence:
 
 def _begun(graph: DynamicGraph, bound: BoundEvidence, call: Call, starts: int) -> Array:
     """The trajectories of the starts, (T+1, starts, runs, n): points of the prior, driven on."""
-    from scipy.stats import norm, qmc  # here, since it is slow to import
-
     many = _repeated(bound, starts)
     plan = ChainPlan.make(graph, many, call.lineariser)
     chain = MomentChain(plan, ONCE, keep=False)
@@ -274,9 +273,7 @@ def _begun(graph: DynamicGraph, bound: BoundEvidence, call: Call, starts: int) -
             "starts= are points of the prior, which has an infinite variance: give it a finite one"
         )
     size = mean.shape[-1]
-    whole = 2 ** int(np.ceil(np.log2(starts)))  # points that are balanced
-    white = norm.ppf(qmc.Sobol(size, seed=0).random(whole))[:starts]
-    every = np.repeat(white, bound.runs, axis=0)
+    every = np.repeat(white_points(starts, size), bound.runs, axis=0)
     at = Moments.of(plan, mean + (lower @ every[..., None])[..., 0], np.zeros_like(cov))
     found = [at.by_run[0]]
     for step in range(1, bound.steps + 1):

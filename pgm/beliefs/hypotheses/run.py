@@ -33,10 +33,14 @@ from pgm.schedules.schedule import Filtering, kind_of
 
 @dataclass(frozen=True)
 class Asked:
-    """How many Gaussians are kept, None for as many as memories; and whether they are mixed."""
+    """How many Gaussians are kept, None for as many as memories; and whether they are mixed.
+
+    `pieces` is the number of Gaussians that the prior is cut into.
+    """
 
     count: int | None
     mix: bool
+    pieces: int = 1
 
 
 def run(graph: DynamicGraph, bound: BoundEvidence, call: Call, asked: Asked) -> HypothesisOutcome:
@@ -47,14 +51,14 @@ def run(graph: DynamicGraph, bound: BoundEvidence, call: Call, asked: Asked) -> 
     first = schedule if isinstance(schedule, Filtering) else Filtering()
     chain = chain_of(model, bound, asked, call.lineariser, first, back=kind != FILTERED)
     roles, regimes, hidden = chain.roles, chain.regimes, chain.given.hidden
-    if not (model.mixed or roles.open):
+    if not (model.mixed or roles.open or asked.pieces > 1):
         raise ModelError(
             "mixtures of Gaussians are of hypotheses: discrete variables that choose among CPDs of "
             "continuous ones (pgm.SwitchingCPD), or sightings that leave open what was seen "
             "(pgm.unknown); here is neither: leave belief= out"
         )
     _require_once(call, roles)
-    record = _Record()
+    record = _Record(chain)
     sweep.forward(chain, bound.steps, record)
     total = frozen(np.sum(record.log_densities, axis=0).reshape(bound.lead))
     residuals, converged = chain.settled()
@@ -109,7 +113,7 @@ def _settings(asked: Asked, regimes: Regimes, *, back: bool) -> Settings:
             f"mix=True keeps a Gaussian for each joint state of ({listed(kept)}), "
             f"{regimes.memories} in all, not {count}: leave the count out, or mix"
         )
-    return Settings(count, asked.mix, back)
+    return Settings(count, asked.mix, back, asked.pieces)
 
 
 def _require_once(call: Call, roles: Roles) -> None:
@@ -128,7 +132,7 @@ def _require_once(call: Call, roles: Roles) -> None:
 
 def _require_room(given: Given, regimes: Regimes, settings: Settings) -> None:
     size = sum(v.dimension for v in given.hidden)
-    bound, pairs = given.bound, settings.count * regimes.size
+    bound, pairs = given.bound, max(settings.count, settings.pieces) * regimes.size
     each = settings.count * (1 + size + size * size)
     if settings.back:
         each = 2 * each + 2 * pairs * (2 + size + size * size)
@@ -157,13 +161,14 @@ def associations_of(chain: HypothesisChain) -> Found:
 class _Record:
     """The beliefs and log-densities of a forward sweep."""
 
-    def __init__(self) -> None:
+    def __init__(self, chain: HypothesisChain) -> None:
+        self._chain = chain
         self.known: list[Belief] = []
         self.log_densities: list[Array] = []
 
     def keep(self, step: int, predicted: State, known: State, log_density: Array | float) -> None:
         assert isinstance(known, Belief)
-        self.known.append(known)
+        self.known.append(self._chain.reduced(known))
         self.log_densities.append(np.asarray(log_density))
 
 

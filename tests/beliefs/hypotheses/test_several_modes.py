@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import pgm
-from tests.beliefs.hypotheses.test_switching_chains import READ, far, walk
+from tests.beliefs.hypotheses.test_switching_chains import MODE, READ, far, walk
 
 P, R = pgm.Variable("p", components=("e", "n")), pgm.Variable("r")
 BEACON, PUSH = (pgm.Variable(name, components=("e", "n")) for name in ("beacon", "push"))
@@ -125,6 +125,10 @@ def test_what_cannot_be_is_refused():
     with pytest.raises(pgm.ModelError, match="starts is a number"):
         pgm.Gaussians(2, starts=-1)
     with pytest.raises(pgm.ModelError, match="starts are of smoothers"):
+        pgm.smooth(MIRROR, drive(0), lag=3, belief=pgm.Gaussians(2, starts=4))
+    with pytest.raises(pgm.ModelError, match="a filter has none"):
+        pgm.filter(MIRROR, drive(0), belief=pgm.Gaussians(2, starts=4, draws=10))
+    with pytest.raises(pgm.ModelError, match="too few to cut a prior of 2 components"):
         pgm.filter(MIRROR, drive(0), belief=pgm.Gaussians(2, starts=4))
     with pytest.raises(pgm.ModelError, match="have hypotheses already"):
         pgm.smooth(walk(), READ, belief=pgm.Gaussians(2, starts=4))
@@ -195,3 +199,39 @@ def test_draws_that_cannot_be_are_refused():
     )
     with pytest.raises(pgm.NumericalError, match="these have none"):
         pgm.smooth(exact, {z: [[0.1], [0.3]]}, belief=pgm.Gaussians(2, starts=2, draws=100))
+
+
+@pytest.mark.parametrize("seed", [0, 3, 6, 8])
+def test_a_filter_whose_prior_is_cut_finds_both_modes(seed):
+    evidence = drive(seed)
+    found = pgm.filter(MIRROR, evidence, belief=pgm.Gaussians(16, starts=256))
+    assert divergence(evidence, found[P.at(STEPS)]) < 0.15
+    grid = pgm.Grid({"e": (-4, 5, 240), "n": (-4, 4, 220)})
+    exact = pgm.filter(MIRROR, evidence, belief=grid).log_evidence
+    assert abs(found.log_evidence - exact) < 0.5
+    assert found[P].weights.shape[0] == STEPS + 1
+    first = found[P.at(0)]
+    assert far(first.mean, [0.0, 0.3]) < 1e-12
+    assert far(first.cov, np.eye(2)) < 1e-12
+
+
+def test_cutting_the_prior_of_a_linear_model_changes_it_by_its_pieces_alone():
+    """All pieces kept: a mixture whose first two moments are the prior's, which is nearly it."""
+    x, z = pgm.Variable("x", components=("p", "v")), pgm.Variable("z")
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(x, [1.0, -1.0], [[4.0, 1.0], [1.0, 2.0]])],
+        [pgm.LinearGaussianCPD(x, {x.previous: [[1.0, 1.0], [0.0, 1.0]]}, cov=0.1 * np.eye(2))],
+        [pgm.LinearGaussianCPD(z, {x: [[1.0, 0.0]]}, cov=4.0)],
+    )
+    read = {z: model.sample(steps=5, runs=(3,), rng=0)[z]}
+    wanted = pgm.filter(model, read)
+    found = pgm.filter(model, read, belief=pgm.Gaussians(64, starts=64))
+    assert np.abs((found[x].mean - wanted[x].mean) / wanted[x].std).max() < 0.1
+    assert np.abs(found[x].std / wanted[x].std - 1.0).max() < 0.1
+    assert far(found.log_evidence, wanted.log_evidence) < 0.05
+
+
+def test_a_mixed_networks_prior_is_cut_too():
+    few = pgm.filter(walk(), READ, belief=pgm.Gaussians(64))
+    cut = pgm.filter(walk(), READ, belief=pgm.Gaussians(64, starts=8))
+    assert far(few[MODE].probabilities, cut[MODE].probabilities) < 0.02
