@@ -154,13 +154,15 @@ class Kept(NamedTuple):
 class Settings:
     """How many Gaussians are kept, whether they are mixed before a prediction, and for what.
 
-    `pieces` is the number of Gaussians that the prior is cut into, 1 if it is left whole.
+    `pieces` is the number of Gaussians that the prior is cut into, 1 if it is left whole. With
+    `prune` the likeliest are kept and others left out, in place of merging.
     """
 
     count: int
     mix: bool
     back: bool
     pieces: int = 1
+    prune: bool = False
 
 
 class HypothesisChain:
@@ -174,6 +176,10 @@ class HypothesisChain:
         By step the log-probabilities of the regimes, (S, runs).
     associations : mapping of OpenSensor to list of ndarray
         By sighting the probabilities of its alternatives, (k + 1, runs).
+    chosen : list of ndarray of int
+        By step, if components are pruned, the member that each of them is, (K, runs).
+    left_out : ndarray of bool
+        (runs,): whether any possible member was left out.
     """
 
     def __init__(
@@ -207,6 +213,8 @@ class HypothesisChain:
         self.kept: list[Kept] = []
         self.associations: dict[OpenSensor, list[Array]] = {}
         self.regime_logs: list[Array] = []
+        self.chosen: list[Integers] = []
+        self.left_out: Mask = np.zeros(self.runs, dtype=bool)
 
     def _motions(self, copies: int) -> list[Batch]:
         """The batches of the transition, for so many components, or for mixtures of them."""
@@ -361,6 +369,8 @@ class HypothesisChain:
         if not step and len(members.logs) > self.settings.count and self.settings.pieces > 1:
             memory = self.regimes.memory[members.regime]
             return Belief(members.logs, memory, *members[1:2], *members[3:5]), total
+        if self.settings.prune:
+            return self._pruned(members), total
         known, stage = self._closed(members)
         if self.settings.back:
             self.kept.append(Kept([*stages, stage], pairs, known))
@@ -478,6 +488,25 @@ class HypothesisChain:
         moments = found.mean.reshape(size, *shape), found.cov.reshape(size, size, *shape)
         regime = np.repeat(known.memory, alternatives, axis=0)
         return Members(logs.reshape(shape), counts, regime, *moments, alternatives)
+
+    def _pruned(self, members: Members) -> Belief:
+        """The likeliest members as components."""
+        logs = leading(members.logs, members.counts, 0)
+        order = np.argsort(-logs, axis=0, kind="stable")
+        count = min(self.settings.count, len(order))
+        self.left_out |= (logs > -np.inf).sum(axis=0) > count
+        some = order[:count]
+        self.chosen.append(some)
+        counts = members.counts
+        if isinstance(counts, np.ndarray):
+            counts = np.take_along_axis(counts, some, axis=0)
+        return Belief(
+            np.take_along_axis(logs, some, axis=0),
+            self.regimes.memory[np.take_along_axis(members.regime, some, axis=0)],
+            counts,
+            np.take_along_axis(members.mean, some[None], axis=1),
+            np.take_along_axis(members.cov, some[None, None], axis=2),
+        )
 
     def reduced(self, known: Belief) -> Belief:
         """The belief of pieces of the prior, merged into as many components as others have."""

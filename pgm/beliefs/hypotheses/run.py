@@ -35,12 +35,14 @@ from pgm.schedules.schedule import Filtering, kind_of
 class Asked:
     """How many Gaussians are kept, None for as many as memories; and whether they are mixed.
 
-    `pieces` is the number of Gaussians that the prior is cut into.
+    `pieces` is the number of Gaussians that the prior is cut into; with `prune` the likeliest are
+    kept and others left out, none are merged.
     """
 
     count: int | None
     mix: bool
     pieces: int = 1
+    prune: bool = False
 
 
 def run(graph: DynamicGraph, bound: BoundEvidence, call: Call, asked: Asked) -> HypothesisOutcome:
@@ -102,6 +104,8 @@ def chain_of(
 def _settings(asked: Asked, regimes: Regimes, *, back: bool) -> Settings:
     count = regimes.memories if asked.count is None else asked.count
     kept = [v for v in regimes.variables if v in regimes.hidden]
+    if asked.prune:
+        return Settings(count, mix=False, back=back, prune=True)
     if count < regimes.memories:
         raise ModelError(
             f"{count} Gaussian{'s' * (count > 1)} for ({listed(kept)}), whose states the next step "
@@ -136,8 +140,8 @@ def _require_room(given: Given, regimes: Regimes, settings: Settings) -> None:
     each = settings.count * (1 + size + size * size)
     if settings.back:
         each = 2 * each + 2 * pairs * (2 + size + size * size)
-    merging = 4 * pairs * settings.count
-    if settings.count != regimes.memories:
+    merging = 0 if settings.prune else 4 * pairs * settings.count
+    if not settings.prune and settings.count != regimes.memories:
         merging += 2 * pairs * min(pairs, settings.count * regimes.size)
     passing = merging + 8 * pairs * (size + 1) ** 2
     require_memory(

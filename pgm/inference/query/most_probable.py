@@ -29,6 +29,8 @@ from pgm.beliefs.discrete.place import steps
 from pgm.beliefs.discrete.run_pieces import Distinct, some_runs, tree_pieces
 from pgm.beliefs.discrete.tree_passes import collect, enter
 from pgm.beliefs.discrete.tree_plan import Stack, TreePlan, plan_for
+from pgm.beliefs.hypotheses.family import Gaussians
+from pgm.beliefs.hypotheses.most_probable_path import most_probable_path as most_probable_modes
 from pgm.beliefs.markov.most_probable_path import most_probable_path
 from pgm.beliefs.markov.plan import SlicePlan, TableSlices
 from pgm.beliefs.markov.run import require_beliefs
@@ -41,7 +43,7 @@ from pgm.evidence.static import BoundStates, bind_discrete
 from pgm.factors.axes import discrete
 from pgm.factors.scope import namesake
 from pgm.immutable import Immutable
-from pgm.kernels.arrays import Array, Integers, frozen
+from pgm.kernels.arrays import Array, Integers, Mask, frozen
 from pgm.kernels.semirings import MAX_PRODUCT
 from pgm.posteriors.posterior import require_variable
 from pgm.posteriors.summaries import spread
@@ -55,6 +57,8 @@ from pgm.workers.workers import Workers
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
+# How many paths of modes are kept at each step, if nothing else is asked for.
+PATHS_KEPT = 256
 # How many variables a repr lists.
 LISTED = 10
 
@@ -72,6 +76,9 @@ class MostProbable(Shown, Immutable):
         for a control, which has no step 0, (*runs, T).
     log_probability : ndarray
         (*runs): ln p(assignment, evidence), natural logarithms.
+    exact : ndarray of bool
+        (*runs): whether no other assignment is more probable; of a path of modes, where others were
+        left out, that is not known.
 
     Examples
     --------
@@ -86,6 +93,7 @@ class MostProbable(Shown, Immutable):
 
     assignment: Mapping[Discrete, str | Integers]
     log_probability: Array
+    exact: Mask
 
     def states(self, variable: Variable) -> str | npt.NDArray[np.str_]:
         """The name of a variable's most probable state.
@@ -159,6 +167,7 @@ def most_probable(
     *,
     memory: float | None = None,
     executor: Executor | None = None,
+    belief: Gaussians | None = None,
     progress: Progress = False,
 ) -> MostProbable:
     r"""Find the assignment of all variables that is most probable given the evidence.
@@ -167,7 +176,9 @@ def most_probable(
 
     Here x has a state for every variable. For a dynamic network of tables the assignment is the
     most probable path of the hidden variables through all steps (Viterbi); measurements that were
-    not taken are summed over.
+    not taken are summed over. For a dynamic network of discrete and continuous variables it is the
+    path of the discrete ones, with the continuous ones integrated out: each step keeps the
+    likeliest paths so far, and where it leaves none out the path is the most probable of all.
 
     Messages with maxima in place of sums are sent to the roots of the tree, and the states of the
     maxima are traced back from there. Of several equally probable assignments the same one is
@@ -188,6 +199,9 @@ def most_probable(
     executor : concurrent.futures.Executor, optional
         A pool of processes or threads, or another executor that `infer` takes, whose workers are
         handed about equally many runs each. Not for a dynamic network.
+    belief : Gaussians, optional
+        How many paths are kept at each step of a dynamic network of discrete and continuous
+        variables; 256, ``pgm.Gaussians(256)``, if not given.
     progress : bool or callable
         Whether bars show how far the work is, on a terminal or in a notebook and nowhere else; or a
         function, ``progress(done, total)``, called at the start of each stage and after each of its
@@ -227,6 +241,14 @@ def most_probable(
         require(call.asked(graph), graph, PATHS)
         with reporting(progress):
             return _most_probable_path(graph, evidence)
+    if isinstance(graph, DynamicGraph) and graph.model.mixed:
+        with reporting(progress):
+            return _most_probable_modes(graph, evidence, _count(belief))
+    if belief is not None:
+        raise GraphError(
+            f"belief={belief!r} says how many paths of modes are kept, and {titled(graph)} has no "
+            "discrete variables beside continuous ones over time; leave it out"
+        )
     if isinstance(graph, DynamicGraph) or not graph.network.discrete:
         raise GraphError(
             "most_probable is for discrete networks; of continuous variables that are Gaussian the "
@@ -252,7 +274,8 @@ def most_probable(
     states.flags.writeable = False
     require_possible(plan, bound, log_tops)
     log_probability = frozen(log_tops.sum(axis=0).reshape(bound.lead))
-    return MostProbable(MappingProxyType(_assignment(plan, bound, states)), log_probability)
+    assignment = MappingProxyType(_assignment(plan, bound, states))
+    return MostProbable(assignment, log_probability, _known(np.ones(bound.lead, dtype=bool)))
 
 
 def _most_probable_path(graph: DynamicGraph, evidence: Evidence) -> MostProbable:
@@ -270,7 +293,42 @@ def _most_probable_path(graph: DynamicGraph, evidence: Evidence) -> MostProbable
         own.flags.writeable = False
         assignment[v] = own[:, 0 if v in plan.states else 1 :].reshape(*bound.lead, -1)
     log_probability = np.array(log_probability).reshape(bound.lead)
-    return MostProbable(MappingProxyType(assignment), frozen(log_probability))
+    exact = _known(np.ones(bound.lead, dtype=bool))
+    return MostProbable(MappingProxyType(assignment), frozen(log_probability), exact)
+
+
+def _known(exact: Mask) -> Mask:
+    """Whether assignments are the most probable ones, as a result has it."""
+    exact.flags.writeable = False
+    return exact
+
+
+def _count(belief: Gaussians | None) -> int:
+    """How many paths of modes are kept."""
+    if belief is None:
+        return PATHS_KEPT
+    if not isinstance(belief, Gaussians) or belief.count is None or belief.mix or belief.starts:
+        raise GraphError(
+            "belief says how many paths of modes are kept, pgm.Gaussians(count), and nothing else; "
+            f"found {belief!r}"
+        )
+    return belief.count
+
+
+def _most_probable_modes(graph: DynamicGraph, evidence: Evidence, count: int) -> MostProbable:
+    """The most probable path of a mixed network's discrete variables."""
+    bound = bind_chain(graph.model, evidence, graph.steps)
+    found = most_probable_modes(graph.model, bound, count)
+    assignment: dict[Discrete, str | Integers] = {}
+    for variable, own in found.states.items():
+        own.flags.writeable = False
+        path = own[:, 0 if variable in graph.layout.states else 1 :]
+        assignment[variable] = path.reshape(*bound.lead, -1)
+    return MostProbable(
+        MappingProxyType(assignment),
+        frozen(np.array(found.log_probability).reshape(bound.lead)),
+        _known(found.exact.reshape(bound.lead)),
+    )
 
 
 @dataclass(frozen=True, eq=False)
