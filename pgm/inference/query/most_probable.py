@@ -29,11 +29,11 @@ from pgm.beliefs.discrete.place import steps
 from pgm.beliefs.discrete.run_pieces import Distinct, some_runs, tree_pieces
 from pgm.beliefs.discrete.tree_passes import collect, enter
 from pgm.beliefs.discrete.tree_plan import Stack, TreePlan, plan_for
-from pgm.beliefs.hypotheses.family import Gaussians
 from pgm.beliefs.hypotheses.most_probable_path import most_probable_path as most_probable_modes
 from pgm.beliefs.markov.most_probable_path import most_probable_path
 from pgm.beliefs.markov.plan import SlicePlan, TableSlices
 from pgm.beliefs.markov.run import require_beliefs
+from pgm.boundary import is_whole
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
 from pgm.display import LEFT_OUT, Listing, Shown, Summary, few, titled
@@ -167,7 +167,7 @@ def most_probable(
     *,
     memory: float | None = None,
     executor: Executor | None = None,
-    belief: Gaussians | None = None,
+    paths: int | None = None,
     progress: Progress = False,
 ) -> MostProbable:
     r"""Find the assignment of all variables that is most probable given the evidence.
@@ -199,9 +199,9 @@ def most_probable(
     executor : concurrent.futures.Executor, optional
         A pool of processes or threads, or another executor that `infer` takes, whose workers are
         handed about equally many runs each. Not for a dynamic network.
-    belief : Gaussians, optional
+    paths : int, optional
         How many paths are kept at each step of a dynamic network of discrete and continuous
-        variables; 256, ``pgm.Gaussians(256)``, if not given.
+        variables; 256, if not given. For no other network.
     progress : bool or callable
         Whether bars show how far the work is, on a terminal or in a notebook and nowhere else; or a
         function, ``progress(done, total)``, called at the start of each stage and after each of its
@@ -236,19 +236,19 @@ def most_probable(
             f"evidence maps variables to states; found {type(evidence).__name__}; of a table of "
             "records pgm.records(table, network) makes it"
         )
-    if isinstance(graph, DynamicGraph) and graph.model.discrete:
+    mixed = isinstance(graph, DynamicGraph) and graph.model.mixed
+    if paths is not None and not mixed:
+        raise GraphError(
+            f"paths={paths!r} says how many paths of modes are kept, and {titled(graph)} has no "
+            "discrete variables beside continuous ones over time; leave it out"
+        )
+    if isinstance(graph, DynamicGraph) and (mixed or graph.model.discrete):
         call = Call(executor=executor, memory=memory)
         require(call.asked(graph), graph, PATHS)
         with reporting(progress):
+            if mixed:
+                return _most_probable_modes(graph, evidence, _count(paths))
             return _most_probable_path(graph, evidence)
-    if isinstance(graph, DynamicGraph) and graph.model.mixed:
-        with reporting(progress):
-            return _most_probable_modes(graph, evidence, _count(belief))
-    if belief is not None:
-        raise GraphError(
-            f"belief={belief!r} says how many paths of modes are kept, and {titled(graph)} has no "
-            "discrete variables beside continuous ones over time; leave it out"
-        )
     if isinstance(graph, DynamicGraph) or not graph.network.discrete:
         raise GraphError(
             "most_probable is for discrete networks; of continuous variables that are Gaussian the "
@@ -303,16 +303,13 @@ def _known(exact: Mask) -> Mask:
     return exact
 
 
-def _count(belief: Gaussians | None) -> int:
+def _count(paths: int | None) -> int:
     """How many paths of modes are kept."""
-    if belief is None:
+    if paths is None:
         return PATHS_KEPT
-    if not isinstance(belief, Gaussians) or belief.count is None or belief.mix or belief.starts:
-        raise GraphError(
-            "belief says how many paths of modes are kept, pgm.Gaussians(count), and nothing else; "
-            f"found {belief!r}"
-        )
-    return belief.count
+    if not is_whole(paths) or paths < 1:
+        raise GraphError(f"paths is how many are kept, 1 or more; found {paths!r}")
+    return int(paths)
 
 
 def _most_probable_modes(graph: DynamicGraph, evidence: Evidence, count: int) -> MostProbable:

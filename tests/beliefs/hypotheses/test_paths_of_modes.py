@@ -55,8 +55,8 @@ def test_few_paths_that_are_kept_are_told_of():
     world = drawn(rng, 2, 2, 1)
     values = np.stack([world.drawn(rng, 12) for _ in range(4)]).reshape(2, 2, 12, 1)
     graph = pgm.compile(world.model, 12)
-    whole = pgm.most_probable(graph, {world.z: values}, belief=pgm.Gaussians(2**13))
-    few = pgm.most_probable(graph, {world.z: values}, belief=pgm.Gaussians(3))
+    whole = pgm.most_probable(graph, {world.z: values}, paths=2**13)
+    few = pgm.most_probable(graph, {world.z: values}, paths=3)
     assert whole.exact.all()
     assert not few.exact.any()
     assert whole.assignment[world.mode].shape == (2, 2, 13)
@@ -89,9 +89,9 @@ def test_a_control_that_chooses_has_a_path_from_step_one():
 
 def test_what_has_no_path_of_modes_is_refused():
     graph = pgm.compile(walk(), 5)
-    with pytest.raises(pgm.GraphError, match="and nothing else"):
-        pgm.most_probable(graph, READ, belief=pgm.Gaussians(mix=True))
+    with pytest.raises(pgm.GraphError, match="1 or more; found 0"):
+        pgm.most_probable(graph, READ, paths=0)
     from pgm.examples import rainy, wet
 
     with pytest.raises(pgm.GraphError, match="no discrete variables beside"):
-        pgm.most_probable(pgm.compile(rainy), {wet: "yes"}, belief=pgm.Gaussians(4))
+        pgm.most_probable(pgm.compile(rainy), {wet: "yes"}, paths=4)
