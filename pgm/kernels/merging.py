@@ -241,9 +241,10 @@ def split(
 
     Nothing is divided by but D, so that evidence may make a component certain, w = 0, or say
     nothing of it, w = 1. No evidence widens a Gaussian's belief; where that of a component, which
-    stands for several, came back wider, w is taken as 1, and the ratio is exp(μ y − μ² / 2). As a
-    density's it would have no integral for members that are wider than 1 / (w − 1), and carry
-    others away step by step. A component's only member takes its belief as it is.
+    stands for several, came back wider, w is taken as 1: the ratio exp(μ y − μ² / 2) passes the
+    mean on alone, and a member that is wider than the component, p > 1, is moved by μ, not by p μ.
+    As a density's the ratio would have no integral for members that are wider than w / (w − 1), and
+    carry others away step by step. A component's only member takes its belief as it is.
 
     `later` are b (components, *batch, n) and W, `known` a and V; `owner`, `logs` (members, *batch)
     and `members`, m and P, are of the members, their angles on the component's branch.
@@ -266,6 +267,9 @@ def split(
     for k in range(size):
         w, mu = np.minimum(spread[..., k], 1.0)[at], middle[..., k][at]
         column, variance, place = p[..., :, k], p[..., k, k], m[..., k]
+        # Where only the mean is passed on, a member goes no further than its component did.
+        reach = np.where(w < 1.0, 1.0, np.maximum(variance, 1.0))
+        column, variance = column / reach[..., None], variance / reach
         scale = variance * (1.0 - w) + w
         scale = np.where(scale > 0.0, scale, 1.0)
         off = mu - place * (1.0 - w)
