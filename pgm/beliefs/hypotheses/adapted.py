@@ -33,7 +33,7 @@ from pgm.compile import SliceLayout
 from pgm.errors import NumericalError
 from pgm.factors import Gaussian
 from pgm.factors.scope import angle_mask
-from pgm.kernels.angles import difference
+from pgm.kernels.angles import difference, nearest_branch
 from pgm.kernels.arrays import (
     Array,
     Index,
@@ -50,6 +50,7 @@ from pgm.kernels.moments import Conditional
 from pgm.kernels.semirings import log_sum
 from pgm.kernels.solving import regression
 from pgm.posteriors.belief_kind import SMOOTHED
+from pgm.posteriors.hidden import require_at_steps
 from pgm.schedules.limits import require_runs
 from pgm.variables import Variable
 
@@ -131,6 +132,7 @@ class ModeBeliefs:
 
     def joint(self, *variables: Variable) -> Gaussian:
         """The joints of variables at steps in each mode, (K, *runs, ...)."""
+        require_at_steps(self.layout, variables, len(self.beliefs.mean) - 1)
         mean, cov = joint_moments(self.reverse, self.beliefs, self.layout, variables)
         shape = self.lead
         return Gaussian._make(
@@ -140,8 +142,8 @@ class ModeBeliefs:
 
 def _merged(values: Array) -> Array:
     """Arrays (K, steps, runs, ...) as (steps, K · runs, ...)."""
-    steps = values.swapaxes(0, 1)
-    return steps.reshape(len(steps), -1, *values.shape[3:])
+    count, steps, runs = values.shape[:3]
+    return values.swapaxes(0, 1).reshape(steps, count * runs, *values.shape[3:])
 
 
 def _given(mean: Array, cov: Array, of: Index, given: Index) -> Conditional:
@@ -176,8 +178,9 @@ def adapt(outcomes: list[ChainOutcome], weights: Array, draws: int) -> Adapted:
         If the draws would not fit in memory.
     """
     plan = outcomes[0]._plan
-    exact = has_exact(s.family for s in plan.sensors if s.family.step.size)
-    model = ChainModel.make(plan, relative=False)
+    read = (s for s in plan.sensors if s.family.step.size)
+    exact = has_exact(s.family for s in read if s.taken is None or s.taken.any())
+    model = ChainModel.make(plan, relative=False, near=False)
     laws = _of_smoothers(model.law, outcomes, weights)
     if exact or not all(laws.path(model.law, k).regular for k in range(len(weights))):
         raise NumericalError(
@@ -185,7 +188,7 @@ def adapt(outcomes: list[ChainOutcome], weights: Array, draws: int) -> Adapted:
             "determines them: leave draws out, or give the exact sensor some noise"
         )
     size = (plan.steps + 1) * 2 * laws.mean.shape[-1]
-    require_runs(draws * size, plan.runs, f"{draws} draws of trajectories")
+    require_runs(draws * size, plan.runs, f"draws={draws:,}, as many trajectories a run,")
     rng = np.random.default_rng(0)
     for _ in range(ROUNDS):
         found = _round(model, laws, draws, rng)
@@ -213,9 +216,14 @@ class _Source:
         (K, runs, S) and (runs, S): ln q_k and ln d.
     """
 
-    def __init__(self, paths: list[Path], kinds: Integers, rng: np.random.Generator) -> None:
-        self.paths, self.kinds, self._rng = paths, kinds, rng
-        self.by_mode = np.zeros((len(paths), *kinds.shape))
+    def __init__(
+        self, law: ChainLaw, laws: Laws, kinds: Integers, rng: np.random.Generator
+    ) -> None:
+        self.paths = [laws.path(law, k) for k in range(len(laws.weights))]
+        self.kinds, self._rng = kinds, rng
+        self._means, self._turned = laws.mean, law.turned if law.turned.any() else None
+        self._places = law.layout.state_places
+        self.by_mode = np.zeros((len(self.paths), *kinds.shape))
         self.defensive = np.zeros(kinds.shape)
         self._index = 0
 
@@ -223,18 +231,26 @@ class _Source:
         """Draw the next slice given the states before; see `Proposing`."""
         proposal, row = self.paths[0].at(self._index)
         white = proposal.white(row, self.kinds.shape[1], self._rng)
-        values = proposal.values(row, given, white)
+        values = proposal.values(row, self._near(0, given), white)
         for k, path in enumerate(self.paths[1:], 1):
             own, place = path.at(self._index)
             here = (self.kinds == k)[..., None]
-            values = np.where(here, own.values(place, given, white), values)
+            values = np.where(here, own.values(place, self._near(k, given), white), values)
         return values, Afresh(self.kinds == len(self.paths), self._rng)
+
+    def _near(self, k: int, given: Array) -> Array:
+        """The states before, their angles on the branch of a mode, whose F knows no turns."""
+        if self._turned is None or self._index < 2:
+            return given
+        mean = self._means[k, self._index - 1][:, None, : given.shape[-1]]
+        return nearest_branch(given, mean, self._turned[self._places])
 
     def weigh(self, given: Array, values: Array, predicted: Array) -> None:
         """Add the densities of a slice; see `Proposing`."""
         for k, path in enumerate(self.paths):
             own, place = path.at(self._index)
-            white = own.whitened(place, given, values)
+            turned = self._turned if self._index else None
+            white = own.whitened(place, self._near(k, given), values, turned)
             self.by_mode[k] += own.log_density(place, np.einsum("rsi,rsi->rs", white, white))
         self.defensive += predicted
         self._index += 1
@@ -242,14 +258,14 @@ class _Source:
 
 def _round(model: ChainModel, laws: Laws, draws: int, rng: np.random.Generator) -> Adapted:
     """One round: S draws of each run, and the laws that their weights make of them."""
-    count, runs = laws.weights.shape
+    runs = laws.weights.shape[1]
     alive = laws.weights > 0.0
     # A mode has half its weight and half an equal share, so that none is starved.
     shares = (1.0 - DEFENSIVE) * 0.5 * (laws.weights + alive / alive.sum(axis=0))
     ends = np.cumsum(shares, axis=0)
     places = (np.arange(draws) + 0.5) / draws
     kinds = (ends[..., None] <= places).sum(axis=0)
-    source = _Source([laws.path(model.law, k) for k in range(count)], kinds, rng)
+    source = _Source(model.law, laws, kinds, rng)
     drawn = model.draw(source, (runs, draws), strict=False)
     with np.errstate(divide="ignore"):  # a mode that a run has not
         parts = np.log(shares)[..., None] + source.by_mode

@@ -108,10 +108,15 @@ class Gaussians(BeliefFamily[Any]):
             raise ModelError(f"mix says whether Gaussians are mixed, True or False, not {mix!r}")
         if not is_whole(starts) or starts < 0:
             raise ModelError(f"starts is a number of smoothers, 0 or more, not {starts!r}")
-        if starts and (mix or count is None):
+        if starts and count is None:
             raise ModelError(
-                f"starts={starts} looks for modes of one posterior, of which a count is kept, and "
-                "none are mixed: give pgm.Gaussians(count, starts=...)"
+                f"starts={starts} looks for modes of one posterior, of which a count is kept: give "
+                "pgm.Gaussians(count, starts=...)"
+            )
+        if starts and mix:
+            raise ModelError(
+                f"mix=True mixes the Gaussians of discrete states, and starts={starts} are of one "
+                "posterior's modes: leave one of them out"
             )
         if not is_whole(draws) or draws < 0:
             raise ModelError(f"draws is a number of trajectories, 0 or more, not {draws!r}")

@@ -9,6 +9,7 @@ first, then the runs.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple
@@ -25,7 +26,7 @@ from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.readings import Moments
 from pgm.compile import DynamicGraph
 from pgm.display import Summary
-from pgm.errors import EvidenceError, ModelError, PgmError
+from pgm.errors import BeliefWarning, EvidenceError, ModelError, PgmError, levels_to_user
 from pgm.evidence import BoundEvidence, Reading
 from pgm.evidence.dynamic import Inputs
 from pgm.factors import Gaussian, GaussianMixture
@@ -47,6 +48,8 @@ from pgm.variables import Variable
 
 # Two fixed points are one mode if no component differs by more of its deviations.
 APART = 0.5
+# Draws of fewer effective ones give a warning.
+ENOUGH = 100.0
 # Linearisations of a smoother from a start, unless a call asks for others.
 ITERATIONS = 50
 
@@ -83,8 +86,9 @@ class ModeFigures(Figures):
     @property
     def phrases(self) -> list[str]:
         """The figures in words."""
+        modes = _range(self.modes)
         found = [
-            f"{_range(self.modes)} modes",
+            f"{modes} mode{'s' * (modes != '1')}",
             f"{_range(self.arrived)} of {self.starts} starts settled",
         ]
         if self.effective is not None:
@@ -184,8 +188,8 @@ def run(
     """
     if kind_of(call.schedule, "modes of one posterior") != SMOOTHED:
         raise ModelError(
-            f"starts are of smoothers, which find modes of a whole record, not of "
-            f"{call.schedule!r}: use pgm.smooth without a lag"
+            "starts= of a smoother finds modes of a whole record, and a fixed lag sees a part of "
+            "it: leave lag= out, or use pgm.filter, whose prior is cut into pieces"
         )
     if graph.model.mixed or any(reading.unknown is not None for reading in bound.readings):
         raise ModelError(
@@ -211,6 +215,15 @@ def _adapted(found: ModesOutcome, bound: BoundEvidence, call: Call, draws: int) 
         assert isinstance(outcome, ChainOutcome)
         outcomes.append(outcome)
     adapted = adapt(outcomes, found._weights, draws)
+    least = float(adapted.effective.min(initial=ENOUGH))
+    if least < ENOUGH:
+        warnings.warn(
+            f"draws={draws}: those of the last round are worth {least:.0f} equally weighted ones "
+            "in the worst run (status.effective), too few to adapt modes by: give more draws, or "
+            "fewer steps, or leave draws out",
+            BeliefWarning,
+            stacklevel=levels_to_user(),
+        )
     weights = adapted.laws.weights
     beliefs = ModeBeliefs.make(adapted.laws, graph.layout, lead)
     figures = found.status._figures
@@ -232,10 +245,10 @@ def _adapted(found: ModesOutcome, bound: BoundEvidence, call: Call, draws: int) 
 def _schedule(call: Call) -> Smoothing:
     """The smoother from each start: of many iterations, whose steps lower the cost."""
     asked = call.schedule
+    damping = getattr(asked, "damping", None) or LevenbergMarquardt()
     if isinstance(asked, Smoothing) and asked.iterations > 1:
-        damping = asked.damping or LevenbergMarquardt()
         return Smoothing(asked.iterations, asked.tolerance, damping)
-    return Smoothing(ITERATIONS, damping=LevenbergMarquardt())
+    return Smoothing(ITERATIONS, damping=damping)
 
 
 def _repeated(bound: BoundEvidence, count: int) -> BoundEvidence:

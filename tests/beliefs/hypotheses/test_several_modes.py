@@ -124,7 +124,7 @@ def test_what_cannot_be_is_refused():
         pgm.Gaussians(starts=4)
     with pytest.raises(pgm.ModelError, match="starts is a number"):
         pgm.Gaussians(2, starts=-1)
-    with pytest.raises(pgm.ModelError, match="starts are of smoothers"):
+    with pytest.raises(pgm.ModelError, match="a fixed lag sees a part"):
         pgm.smooth(MIRROR, drive(0), lag=3, belief=pgm.Gaussians(2, starts=4))
     with pytest.raises(pgm.ModelError, match="a filter has none"):
         pgm.filter(MIRROR, drive(0), belief=pgm.Gaussians(2, starts=4, draws=10))
@@ -189,7 +189,7 @@ def test_draws_that_cannot_be_are_refused():
         pgm.Gaussians(2, starts=4, draws=-1)
     with pytest.raises(pgm.ModelError, match="give both"):
         pgm.Gaussians(2, draws=100)
-    with pytest.raises(pgm.GraphError, match="draws of trajectories"):
+    with pytest.raises(pgm.GraphError, match="draws=10,000,000,000"):
         pgm.smooth(MIRROR, drive(1), belief=pgm.Gaussians(2, starts=2, draws=10**10))
     x, z = pgm.Variable("x"), pgm.Variable("z")
     exact = pgm.DynamicBayesianNetwork(
@@ -235,3 +235,97 @@ def test_a_mixed_networks_prior_is_cut_too():
     few = pgm.filter(walk(), READ, belief=pgm.Gaussians(64))
     cut = pgm.filter(walk(), READ, belief=pgm.Gaussians(64, starts=8))
     assert far(few[MODE].probabilities, cut[MODE].probabilities) < 0.02
+
+
+def test_readings_of_angles_are_of_all_branches():
+    """Two modes on either side of the half turn: a linear sensor's as a nonlinear one's."""
+    h, z = pgm.Variable("h", angles=("h",)), pgm.Variable("z", angles=("z",))
+    found = []
+    for sensor in (
+        pgm.LinearGaussianCPD(z, {h: 1.0}, cov=0.01),
+        pgm.NonlinearGaussianCPD(z, h, lambda h: h, cov=0.01),
+    ):
+        model = pgm.DynamicBayesianNetwork(
+            [pgm.GaussianCPD(h, 0.0, 1.0)],
+            [pgm.LinearGaussianCPD(h, {h.previous: 1.0}, cov=0.05)],
+            [sensor],
+        )
+        asked = {z: [[3.1], [3.1]]}
+        for draws in (0, 8000):
+            belief = pgm.Gaussians(4, starts=8, draws=draws)
+            found.append(pgm.smooth(model, asked, belief=belief))
+    for each in found:
+        assert each.log_evidence == pytest.approx(found[0].log_evidence, abs=0.02)
+        weights = each[h.at(2)].weights
+        assert np.sort(weights) == pytest.approx([0.4386, 0.5614], abs=0.02)
+
+
+def test_an_angle_that_nothing_reads_changes_no_mode():
+    """It is a function of the state, whose branches differ from mode to mode."""
+    x, z = pgm.Variable("x", components=("e", "n")), pgm.Variable("z", components=("u", "v"))
+    b = pgm.Variable("b", angles=("b",))
+    states = [
+        pgm.LinearGaussianCPD(x, {x.previous: np.eye(2)}, cov=0.02 * np.eye(2)),
+        pgm.NonlinearGaussianCPD(b, x, lambda x: np.arctan2(x[..., 1:], x[..., :1]), cov=0.02),
+    ]
+    read = pgm.NonlinearGaussianCPD(
+        z, x, lambda x: np.stack([x[..., 0] ** 2, x[..., 0] * x[..., 1]], -1), cov=0.02 * np.eye(2)
+    )
+    prior = [pgm.GaussianCPD(x, [0.05, 0.1], np.eye(2))]
+    asked = {z: [[1.0, 1.0]]}
+    belief = pgm.Gaussians(4, starts=16, draws=20_000)
+    plain = pgm.smooth(pgm.DynamicBayesianNetwork(prior, states[:1], [read]), asked, belief=belief)
+    found = pgm.smooth(
+        pgm.DynamicBayesianNetwork([*prior, pgm.GaussianCPD(b, 0.0, 1.0)], states, [read]),
+        asked,
+        belief=belief,
+    )
+    assert found.log_evidence == pytest.approx(plain.log_evidence, abs=0.02)
+    assert np.sort(found[x].weights[-1]) == pytest.approx(np.sort(plain[x].weights[-1]), abs=0.02)
+    assert found.status.effective > 10_000
+    own = found[b.at(1)].components
+    wanted = np.arctan2(*found[x.at(1)].components.mean[:, ::-1].T)
+    assert far(np.angle(np.exp(1j * (own.mean[:, 0] - wanted))), 0.0) < 0.05
+
+
+def test_questions_of_adapted_modes_are_checked():
+    found = pgm.smooth(MIRROR, drive(1), belief=pgm.Gaussians(4, starts=8, draws=500))
+    with pytest.raises(pgm.EvidenceError, match="at steps"):
+        found.joint()
+    with pytest.raises(pgm.EvidenceError, match=r"write p\.at"):
+        found.joint(P)
+    with pytest.raises(pgm.EvidenceError, match="step"):
+        found.joint(P.at(1), P.at(STEPS + 1))
+    with pytest.raises(pgm.ModelError, match="twice"):
+        found.joint(P.at(1), P.at(1))
+
+
+def test_no_steps_at_all_and_exact_sensors_that_are_silent():
+    model = walk().replace(prior=walk().prior[1:], transition=[walk().transition[1].cases[1,]])
+    x = model.states[0]
+    belief = pgm.Gaussians(2, starts=4, draws=1000)
+    found = pgm.smooth(model, {}, steps=0, belief=belief)
+    assert found[x].mean == pytest.approx(0.0, abs=0.1)
+    y = pgm.Variable("y")
+    sure = model.replace(observation=[*model.observation, pgm.LinearGaussianCPD(y, {x: 1.0}, 0.0)])
+    silent = {**READ, y: np.full((len(READ[next(iter(READ))]), 1), np.nan)}
+    wanted = pgm.smooth(model, READ)
+    assert far(pgm.smooth(sure, silent, belief=belief)[x].mean, wanted[x].mean) < 0.1
+
+
+def test_draws_that_are_too_few_are_told_of():
+    with pytest.warns(pgm.BeliefWarning, match="too few to adapt"):
+        pgm.smooth(MIRROR, drive(1), belief=pgm.Gaussians(2, starts=8, draws=20))
+
+
+def test_damping_that_is_asked_for_is_taken():
+    """Motions without noise that are not linear have no cost that steps could be controlled by."""
+    x, z = pgm.Variable("x"), pgm.Variable("z")
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(x, 0.5, 0.1)],
+        [pgm.NonlinearGaussianCPD(x, x.previous, np.sin, cov=0.0)],
+        [pgm.LinearGaussianCPD(z, {x: 1.0}, cov=0.1)],
+    )
+    read = {z: [[0.4], [0.45]]}
+    found = pgm.smooth(model, read, belief=pgm.Gaussians(2, starts=2), damping=0.5)
+    assert found[x].mean.shape == (3, 1)

@@ -69,6 +69,9 @@ class Term:
     family: The CPD at its rows, with the values of its observed parents and its linearisation.
     own: The root L of the CPD's noise, (rows or 1, runs or 1, d, d).
     relative: Whether densities are divided by those of the linearised CPD.
+    near: Whether all draws are near the linearisation, so that an angle has its branch. Draws of
+        several modes are not: then a child's angle is drawn on the branch of the function's own
+        value, and residuals of angles that are read are wrapped.
     linearised: The root of the linearised CPD's noise, (rows, runs, d, d). None if densities are
         not relative, and for an affine CPD, whose relative density is one.
     taken: The mask of the components of a sensor's readings that were measured, (rows, runs or 1,
@@ -78,11 +81,14 @@ class Term:
     family: Family
     own: Array
     relative: bool
+    near: bool = True
     linearised: Array | None = None
     taken: Mask | None = None
 
     @classmethod
-    def make(cls, family: Family, *, relative: bool, taken: Mask | None = None) -> Term:
+    def make(
+        cls, family: Family, *, relative: bool, near: bool = True, taken: Mask | None = None
+    ) -> Term:
         """The density of the CPD `family`; the arguments are the fields of the class.
 
         A NumericalError is raised if densities are relative and the CPD has robust noise, or is
@@ -102,7 +108,7 @@ class Term:
                 cpd=cpd,
             )
         if not relative or family.exact:
-            return cls(family, own, relative, taken=taken)
+            return cls(family, own, relative, near, taken=taken)
         linearised = roots.root(noise)
         pivots = np.diagonal(linearised, axis1=-2, axis2=-1)
         bad = np.isnan(pivots) | (pivots == 0.0) | roots.determined(own)
@@ -116,7 +122,7 @@ class Term:
                 variable=cpd.child,
                 cpd=cpd,
             )
-        return cls(family, own, relative, linearised, taken)
+        return cls(family, own, relative, near, linearised, taken)
 
     def free(self) -> Mask:
         """The mask of child components that have noise, (rows or 1, runs or 1, d)."""
@@ -140,8 +146,10 @@ class Term:
             Student's t for its noise; None marks none.
         strict: Whether a lost draw raises a LinearisationError.
         """
-        value, lost = self._value(row, parents, on_chart=True, strict=strict)
+        value, lost = self._value(row, parents, on_chart=self.near, strict=strict)
         own = _at(self.own, row)
+        if not (self.near or self.family.exact):
+            proposed = nearest_branch(proposed, value, self.family.cpd.child.angle_mask)
         if afresh is not None:
             proposed = self._redrawn(value, own, proposed, afresh)
         white = self._white(row, proposed - value)
@@ -196,7 +204,7 @@ class Term:
             return np.zeros(parents.shape[1:3])
         value, lost = self._value(rows, parents, strict=strict)
         reading = moved if self.family.exact else values
-        angles = self.family.cpd.child.angle_mask & (not self.family.exact)
+        angles = self.family.cpd.child.angle_mask & (not (self.family.exact and self.near))
         residual = self._read(rows, difference(reading[..., None, :], value, angles))
         if self.family.cpd.noise is not None:
             log_density = self._robust(self.family.cpd.noise, rows, residual)

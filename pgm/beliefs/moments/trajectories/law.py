@@ -36,13 +36,27 @@ class ChainLaw:
     transition: Links
 
     @classmethod
-    def make(cls, plan: ChainPlan, *, relative: bool) -> ChainLaw:
-        """The law of a chain; `relative` is as of its CPDs' `Term`."""
+    def make(cls, plan: ChainPlan, *, relative: bool, near: bool = True) -> ChainLaw:
+        """The law of a chain; `relative` and `near` are as of its CPDs' `Term`."""
         prior, transition = (
-            [(link, Term.make(link.family, relative=relative)) for link in links]
+            [(link, Term.make(link.family, relative=relative, near=near)) for link in links]
             for links in (plan.prior, plan.transition)
         )
         return cls(plan.layout, prior, transition)
+
+    @property
+    def turned(self) -> Mask:
+        """The components of a slice that are angles and the values of functions, (n,).
+
+        Of draws that are not `near`, as of `Term`, they are on the branch of the function's value.
+        """
+        found = np.zeros(self.layout.slice_size, dtype=bool)
+        start = self.layout.state_size
+        for link, term in self.transition:
+            if not term.family.exact:
+                place = slice(link.child.start - start, link.child.stop - start)
+                found[place] = term.family.cpd.child.angle_mask
+        return found
 
     def onward(self, beliefs: Beliefs, states: Conditional) -> Conditional:
         """The conditionals p(slice at t + 1 | states at t, z), (T, runs, ...), z all measurements.

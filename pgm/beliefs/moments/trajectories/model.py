@@ -62,13 +62,13 @@ class ChainModel:
     sensors: list[tuple[Sensor, Term]]
 
     @classmethod
-    def make(cls, plan: ChainPlan, *, relative: bool) -> ChainModel:
-        """The densities of a plan; `relative` is as of its CPDs' `Term`."""
+    def make(cls, plan: ChainPlan, *, relative: bool, near: bool = True) -> ChainModel:
+        """The densities of a plan; `relative` and `near` are as of its CPDs' `Term`."""
         sensors = [
-            (sensor, Term.make(sensor.family, relative=relative, taken=sensor.taken))
+            (sensor, Term.make(sensor.family, relative=relative, near=near, taken=sensor.taken))
             for sensor in plan.sensors
         ]
-        return cls(plan, ChainLaw.make(plan, relative=relative), sensors)
+        return cls(plan, ChainLaw.make(plan, relative=relative, near=near), sensors)
 
     def draw(self, source: Proposing, shape: tuple[int, int], *, strict: bool) -> Weighed:
         """Draw trajectories that a source proposes, for a `shape` of (runs, S).

@@ -16,6 +16,7 @@ import numpy as np
 from pgm.beliefs.moments.trajectories.student import log_ratio, stretch
 from pgm.errors import NumericalError
 from pgm.kernels import moments, normal_density, roots, solving
+from pgm.kernels.angles import difference
 from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask, transpose
 from pgm.kernels.moments import Conditional
 
@@ -92,12 +93,15 @@ class Proposal:
         """
         return self._mean(row, given) + white @ transpose(self.lower[row])
 
-    def whitened(self, row: int, given: Array, values: Array) -> Array:
+    def whitened(self, row: int, given: Array, values: Array, turned: Mask | None = None) -> Array:
         """The white noise s, (runs, S, n), that makes given draws: the inverse of `values`.
 
-        `given` is x, (runs, S, m), and `values` are the draws F x + b + L s, (runs, S, n).
+        `given` is x, (runs, S, m), and `values` are the draws F x + b + L s, (runs, S, n), of which
+        components that are `turned` (n,) may be off by whole turns.
         """
         off = values - self._mean(row, given)
+        if turned is not None:
+            off = difference(off, np.zeros(off.shape[-1]), turned)
         if self._inverse is None:
             return normal_density.whitened(self.lower[row], off)[0]
         white: Array = off @ transpose(self._inverse[row])
