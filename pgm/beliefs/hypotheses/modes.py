@@ -26,7 +26,14 @@ from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.readings import Moments
 from pgm.compile import DynamicGraph
 from pgm.display import Summary
-from pgm.errors import BeliefWarning, EvidenceError, ModelError, PgmError, levels_to_user
+from pgm.errors import (
+    BeliefWarning,
+    ConvergenceWarning,
+    EvidenceError,
+    ModelError,
+    PgmError,
+    levels_to_user,
+)
 from pgm.evidence import BoundEvidence, Reading
 from pgm.evidence.dynamic import Inputs
 from pgm.factors import Gaussian, GaussianMixture
@@ -41,6 +48,7 @@ from pgm.posteriors.figures import Figures
 from pgm.posteriors.outcome import Outcome
 from pgm.posteriors.status import Status
 from pgm.posteriors.summaries import over_time
+from pgm.schedules.convergence import is_iterated
 from pgm.schedules.damping import LevenbergMarquardt
 from pgm.schedules.options import Call
 from pgm.schedules.schedule import ONCE, Smoothing, kind_of
@@ -200,6 +208,14 @@ def run(
     begun = _begun(graph, bound, call, starts)
     parts = _arrived(graph, bound, call._replace(schedule=schedule), begun)
     found = _chosen(graph, bound, parts, count, starts)
+    if not (found.status.converged.all() or is_iterated(call.schedule)):  # of these others tell
+        warnings.warn(
+            f"starts={starts}: in some run no smoother from any start had settled after "
+            f"{schedule.iterations} linearisations (status.converged, status.arrived); give more "
+            "iterations, or more starts",
+            ConvergenceWarning,
+            stacklevel=levels_to_user(),
+        )
     return _adapted(found, bound, call._replace(schedule=schedule), draws) if draws else found
 
 

@@ -329,3 +329,17 @@ def test_damping_that_is_asked_for_is_taken():
     read = {z: [[0.4], [0.45]]}
     found = pgm.smooth(model, read, belief=pgm.Gaussians(2, starts=2), damping=0.5)
     assert found[x].mean.shape == (3, 1)
+
+
+def test_starts_of_which_none_settles_are_told_of():
+    """A chain that its readings of a square bend at each of very many steps."""
+    x, z = pgm.Variable("x"), pgm.Variable("z")
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(x, 0.0, 1.0)],
+        [pgm.LinearGaussianCPD(x, {x.previous: 0.95}, cov=0.05)],
+        [pgm.NonlinearGaussianCPD(z, x, np.square, cov=0.05)],
+    )
+    read = {z: model.sample(steps=300, rng=0)[z]}
+    with pytest.warns(pgm.ConvergenceWarning, match="no smoother from any start"):
+        found = pgm.smooth(model, read, belief=pgm.Gaussians(2, starts=4))
+    assert not found.status.converged.all()
