@@ -1,8 +1,8 @@
 """A target that turns now and then: which of its motions holds when, and where it is.
 
 In summary.json ``methods.<name>`` has the root mean square errors of places, filtered and smoothed
-[m], the normalised errors squared (`nees`), the share of steps in whose likeliest mode the target
-was (`right`), and the log-evidence, all as means over runs.
+[m], the smoother's normalised errors squared a component (`nees`), the share of steps in whose
+likeliest mode the target was (`right`), and the log-evidence, all as means over runs.
 """
 
 from __future__ import annotations

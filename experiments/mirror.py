@@ -3,7 +3,8 @@
 In summary.json ``weights``, ``modes`` and ``divergence`` have a number for each drive: the weight
 of the likelier mode, how many modes were found, and the KL divergence of a grid's belief at the
 last step from the mixture [nats]; ``one`` is that from the likelier mode alone, ``adapted`` that
-from the mixture as draws have adapted it.
+from the mixture as draws have adapted it. ``mean_divergence`` and ``mean_adapted`` are their means
+over drives, ``found_both`` the share of drives in which two modes were found.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Two targets cross, and no reading says whose it is, or whether it is of anything.
 
 In summary.json ``methods.<name>`` has the root mean square error of places [m], filtered and
-smoothed, the normalised errors squared a component (`nees`), and the share of runs in which the
-targets were swapped or lost at the end.
+smoothed, the filter's normalised errors squared a component (`nees`), and the share of runs in
+which the targets were swapped or lost at the end (`lost`).
 """
 
 from __future__ import annotations

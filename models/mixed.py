@@ -23,7 +23,7 @@ efficiency, dioxide, dust, light, metals_in, metals_out = pgm.variables(
 
 
 def height_and_group() -> pgm.BayesianNetwork:
-    """A group of people, their height [cm], and their weight [kg], which depends on both."""
+    """A person's group, height [cm], and weight [kg], which depends on both."""
     return pgm.BayesianNetwork(
         [
             pgm.TableCPD(group, table=[0.5, 0.5]),
@@ -47,13 +47,13 @@ def incinerator() -> pgm.BayesianNetwork:
     (`efficiency`), carbon `dioxide`, `dust`, how `light` penetrates the smoke, and the heavy metals
     in the waste (`metals_in`) and in the emission (`metals_out`) are continuous.
     """
-    emitted = {
+    passed = {
         ("intact", "industrial"): (-3.9, 2e-5),
         ("defect", "industrial"): (-0.4, 1e-4),
         ("intact", "household"): (-3.2, 2e-5),
         ("defect", "household"): (-0.5, 1e-4),
     }
-    through = {
+    emitted = {
         ("stable", "industrial"): (6.5, 0.03),
         ("unstable", "industrial"): (7.5, 0.1),
         ("stable", "household"): (6.0, 0.04),
@@ -64,14 +64,14 @@ def incinerator() -> pgm.BayesianNetwork:
             pgm.TableCPD(filter_state, table=[0.95, 0.05]),
             pgm.TableCPD(waste, table=[2 / 7, 5 / 7]),
             pgm.TableCPD(burning, table=[0.85, 0.15]),
-            _priors(efficiency, (filter_state, waste), emitted),
+            _priors(efficiency, (filter_state, waste), passed),
             _priors(dioxide, burning, {"stable": (-2.0, 0.1), "unstable": (-1.0, 0.3)}),
             pgm.SwitchingCPD(
                 dust,
                 (burning, waste),
                 {
                     k: pgm.LinearGaussianCPD(dust, {efficiency: 1.0}, cov, offset=offset)
-                    for k, (offset, cov) in through.items()
+                    for k, (offset, cov) in emitted.items()
                 },
             ),
             pgm.LinearGaussianCPD(light, {dust: -0.5}, 0.25, offset=3.0),

@@ -154,9 +154,9 @@ def mirrored() -> pgm.DynamicBayesianNetwork:
 
 
 def faulty_fixes() -> pgm.DynamicBayesianNetwork:
-    """A target whose fixes are now and then of a place that is carried away, for some steps.
+    """A target whose receiver is now and then faulty for some steps, five in the mean.
 
-    A faulty receiver stays so for five steps in the mean; its fixes err by 40 m, others by 5 m.
+    Its fixes have then a standard deviation of 40 m, and 5 m else.
     """
     return pgm.DynamicBayesianNetwork(
         prior=[pgm.TableCPD(fault, table=[1.0, 0.0]), manoeuvring().prior[1]],

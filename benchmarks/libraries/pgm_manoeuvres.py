@@ -11,7 +11,10 @@ from models.networks import fix, target
 
 
 def filtering(kind: str, work: Manoeuvres) -> Contender:
-    """The probabilities of modes and the means of states, (runs, T, ·)."""
+    """The probabilities of modes and the means of states, (runs, T, ·).
+
+    `kind` is ``"imm"``, the interacting multiple model, or ``"gpb2"``, as many Gaussians as modes.
+    """
     graph = pgm.compile(work.network, work.steps)
     belief = pgm.Gaussians(mix=kind == "imm")
 

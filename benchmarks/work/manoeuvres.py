@@ -25,6 +25,8 @@ class Manoeuvres:
     ----------
     network : DynamicBayesianNetwork
         Its mode is uniform at step 0.
+    mode : Discrete
+        The motion of a step.
     motions, noises : ndarray
         (modes, 4, 4): the transition matrix and the covariance of the noise in each mode.
     table : ndarray

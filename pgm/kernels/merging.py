@@ -232,8 +232,8 @@ def split(
 
     .. math:: \prod_u N(y_u; \mu, w) / N(y_u; 0, 1),
 
-    and is taken in axis by axis: of a member N(m, P), with m and p its mean and variance along u
-    and D = p (1 − w) + w,
+    and is taken in axis by axis, in these coordinates: of a member N(m, P), with m and p its mean
+    and variance along u and D = p (1 − w) + w,
 
     .. math:: m \mathrel{+}= P u \, (\mu - m (1 - w)) / D, \quad
               P \mathrel{-}= P u u^\top P \, (1 - w) / D, \\

@@ -57,7 +57,7 @@ from pgm.variables import Variable
 ROUNDS = 3
 # The part of the draws that is defensive.
 DEFENSIVE = 0.05
-# Draws of a mode that count as a law's own: those of few effective draws stay near what they were.
+# With N effective draws of p components a law moves N / (N + 4 p) of the way to their moments.
 _OWN = 4.0
 
 
@@ -184,8 +184,8 @@ def adapt(outcomes: list[ChainOutcome], weights: Array, draws: int) -> Adapted:
     laws = _of_smoothers(model.law, outcomes, weights)
     if exact or not all(laws.path(model.law, k).regular for k in range(len(weights))):
         raise NumericalError(
-            "draws= weighs trajectories by their density, and these have none, since what was read "
-            "determines them: leave draws out, or give the exact sensor some noise"
+            "draws= weighs trajectories by their density, and these have none, as where sensors "
+            "without noise were read: leave draws out, or give the exact CPDs some noise"
         )
     size = (plan.steps + 1) * 2 * laws.mean.shape[-1]
     require_runs(draws * size, plan.runs, f"draws={draws:,}, as many trajectories a run,")

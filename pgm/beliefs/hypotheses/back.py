@@ -1,6 +1,6 @@
 """What later evidence says of a mixed chain's components, back from step to step.
 
-The smoothed belief of a component is split into such of the members that were merged into it
+The smoothed belief of a component is divided among the members that were merged into it
 (`kernels.merging.split`). What the members have taken in within a step leaves the state as it is,
 so the smoothed beliefs of one component's copies are joined to that of the component; and those of
 pairs go back through the motion, reversed by Bayes' rule, to the components of the step before.

@@ -368,7 +368,8 @@ class HypothesisChain:
         self.regime_logs.append(self.by_regime(shares, members))
         if not step and len(members.logs) > self.settings.count and self.settings.pieces > 1:
             memory = self.regimes.memory[members.regime]
-            return Belief(members.logs, memory, *members[1:2], *members[3:5]), total
+            own = members
+            return Belief(own.logs, memory, own.counts, own.mean, own.cov), total
         if self.settings.prune:
             return self._pruned(members), total
         known, stage = self._closed(members)
@@ -490,14 +491,15 @@ class HypothesisChain:
         return Members(logs.reshape(shape), counts, regime, *moments, alternatives)
 
     def _pruned(self, members: Members) -> Belief:
-        """The likeliest members as components."""
-        logs = leading(members.logs, members.counts, 0)
-        order = np.argsort(-logs, axis=0, kind="stable")
+        """The likeliest members as components, those of higher counts first."""
+        logs, counts = members.logs, members.counts
+        alive = logs > -np.inf
+        ranks = np.where(alive, counts, -1)
+        order = np.lexsort((-logs, -ranks), axis=0)
         count = min(self.settings.count, len(order))
-        self.left_out |= (logs > -np.inf).sum(axis=0) > count
+        self.left_out |= alive.sum(axis=0) > count
         some = order[:count]
         self.chosen.append(some)
-        counts = members.counts
         if isinstance(counts, np.ndarray):
             counts = np.take_along_axis(counts, some, axis=0)
         return Belief(

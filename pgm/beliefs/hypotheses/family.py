@@ -35,8 +35,9 @@ class Gaussians(BeliefFamily[Any]):
     - With ``mix=True`` Gaussians are mixed for each state before they are predicted: the
       interacting multiple model, which predicts as many as there are states, not that many for each
       Gaussian, and is less exact.
-    - More: the likeliest ones that are unlike others are kept, and others merged into the one from
-      which they are the least different. As many as there are sequences of states is exact.
+    - A larger `count`: the likeliest ones that are unlike others are kept, and others merged into
+      the one from which they are the least different. As many as there are sequences of states is
+      exact.
 
     Backwards each merged Gaussian's message, smoothed over filtered, is multiplied into each of
     the Gaussians that it was merged of.
@@ -44,7 +45,8 @@ class Gaussians(BeliefFamily[Any]):
     Parameters
     ----------
     count : int, optional
-        How many Gaussians in all are kept at each step; with `starts` how many modes at the most.
+        How many Gaussians in all are kept at each step; of a smoother with `starts` how many modes
+        at the most.
     mix : bool
         Whether they are mixed before they are predicted.
     starts : int
@@ -57,8 +59,8 @@ class Gaussians(BeliefFamily[Any]):
     draws : int
         With `starts`, the number of draws of trajectories of each run, by which the modes' weights
         and moments are adapted, in three rounds; 0 is none. Draws are of the modes' mixture, one in
-        twenty of the model alone, and are weighed with the model as it was declared. Many
-        thousands are a good number; ``status.effective`` tells how many the last were worth.
+        twenty of the model alone, and are weighed with the model as it was declared. Some 4,000 are
+        a good number; ``status.effective`` tells how many the last were worth.
 
     References
     ----------
@@ -107,7 +109,10 @@ class Gaussians(BeliefFamily[Any]):
         if not isinstance(mix, bool):
             raise ModelError(f"mix says whether Gaussians are mixed, True or False, not {mix!r}")
         if not is_whole(starts) or starts < 0:
-            raise ModelError(f"starts is a number of smoothers, 0 or more, not {starts!r}")
+            raise ModelError(
+                "starts is a number of smoothers, or of pieces of a filter's prior, 0 or more, not "
+                f"{starts!r}"
+            )
         if starts and count is None:
             raise ModelError(
                 f"starts={starts} looks for modes of one posterior, of which a count is kept: give "

@@ -31,6 +31,7 @@ from pgm.errors import (
     ConvergenceWarning,
     EvidenceError,
     ModelError,
+    NumericalError,
     PgmError,
     levels_to_user,
 )
@@ -72,7 +73,8 @@ class ModeFigures(Figures):
     arrived : ndarray of int
         (*runs): how many of them settled.
     modes : ndarray of int
-        (*runs): how many modes they settled at.
+        (*runs): how many modes are kept, no more than were asked for: points more than half a
+        deviation apart at which starts settled, or where none did, at which they ended.
     effective : ndarray or None
         (*runs): of draws that adapted the modes the effective number of the last round's; None if
         none were asked for.
@@ -208,7 +210,7 @@ def run(
     begun = _begun(graph, bound, call, starts)
     parts = _arrived(graph, bound, call._replace(schedule=schedule), begun)
     found = _chosen(graph, bound, parts, count, starts)
-    if not (found.status.converged.all() or is_iterated(call.schedule)):  # of these others tell
+    if not (found.status.converged.all() or is_iterated(call.schedule)):  # which warns itself
         warnings.warn(
             f"starts={starts}: in some run no smoother from any start had settled after "
             f"{schedule.iterations} linearisations (status.converged, status.arrived); give more "
@@ -313,7 +315,7 @@ def _begun(graph: DynamicGraph, bound: BoundEvidence, call: Call, starts: int) -
 
 
 def _arrived(graph: DynamicGraph, bound: BoundEvidence, call: Call, begun: Array) -> list[_Part]:
-    """The smoothers from all starts; those that fail are left out."""
+    """The smoothers from all starts; one that fails in some run is left out of all."""
     layout = graph.layout
     left = [np.arange(begun.shape[1])]
     found: list[_Part] = []
@@ -375,6 +377,13 @@ def _chosen(
     found = max(int(filled.max(initial=1)), 1)
     index, weights = index[:found], weights[:found]
     total, lead = log_sum(weights, 0), bound.lead
+    if not (total > -np.inf).all():
+        run = bound.first_run + int((total == -np.inf).argmax())
+        raise NumericalError(
+            f"run {run}: no smoother from any start has a log-evidence that float64 can hold; are "
+            "the evidence and the noises of a size that fits?",
+            run=run,
+        )
     figures = ModeFigures(starts, settled.sum(axis=0).reshape(lead), filled.reshape(lead))
     status = Status(1, np.zeros((0, *lead)), np.asarray(~none.reshape(lead)), _figures=figures)
     return ModesOutcome(

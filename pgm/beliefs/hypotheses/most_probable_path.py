@@ -1,9 +1,9 @@
 """The most probable path of a mixed chain's discrete variables, by a beam of paths.
 
 A hypothesis is a path of the discrete variables so far, with the Gaussian of the continuous ones
-given it. Each step keeps the likeliest hypotheses and leaves the others out, where a filter merges
-them. Where none was left out the path is the most probable one; else it is the likeliest of those
-that were kept to the end.
+given it, as a filter linearises it. Each step keeps the likeliest hypotheses and leaves the others
+out, where a filter merges them. Where none was left out, and nothing was linearised, the path is
+the most probable one; else it is the likeliest of those that were kept to the end.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from pgm.beliefs.hypotheses.chain import Belief, State
 from pgm.beliefs.hypotheses.counts import leading
 from pgm.beliefs.hypotheses.run import Asked, chain_of
+from pgm.cpds import AffineCPD
 from pgm.errors import GraphError
 from pgm.evidence import BoundEvidence
 from pgm.kernels.arrays import Array, Integers, Mask
@@ -29,7 +30,7 @@ class Path(NamedTuple):
     """The path of each hidden discrete variable, (runs, T+1), its states by index.
 
     log_probability: ln p(path, measurements), (runs,).
-    exact: Whether no other path was left out, (runs,).
+    exact: Whether no other path was left out, nor any CPD linearised, (runs,).
     """
 
     states: dict[Discrete, Integers]
@@ -60,7 +61,8 @@ def most_probable_path(model: DynamicBayesianNetwork, bound: BoundEvidence, coun
         variable: np.ascontiguousarray(chain.regimes.states(variable)[path].T)
         for variable in chain.regimes.hidden
     }
-    return Path(found, total, ~chain.left_out)
+    affine = all(isinstance(case, AffineCPD) for case in chain.roles.cases)
+    return Path(found, total, ~chain.left_out & affine)
 
 
 class _Record:

@@ -44,6 +44,8 @@ class Regimes:
         The number of states of each.
     size : int
         The number of regimes.
+    remembered : tuple of Discrete
+        Those that the next slice depends on.
     memory : ndarray of int
         (size,): the memory of each regime.
     memories : int
@@ -72,6 +74,7 @@ class Regimes:
         )
         self._each = np.unravel_index(np.arange(self.size), self.shape)
         kept = _remembered(model, self.variables)
+        self.remembered = tuple(self.variables[k] for k in kept)
         counts = tuple(self.shape[k] for k in kept)
         self.memories = math.prod(counts)
         self.memory: Integers = np.zeros(self.size, dtype=np.intp)

@@ -57,7 +57,8 @@ def run(graph: DynamicGraph, bound: BoundEvidence, call: Call, asked: Asked) -> 
         raise ModelError(
             "mixtures of Gaussians are of hypotheses: discrete variables that choose among CPDs of "
             "continuous ones (pgm.SwitchingCPD), or sightings that leave open what was seen "
-            "(pgm.unknown); here is neither: leave belief= out"
+            "(pgm.unknown); here is neither: leave belief= out, or give it starts= for several "
+            "modes of a nonlinear model"
         )
     _require_once(call, roles)
     record = _Record(chain)
@@ -103,7 +104,7 @@ def chain_of(
 
 def _settings(asked: Asked, regimes: Regimes, *, back: bool) -> Settings:
     count = regimes.memories if asked.count is None else asked.count
-    kept = [v for v in regimes.variables if v in regimes.hidden]
+    kept = regimes.remembered
     if asked.prune:
         return Settings(count, mix=False, back=back, prune=True)
     if count < regimes.memories:
@@ -144,6 +145,8 @@ def _require_room(given: Given, regimes: Regimes, settings: Settings) -> None:
     if not settings.prune and settings.count != regimes.memories:
         merging += 2 * pairs * min(pairs, settings.count * regimes.size)
     passing = merging + 8 * pairs * (size + 1) ** 2
+    if settings.prune:  # of each step it is kept alone which pairs were
+        passing, each = passing + each, settings.count
     require_memory(
         bound.runs * ((bound.steps + 1) * each + passing),
         f"the beliefs of {settings.count:,} Gaussians with {regimes.size:,} joint states of "

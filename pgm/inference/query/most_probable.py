@@ -1,4 +1,4 @@
-"""The most probable assignment of a discrete network.
+"""The most probable assignment of a discrete network, or path of a chain's discrete variables.
 
 Messages with maxima in place of sums go to the root of each tree, and the states of the maxima are
 traced back from there. A *plan* is the layout of a graph's tables and messages. A cluster's table
@@ -65,7 +65,7 @@ LISTED = 10
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MostProbable(Shown, Immutable):
-    """The most probable assignment of all variables, given evidence.
+    """The most probable assignment of all discrete variables, given evidence.
 
     Attributes
     ----------
@@ -77,8 +77,8 @@ class MostProbable(Shown, Immutable):
     log_probability : ndarray
         (*runs): ln p(assignment, evidence), natural logarithms.
     exact : ndarray of bool
-        (*runs): whether no other assignment is more probable; of a path of modes, where others were
-        left out, that is not known.
+        (*runs): whether it is known that no other assignment is more probable. It is not known of a
+        path of modes where others were left out, or CPDs linearised.
 
     Examples
     --------
@@ -170,25 +170,28 @@ def most_probable(
     paths: int | None = None,
     progress: Progress = False,
 ) -> MostProbable:
-    r"""Find the assignment of all variables that is most probable given the evidence.
+    r"""Find the assignment of all discrete variables that is most probable given the evidence.
 
     .. math:: \arg\max_x p(x, \text{evidence})
 
     Here x has a state for every variable. For a dynamic network of tables the assignment is the
     most probable path of the hidden variables through all steps (Viterbi); measurements that were
-    not taken are summed over. For a dynamic network of discrete and continuous variables it is the
-    path of the discrete ones, with the continuous ones integrated out: each step keeps the
-    likeliest paths so far, and where it leaves none out the path is the most probable of all.
+    not taken are summed over.
 
     Messages with maxima in place of sums are sent to the roots of the tree, and the states of the
     maxima are traced back from there. Of several equally probable assignments the same one is
     always returned.
 
+    For a dynamic network of discrete and continuous variables the assignment is the path of the
+    discrete ones, with the continuous ones integrated out: each step keeps the likeliest paths so
+    far, each with its own Gaussian, and leaves others out.
+
     Parameters
     ----------
     graph : ClusterGraph
-        The graph of a discrete network, without loops, or of a dynamic network of tables.
-    evidence : mapping of Discrete
+        The graph of a discrete network, without loops, or of a dynamic network with discrete
+        variables, with continuous ones beside them or not.
+    evidence : mapping of Variable
         The name or index of a state, an array of indices with −1 for "not observed in this run", or
         `soft` weights, which count as factors of the probability; for a dynamic network arrays by
         step, as for `infer`. Leading axes are runs.
@@ -249,6 +252,12 @@ def most_probable(
             if mixed:
                 return _most_probable_modes(graph, evidence, _count(paths))
             return _most_probable_path(graph, evidence)
+    if not isinstance(graph, DynamicGraph) and graph.network.mixed:
+        raise GraphError(
+            f"most_probable is for discrete networks, and for discrete variables over time; "
+            f"{titled(graph)} has continuous variables too, and no time: posterior[d] of pgm.infer "
+            "has the probabilities of each discrete variable, posterior.joint those of several"
+        )
     if isinstance(graph, DynamicGraph) or not graph.network.discrete:
         raise GraphError(
             "most_probable is for discrete networks; of continuous variables that are Gaussian the "

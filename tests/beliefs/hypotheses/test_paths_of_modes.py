@@ -95,3 +95,45 @@ def test_what_has_no_path_of_modes_is_refused():
 
     with pytest.raises(pgm.GraphError, match="no discrete variables beside"):
         pgm.most_probable(pgm.compile(rainy), {wet: "yes"}, paths=4)
+
+
+def test_a_path_that_makes_more_certain_later_is_kept():
+    """One mode makes the first reading certain, the other the two that follow."""
+    x, s = pgm.Variable("x"), pgm.Discrete("s", states=("p", "q"))
+    names = pgm.variables("a b c")
+
+    def sensor(child, certain):
+        cases = {
+            k: pgm.LinearGaussianCPD(child, {x: 0.0}, cov=0.0 if k == certain else 1.0)
+            for k in s.states
+        }
+        return pgm.SwitchingCPD(child, given=s, cases=cases)
+
+    model = pgm.DynamicBayesianNetwork(
+        prior=[pgm.TableCPD(s, table=[0.5, 0.5]), pgm.GaussianCPD(x, 0.0, 1.0)],
+        transition=[
+            pgm.TableCPD(s, given=s.previous, table=np.eye(2)),
+            pgm.LinearGaussianCPD(x, {x.previous: 1.0}, cov=0.1),
+        ],
+        observation=[sensor(v, k) for v, k in zip(names, "pqq", strict=True)],
+    )
+    steps = 1, 2, 2
+    read = {v: pgm.sightings([[0.0]], step=[t]) for v, t in zip(names, steps, strict=True)}
+    found = pgm.most_probable(pgm.compile(model, 2), read)
+    assert found.states(s).tolist() == ["q", "q", "q"]
+    assert found.exact
+
+
+def test_a_path_of_a_nonlinear_model_is_not_called_exact():
+    x, z, s = pgm.Variable("x"), pgm.Variable("z"), pgm.Discrete("s", states=("p", "q"))
+    sensor = {k: pgm.NonlinearGaussianCPD(z, x, np.sin, cov=c) for k, c in (("p", 0.1), ("q", 1.0))}
+    model = pgm.DynamicBayesianNetwork(
+        prior=[pgm.TableCPD(s, table=[0.5, 0.5]), pgm.GaussianCPD(x, 0.0, 1.0)],
+        transition=[
+            pgm.TableCPD(s, given=s.previous, table=[[0.9, 0.1], [0.1, 0.9]]),
+            pgm.LinearGaussianCPD(x, {x.previous: 1.0}, cov=0.1),
+        ],
+        observation=[pgm.SwitchingCPD(z, given=s, cases=sensor)],
+    )
+    found = pgm.most_probable(pgm.compile(model, 2), {z: [[0.1], [0.9]]})
+    assert not found.exact

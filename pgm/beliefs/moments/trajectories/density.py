@@ -1,4 +1,4 @@
-"""The log-density of each CPD at draws, a term of the log-weights of an audit.
+"""The log-density of each CPD at draws, a term of the log-weights of an audit, or of modes.
 
 Arrays are of S draws for each run. The child of a CPD is f(parents) + L s, with white noise s and
 the lower triangular root L of the CPD's noise covariance. A child component is *free* where the
