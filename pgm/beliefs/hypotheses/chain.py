@@ -366,10 +366,8 @@ class HypothesisChain:
         stages, members, total = self._informed(step, pairs)
         shares = leading(members.logs, members.counts, 0)
         self.regime_logs.append(self.by_regime(shares, members))
-        if not step and len(members.logs) > self.settings.count and self.settings.pieces > 1:
-            memory = self.regimes.memory[members.regime]
-            own = members
-            return Belief(own.logs, memory, own.counts, own.mean, own.cov), total
+        if self._in_pieces(step, members):
+            return self._as_they_are(members), total
         if self.settings.prune:
             return self._pruned(members), total
         known, stage = self._closed(members)
@@ -403,9 +401,22 @@ class HypothesisChain:
             counts = np.stack([np.asarray(part.counts) for part in each], axis=1)
         return Pairs(logs, counts, mean, cov), total
 
-    def merged(self, pairs: Pairs) -> Belief:
+    def merged(self, step: int, pairs: Pairs) -> Belief:
         """The pairs of a step, merged into components."""
-        return self._closed(self._flat(*pairs[:4]))[0]
+        members = self._flat(*pairs[:4])
+        if self._in_pieces(step, members):
+            return self._as_they_are(members)
+        return self._closed(members)[0]
+
+    def _in_pieces(self, step: int, members: Members) -> bool:
+        """Whether members are pieces of the prior, each of which is moved by itself."""
+        first = not step and not self.given.first
+        return first and self.settings.pieces > 1 and len(members.logs) > self.settings.count
+
+    def _as_they_are(self, members: Members) -> Belief:
+        """All members as components."""
+        memory = self.regimes.memory[members.regime]
+        return Belief(members.logs, memory, members.counts, members.mean, members.cov)
 
     @property
     def _most(self) -> int:

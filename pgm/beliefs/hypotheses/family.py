@@ -140,20 +140,22 @@ class Gaussians(BeliefFamily[Any]):
         if self.starts and not isinstance(call.schedule, Filtering):
             assert self.count is not None
             return modes.run(graph, bound, call, self.count, self.starts, self.draws)
+        self._require_no_draws()
+        return run(graph, bound, call, Asked(self.count, self.mix, max(self.starts, 1)))
+
+    def online(self, model: DynamicBayesianNetwork, options: dict[str, Any]) -> HypothesisSteps:
+        """The steps of an online filter."""
+        self._require_no_draws()
+        asked = Asked(self.count, self.mix, max(self.starts, 1))
+        return HypothesisSteps(model, asked, **options)
+
+    def _require_no_draws(self) -> None:
+        """Refuse draws of a filter."""
         if self.draws:
             raise ModelError(
                 f"{self!r}: draws adapt the modes that a smoother finds; a filter has none, leave "
                 "them out"
             )
-        return run(graph, bound, call, Asked(self.count, self.mix, max(self.starts, 1)))
-
-    def online(self, model: DynamicBayesianNetwork, options: dict[str, Any]) -> HypothesisSteps:
-        """The steps of an online filter."""
-        if self.starts:
-            raise ModelError(
-                f"{self!r}: starts are of pgm.smooth and pgm.filter, not of an online filter"
-            )
-        return HypothesisSteps(model, Asked(self.count, self.mix), **options)
 
 
 GAUSSIANS = Gaussians()

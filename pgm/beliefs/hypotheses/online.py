@@ -172,7 +172,7 @@ class HypothesisSteps(InCode, Immutable):
         bound = step_evidence.inputs(self.model, belief, given)
         belief = self._of_runs(belief, bound.lead)
         chain = self._chain(bound, belief.step)
-        pairs = chain.predict(1, chain.merged(belief._pairs))
+        pairs = chain.predict(1, chain.merged(0, belief._pairs))
         assert isinstance(pairs, Pairs)
         total = belief.log_evidence.reshape(-1)
         return self._belief(chain, belief.step + 1, PREDICTED, pairs, total)

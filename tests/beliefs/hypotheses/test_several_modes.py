@@ -132,8 +132,8 @@ def test_what_cannot_be_is_refused():
         pgm.filter(MIRROR, drive(0), belief=pgm.Gaussians(2, starts=4))
     with pytest.raises(pgm.ModelError, match="have hypotheses already"):
         pgm.smooth(walk(), READ, belief=pgm.Gaussians(2, starts=4))
-    with pytest.raises(pgm.ModelError, match="not of an online filter"):
-        pgm.OnlineFilter(MIRROR, belief=pgm.Gaussians(2, starts=4))
+    with pytest.raises(pgm.ModelError, match="a filter has none"):
+        pgm.OnlineFilter(MIRROR, belief=pgm.Gaussians(2, starts=4, draws=10))
 
 
 @pytest.mark.parametrize("seed", [0, 4, 10])
@@ -343,3 +343,31 @@ def test_starts_of_which_none_settles_are_told_of():
     with pytest.warns(pgm.ConvergenceWarning, match="no smoother from any start"):
         found = pgm.smooth(model, read, belief=pgm.Gaussians(2, starts=4))
     assert not found.status.converged.all()
+
+
+def test_an_online_filter_of_pieces_is_the_filter():
+    evidence, belief = drive(3), pgm.Gaussians(16, starts=64)
+    wanted = pgm.filter(MIRROR, evidence, belief=belief)
+    online = pgm.OnlineFilter(MIRROR, belief=belief)
+    found = online.initial()
+    assert found[P].weights.shape == (64,)
+    assert far(found[P].mean, [0.0, 0.3]) < 1e-12
+    values = np.asarray(evidence[R].values)
+    for step in range(1, 4):
+        found = online.predict(found, {PUSH: ASKED[PUSH][step - 1]})
+        here = step == WHEN
+        seen = pgm.sightings(values[here], given={BEACON: WHERE[here]})
+        found = online.update(found, {R: seen})
+        assert far(found[P].mean, wanted[P.at(step)].mean) < 1e-9
+        assert far(found[P].cov, wanted[P.at(step)].cov) < 1e-9
+    total = pgm.filter(
+        MIRROR,
+        {
+            PUSH: ASKED[PUSH][:3],
+            R: pgm.sightings(
+                values[WHEN <= 3], step=WHEN[WHEN <= 3], given={BEACON: WHERE[WHEN <= 3]}
+            ),
+        },
+        belief=belief,
+    ).log_evidence
+    assert far(found.log_evidence, total) < 1e-9
