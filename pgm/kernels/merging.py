@@ -10,7 +10,7 @@ is impossible, and its moments are any finite numbers.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from pgm.kernels import roots
 from pgm.kernels.arrays import (
     Array,
     Integers,
-    Mask,
     apply,
     components_last,
     deviation,
@@ -259,7 +258,7 @@ def split(
     alive = own & (logs > -np.inf)
     alone = alive.sum(axis=1) <= 1
     if alone.all():
-        return Split(_within(own, logs, at), later[0][at], later[1][at])
+        return Split(within(logs, owner, len(mean)), later[0][at], later[1][at])
     turned = (transpose(axes) @ into)[at]
     m = apply(turned, members[0] - mean[at])
     p = symmetric(sandwich(turned, members[1]))
@@ -290,13 +289,15 @@ def split(
         np.where(only.reshape(*only.shape, *(1,) * (part.ndim - only.ndim)), kept[at], part)
         for part, kept in zip(found, later, strict=True)
     ]
-    return Split(_within(own, logs + np.where(only, 0.0, gained), at), *smoothed)
+    return Split(within(logs + np.where(only, 0.0, gained), owner, len(known[0])), *smoothed)
 
 
-def _within(own: Mask, logs: Array, at: tuple[Any, ...]) -> Array:
-    """Log-weights of members, of sum one within the component of each."""
+def within(logs: Array, owner: Integers, count: int) -> Array:
+    """Log-weights of members, of sum one within each of so many components."""
+    own = owner == np.arange(count).reshape(-1, *(1,) * owner.ndim)
     sums = log_sum(np.where(own, logs, -np.inf), 1)
-    found: Array = logs - np.where(sums > -np.inf, sums, 0.0)[at]
+    some = np.where(sums > -np.inf, sums, 0.0)
+    found: Array = logs - np.take_along_axis(some, owner, axis=0)
     return found
 
 

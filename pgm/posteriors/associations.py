@@ -45,8 +45,9 @@ class Associations(Shown, Immutable):
         (M,): the steps of the sightings.
     probability : ndarray
         (..., M, k + 2): the probability of each of k candidates, of a spurious sighting and of a
-        new thing, given all measurements that the belief knows; with Gaussian beliefs, given only
-        the sighting itself and the measurements taken in before it. Leading axes are runs. NaN
+        new thing, given all measurements that the belief knows; with mixtures of Gaussians, given
+        those up to the sighting's step; with other Gaussian beliefs, given only the sighting itself
+        and the measurements taken in before it. Leading axes are runs. NaN
         where nothing was measured.
     candidate : ndarray of int
         (..., M): the index of the likeliest candidate, 0 to k − 1; −1 spurious, −2 new. −1 too

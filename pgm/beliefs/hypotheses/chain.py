@@ -430,6 +430,7 @@ class HypothesisChain:
         """
         members, total = self._pairs(step, pairs).scaled()
         stages: list[Stage] = []
+        told: list[OpenSensor] = []
         for sensor in self._open:
             used: Integers | None = None
             for row, _ in enumerate(sensor.rows(step)):
@@ -439,9 +440,10 @@ class HypothesisChain:
                 stages.append(stage)
                 members, more = self._tried(sensor, step, row, known, used).scaled()
                 total = total + more
-                self._note(sensor, members)
+                told.append(sensor)
         if not (total > -np.inf).all():
             self._refuse(step, total)
+        self._tell(told, stages, members)
         return stages, members, total
 
     def _pairs(self, step: int, pairs: Pairs) -> Members:
@@ -566,11 +568,25 @@ class HypothesisChain:
         own = members.regime == np.arange(count)[:, None, None]
         return log_sum(np.where(own, shares, -np.inf), 1)
 
-    def _note(self, sensor: OpenSensor, members: Members) -> None:
-        """Keep the probabilities of a sighting's alternatives, (k + 1, runs)."""
-        shares = leading(members.logs, members.counts, 0)
-        each = log_sum(shares.reshape(-1, members.copies, self.runs), 0)
-        self.associations.setdefault(sensor, []).append(np.exp(each))
+    def _tell(
+        self, sensors: Sequence[OpenSensor], stages: Sequence[Stage], members: Members
+    ) -> None:
+        """Keep the probabilities of what a step's open sightings are of, given all of the step.
+
+        `members` are the last sighting's; `stages` were before each of them, and what they say is
+        passed on to those before by the weights of their components.
+        """
+        shares, copies = np.exp(leading(members.logs, members.counts, 0)), members.copies
+        found: list[Array] = []
+        for stage in reversed(stages):
+            each = shares.reshape(-1, copies, self.runs)
+            found.append(each.sum(axis=0))
+            known, before = each.sum(axis=1), stage.members
+            logs = merging.within(before.logs, stage.owner, len(known))
+            shares = np.exp(logs) * np.take_along_axis(known, stage.owner, axis=0)
+            copies = before.copies
+        for sensor, each in zip(sensors, reversed(found), strict=True):
+            self.associations.setdefault(sensor, []).append(each)
 
     def _taken(self, step: int, pairs: Pairs) -> Taken | None:
         """All pairs with the measurements of a step taken in; None without any."""

@@ -80,6 +80,27 @@ def test_candidates_are_summed_over_as_hypotheses(association, spurious):
     assert far(seen.probability.sum(axis=-1), 1.0) < 1e-12
 
 
+@pytest.mark.parametrize("association", ["sum", "joint"])
+def test_what_a_sighting_is_of_is_told_given_its_whole_step(association):
+    """The first of two sightings, against the sum over all pairs of candidates."""
+    logs = np.full((3, 3), -np.inf)
+    for pair in product(range(3), repeat=2):
+        if association == "joint" and pair[0] == pair[1]:
+            continue
+        marks = np.array([MARKS[k] for k in pair])
+        seen = pgm.sightings(READ[:2], step=[1, 1], given={MARK: marks})
+        logs[pair] = pgm.filter(MODEL, {Z: seen}, steps=1).log_evidence
+    share = np.exp(logs - np.logaddexp.reduce(logs.ravel()))
+    options = {"association": association}
+    if association == "joint":
+        options["gate"] = 1 - 1e-12
+    unknown = pgm.unknown(MARKS, **options)
+    read = {Z: pgm.sightings(READ[:2], step=[1, 1], given={MARK: unknown})}
+    found = pgm.filter(MODEL, read, steps=1, belief=MANY).associations[Z]
+    assert far(found.probability[0, :3], share.sum(axis=1)) < 1e-11
+    assert far(found.probability[1, :3], share.sum(axis=0)) < 1e-11
+
+
 def test_candidates_that_are_hidden_variables():
     """Two targets: each assignment is a network of sensors of their own."""
     a, b, which = (pgm.Variable(n, components=("e", "n")) for n in ("a", "b", "which"))
