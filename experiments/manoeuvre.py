@@ -16,13 +16,12 @@ from matplotlib.figure import Figure
 
 import pgm
 import pgm.plot
+from experiments.path_errors import PLACE, errors
 from experiments.record import Out, Record, Seed
 from models import switching
 from models.networks import target
-from pgm import consistency
 
 QUICK: dict[str, Any] = {"runs": 20}
-PLACE = ("east", "north")
 
 
 def run(
@@ -76,14 +75,8 @@ def run(
 
 
 def _scores(posterior: Any, drawn: Any, *, with_modes: bool) -> dict[str, float]:
-    truth = drawn[target]
-    found = {"log_evidence": float(np.mean(posterior.log_evidence))}
-    for kind, own in (("filter", posterior.filtered), ("smoother", posterior)):
-        belief = own[target]
-        belief = belief.gaussian() if with_modes else belief
-        found[kind] = float(consistency.rmse(belief, truth, components=PLACE))
-        if kind == "smoother":
-            found["nees"] = float(np.mean(consistency.nees(belief, truth))) / 4
+    found = errors(posterior.filtered[target], posterior[target], drawn[target])
+    found["log_evidence"] = float(np.mean(posterior.log_evidence))
     if with_modes:
         likeliest = posterior[switching.mode].probabilities.argmax(axis=-1)
         found["right"] = float((likeliest == drawn[switching.mode]).mean())

@@ -16,13 +16,12 @@ from matplotlib.figure import Figure
 
 import pgm
 import pgm.plot
+from experiments.path_errors import PLACE, errors
 from experiments.record import Out, Record, Seed
 from models import switching
 from models.networks import fix, target
-from pgm import consistency
 
 QUICK: dict[str, Any] = {"runs": 20}
-PLACE = ("east", "north")
 
 
 def run(
@@ -49,7 +48,7 @@ def run(
         again: dict[str, Any] = {"iterations": 100, "tolerance": 0.01} if own is robust else {}
         posteriors[name] = pgm.smooth(own, read, **options, **again)
         filtered = pgm.filter(own, read, **options)
-        found[name] = _scores(filtered, posteriors[name], drawn)
+        found[name] = errors(filtered[target], posteriors[name][target], drawn[target])
     told = posteriors["fault as a state"][switching.fault].probabilities
     right = float((told.argmax(axis=-1) == drawn[switching.fault]).mean())
     record.table(
@@ -69,17 +68,6 @@ def run(
         "fault as a state. Right: the smoothed probability of the fault, above the truth.",
     )
     record.summary(methods=found, found=right)
-
-
-def _scores(filtered: Any, smoothed: Any, drawn: Any) -> dict[str, float]:
-    truth, found = drawn[target], {}
-    for kind, own in (("filter", filtered), ("smoother", smoothed)):
-        belief = own[target]
-        belief = belief.gaussian() if isinstance(belief, pgm.GaussianMixture) else belief
-        found[kind] = float(consistency.rmse(belief, truth, components=PLACE))
-        if kind == "smoother":
-            found["nees"] = float(np.mean(consistency.nees(belief, truth))) / 4
-    return found
 
 
 def _figure(posteriors: Any, drawn: Any) -> Figure:

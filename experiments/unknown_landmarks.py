@@ -20,12 +20,12 @@ from matplotlib.figure import Figure
 import pgm
 import pgm.plot
 from experiments.freiburg import log as recording
+from experiments.path_errors import PLACE, errors
 from experiments.record import Out, Record, Seed, note
 from models import motion
 from models.networks import landmark, odometry, pose, sighting
 from models.networks.covariances import diagonal
 from models.networks.observations import sees_landmark
-from pgm import consistency
 
 QUICK: dict[str, Any] = {}
 # Deviations of the recording's own sightings [m, rad], and of its motion a step [m, m, rad].
@@ -118,13 +118,8 @@ def _network(disturbance: float) -> pgm.DynamicBayesianNetwork:
 
 
 def _scores(posterior: Any, wanted: Any, log: Any) -> dict[str, float]:
-    belief = posterior[pose]
-    belief = belief.gaussian() if isinstance(belief, pgm.GaussianMixture) else belief
-    truth = wanted.mean
-    found = {
-        "error": float(consistency.rmse(belief, truth, components=("east", "north"))),
-        "nees": float(np.mean(consistency.nees(belief, truth))) / pose.dimension,
-    }
+    own = errors(posterior.filtered[pose], posterior[pose], wanted.mean)
+    found = {"error": own["smoother"], "nees": own["nees"]}
     if log is not None:
         taken = posterior.associations[sighting].candidate
         due = (log.places[:, None] == log.landmarks).all(axis=-1).argmax(axis=-1)
@@ -139,7 +134,7 @@ def _figure(posteriors: Any, wanted: Any, landmarks: Array) -> Figure:
             posteriors[way][pose],
             truth=wanted.mean if way == "exclusive, 4" else None,
             landmarks=landmarks if way == "exclusive, 4" else None,
-            components=("east", "north"),
+            components=PLACE,
             unit="m",
             label=way,
             every=1000,

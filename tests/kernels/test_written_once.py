@@ -347,7 +347,7 @@ GAPS = listed(
     # Of infinite variances, which do not count.
     {"linearisation/costs.py": "squares"},
     # Of a stack in which some have no elimination, and of hypotheses that are impossible.
-    {"kernels/rows.py": "_eliminate_proper", "beliefs/hypotheses/chain.py": "_replaced"},
+    {"kernels/rows.py": "_eliminate_proper", "beliefs/hypotheses/trials.py": "_replaced"},
 )
 WEIGHED = listed(
     # Of points without values, and of eigenvalues.

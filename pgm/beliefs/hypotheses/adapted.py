@@ -83,7 +83,7 @@ class Laws(NamedTuple):
 
 
 class Adapted(NamedTuple):
-    """What the last draws say.
+    """The laws that the last draws adapt, and how many these are worth.
 
     log_evidence: ln of the mean weight of the last draws, (runs,).
     effective: The effective number of the last draws, (runs,).

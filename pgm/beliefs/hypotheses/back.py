@@ -1,4 +1,4 @@
-"""What later evidence says of a mixed chain's components, back from step to step.
+"""The backward pass of a mixed chain: components given later evidence, from step to step.
 
 The smoothed belief of a component is divided among the members that were merged into it
 (`kernels.merging.split`). What the members have taken in within a step leaves the state as it is,
@@ -14,7 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.beliefs.hypotheses.chain import HypothesisChain, Kept, Pairs, Stage
+from pgm.beliefs.hypotheses.chain import HypothesisChain
+from pgm.beliefs.hypotheses.records import Kept, Pairs, Stage
 from pgm.beliefs.moments.steps.readings import Moments
 from pgm.kernels.arrays import Array, components_last
 from pgm.kernels.merging import joined, split

@@ -16,21 +16,29 @@ that are merged into components: pairs first, then components with a candidate e
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple, NoReturn
 
 import numpy as np
 
-from pgm.beliefs.hypotheses.cases import Batch, Choices, Given, motions, sensors, starts
+from pgm.beliefs.hypotheses.cases import Given
 from pgm.beliefs.hypotheses.counts import Counts, best_of, leading
 from pgm.beliefs.hypotheses.points import cut
+from pgm.beliefs.hypotheses.records import (
+    Belief,
+    Kept,
+    Members,
+    Mixing,
+    Pairs,
+    Settings,
+    Stage,
+    State,
+)
 from pgm.beliefs.hypotheses.regimes import Regimes
 from pgm.beliefs.hypotheses.roles import Roles
 from pgm.beliefs.hypotheses.sightings import OpenSensor
-from pgm.beliefs.moments.steps.chain import MomentChain, largest
+from pgm.beliefs.hypotheses.trials import Trials
 from pgm.beliefs.moments.steps.readings import Moments
 from pgm.errors import ModelError, NumericalError
-from pgm.kernels import merging, moments, roots
+from pgm.kernels import merging, roots
 from pgm.kernels.arrays import Array, Integers, Mask, components_last, sandwich
 from pgm.kernels.moments import Conditional
 from pgm.kernels.semirings import log_sum
@@ -41,128 +49,6 @@ APART = 0.05
 _BETWEEN = 16
 # And so many at the most where no candidate is seen twice in a step.
 _ASSIGNMENTS = 2**12
-
-
-class Belief(NamedTuple):
-    """The components of a step: log-weights, memories and counts, (K, runs), and moments."""
-
-    logs: Array
-    memory: Integers
-    counts: Counts
-    mean: Array
-    cov: Array
-
-    @property
-    def shares(self) -> Array:
-        """The logarithms of the components' probabilities, (K, runs)."""
-        return leading(self.logs, self.counts, 0)
-
-
-class Pairs(NamedTuple):
-    """The pairs of a step: log-weights and counts, (K, S, runs), and moments.
-
-    `choice` is the number of the motion's choice that leads to each, (K, S, runs or 1), and `moved`
-    are the moments that the choices lead to, (n, K, choices, runs); or, of components that were
-    `mixed` before, (n, 1, S, runs).
-    """
-
-    logs: Array
-    counts: Counts
-    mean: Array
-    cov: Array
-    choice: Integers | None = None
-    moved: Moments | None = None
-    mixed: Mixing | None = None
-
-    def repeated(self, runs: int) -> Pairs:
-        """The pairs of one run, as those of so many."""
-        counts = self.counts
-        if isinstance(counts, np.ndarray):
-            counts = np.repeat(counts, runs, axis=-1)
-        logs, mean, cov = (np.repeat(p, runs, axis=-1) for p in (self.logs, self.mean, self.cov))
-        return Pairs(logs, counts, mean, cov)
-
-
-# What a sweep carries: the pairs of a prediction, and the components that they are merged into.
-State = Belief | Pairs
-
-
-class Mixing(NamedTuple):
-    """The components of a step as they were mixed for each regime of the next: (K, S, runs).
-
-    `logs` are the log-weights of the components in each regime; `members` their means, moved to the
-    branch of the mixture, from which `turned` leads back; `cov` their covariances; `mean`
-    (n, 1, S, runs) and `whole` are the moments of the mixtures.
-    """
-
-    logs: Array
-    members: Array
-    turned: Array
-    cov: Array
-    mean: Array
-    whole: Array
-
-
-class Members(NamedTuple):
-    """The hypotheses of a stage, before they are merged: (members, runs), and moments.
-
-    Each is one of so many `copies` of a component before, which vary fastest; of pairs these are
-    regimes, and of sightings alternatives. `regime` is the regime of each.
-    """
-
-    logs: Array
-    counts: Counts
-    regime: Integers
-    mean: Array
-    cov: Array
-    copies: int
-
-    def scaled(self) -> tuple[Members, Array]:
-        """The members with log-weights of sum one, and the logarithm of the sum they had."""
-        total = log_sum(leading(self.logs, self.counts, 0), 0)
-        return self._replace(logs=self.logs - np.where(total > -np.inf, total, 0.0)), total
-
-
-class Stage(NamedTuple):
-    """Members as they were merged into components, for what flows back.
-
-    The members' means are on the branch of their component, from which `turned` (n, members, runs)
-    leads back to their own; and those of lower counts than others of it are dead. `owner` is the
-    component of each, `mean` and `cov` are the components'.
-    """
-
-    members: Members
-    turned: Array
-    owner: Integers
-    mean: Array
-    cov: Array
-
-
-class Kept(NamedTuple):
-    """A step as what flows back needs it.
-
-    The stages, the pairs of the first as they were predicted, and the belief that the step ends
-    with.
-    """
-
-    stages: Sequence[Stage]
-    pairs: Pairs
-    known: Belief
-
-
-@dataclass(frozen=True)
-class Settings:
-    """How many Gaussians are kept, whether they are mixed before a prediction, and for what.
-
-    `pieces` is the number of Gaussians that the prior is cut into, 1 if it is left whole. With
-    `prune` the likeliest are kept and others left out, in place of merging.
-    """
-
-    count: int
-    mix: bool
-    back: bool
-    pieces: int = 1
-    prune: bool = False
 
 
 class HypothesisChain:
@@ -194,20 +80,15 @@ class HypothesisChain:
         self.angles = np.flatnonzero(np.concatenate([v.angle_mask for v in given.hidden]))
         self.runs = given.bound.runs
         self.size = sum(v.dimension for v in given.hidden)
-        self._prior = Choices(regimes, roles.prior)
-        self._moving = Choices(regimes, roles.transition, later=True)
-        self._seeing = Choices(regimes, roles.observation)
+        self._trials = Trials(given, regimes, roles, mix=settings.mix, back=settings.back)
         # Of each memory the choice in each regime; one row where the memory makes no difference.
-        of = self._moving.of
+        of = self._trials.moving.of
         self._by_memory = bool((of != of[:1]).any())
         if settings.mix and self._by_memory:
             raise ModelError(
                 "mix=True mixes the Gaussians of all states of the step before, and motions are "
                 "chosen by these (.previous): leave mix out"
             )
-        self._readings = roles.readings
-        self._sensors: dict[int, list[Batch]] = {}
-        self._moved_by: dict[int, list[Batch]] = {}
         self._open = [OpenSensor(given, reading) for reading in roles.open]
         self._exclusive = any(sensor.exclusive for sensor in self._open)
         self.kept: list[Kept] = []
@@ -216,24 +97,10 @@ class HypothesisChain:
         self.chosen: list[Integers] = []
         self.left_out: Mask = np.zeros(self.runs, dtype=bool)
 
-    def _motions(self, copies: int) -> list[Batch]:
-        """The batches of the transition, for so many components, or for mixtures of them."""
-        mix, back = self.settings.mix, self.settings.back
-        if copies not in self._moved_by:
-            parts = self.given, self._moving, self.roles.inputs, copies
-            self._moved_by[copies] = motions(*parts, keep=back, mixed=mix)
-        return self._moved_by[copies]
-
     def start(self) -> State:
         """The pairs of step 0: the prior's Gaussian in each regime, or its pieces."""
         regimes, size = self.regimes, self.size
-        mean = np.zeros((size, 1, regimes.size, self.runs))
-        cov = np.zeros((size, size, 1, regimes.size, self.runs))
-        for which, chain in starts(self.given, self._prior):
-            found = chain.start()
-            shape = which.size, self.runs
-            mean[:, 0, which] = found.mean.reshape(size, *shape)
-            cov[:, :, 0, which] = found.cov.reshape(size, size, *shape)
+        mean, cov = self._trials.start()
         logs = np.broadcast_to(regimes.prior(), (regimes.size, self.runs))[None]
         pieces = self.settings.pieces
         if 1 < pieces < 2 * (size + 1):
@@ -264,10 +131,10 @@ class HypothesisChain:
             counts = np.broadcast_to(counts[:, None], logs.shape)
         if self.settings.mix:
             return self._mixed(step, belief, logs, counts)
-        count, of = len(belief.logs), self._moving.of
-        moved = self._moved(step, belief.mean[:, :, None], belief.cov[:, :, :, None], count)
+        count, of = len(belief.logs), self._trials.moving.of
+        moved = self._trials.moved(step, belief.mean[:, :, None], belief.cov[:, :, :, None], count)
         mean, cov = moved
-        if self._moving.count == 1:
+        if self._trials.moving.count == 1:
             shape = (count, self.regimes.size, self.runs)
             choice = np.zeros((1, self.regimes.size, 1), dtype=np.intp)
             mean = np.broadcast_to(mean, (len(mean), *shape))
@@ -280,7 +147,7 @@ class HypothesisChain:
             mean = np.take_along_axis(mean, choice[None], axis=2)
             cov = np.take_along_axis(cov, choice[None, None], axis=3)
         pairs = Pairs(logs, counts, mean, cov, choice, moved if self.settings.back else None)
-        return self._proper(
+        return self._trials.proper(
             step, pairs, Moments(belief.mean[:, :, None], belief.cov[:, :, :, None])
         )
 
@@ -295,70 +162,10 @@ class HypothesisChain:
         found = merging.merged(logs, owner, 1, mean, cov, self.angles)
         turned = mean - found.members
         before = Mixing(logs, found.members, turned, cov, found.mean, found.cov)
-        after = self._moved(step, found.mean, found.cov, 1)
-        choice = self._moving.of[:1, :, None]
+        after = self._trials.moved(step, found.mean, found.cov, 1)
+        choice = self._trials.moving.of[:1, :, None]
         pairs = Pairs(found.logs, counts, *after, choice, after, before)
-        return self._proper(step, pairs, Moments(found.mean, found.cov))
-
-    def _proper(self, step: int, pairs: Pairs, before: Moments) -> Pairs:
-        """The predicted pairs, with any finite moments of those that are impossible.
-
-        Where others have none the error names the CPD whose function has no value at a component of
-        `before`, as of `_moved`.
-        """
-        if np.isfinite(pairs.mean.sum() + pairs.cov.sum()):
-            return pairs
-        bad = ~_finite(pairs.mean, pairs.cov)
-        alive = bad & (pairs.logs > -np.inf)
-        if alive.any():
-            self._moved(step, *before, before.mean.shape[1], check=True)
-            self._infinite("prediction", step, alive)
-        mean, cov = _replaced(pairs.mean, pairs.cov, bad)
-        moved = pairs.moved
-        if moved is not None:
-            moved = Moments(*_replaced(*moved, ~_finite(*moved)))
-        return pairs._replace(mean=mean, cov=cov, moved=moved)
-
-    def _infinite(self, what: str, step: int, bad: Mask) -> NoReturn:
-        """Raise the NumericalError for beliefs that are not finite."""
-        run = self.given.bound.first_run + int(bad.any(axis=(0, 1)).argmax())
-        step += self.given.first
-        raise NumericalError(
-            f"the {what} at step {step}, run {run}, is not finite under some state of the discrete "
-            "variables; are the belief before it, the measurements and the noises of a size that "
-            "float64 can hold?",
-            step=step,
-            run=run,
-        )
-
-    def _moved(
-        self, step: int, mean: Array, cov: Array, copies: int, *, check: bool = False
-    ) -> Moments:
-        """Moments predicted by each choice of the motion, or mixed ones by that of their regime.
-
-        `mean` is (n, copies, 1, runs), and what is returned has the choices on the axis of length
-        one; or (n, 1, regimes, runs), and so is what is returned.
-        """
-        size, parts = len(mean), self._motions(copies)
-        found: list[Moments] = []
-        for batch in parts:
-            chain, local = batch.at(step)
-            own = _as_runs(mean, cov, batch.which, copies, chain)
-            chain.check = check
-            moved, batch.used = chain.predict(local, own), True
-            chain.check = False
-            shape = copies, batch.which.size, self.runs
-            found.append(
-                Moments(moved.mean.reshape(size, *shape), moved.cov.reshape(size, size, *shape))
-            )
-        if len(found) == 1:
-            return found[0]
-        total = sum(batch.which.size for batch in parts)
-        whole = np.empty((size, copies, total, self.runs))
-        spread = np.empty((size, size, copies, total, self.runs))
-        for batch, part in zip(parts, found, strict=True):
-            whole[:, :, batch.which], spread[:, :, :, batch.which] = part
-        return Moments(whole, spread)
+        return self._trials.proper(step, pairs, Moments(found.mean, found.cov))
 
     def take(self, step: int, pairs: State) -> tuple[State, Array]:
         """The components given the measurements of a step, and their log-density, (runs,)."""
@@ -448,7 +255,7 @@ class HypothesisChain:
 
     def _pairs(self, step: int, pairs: Pairs) -> Members:
         """The pairs as members of a stage, given all measurements but open sightings."""
-        found = self._taken(step, pairs)
+        found = self._trials.taken(step, pairs)
         logs, counts, mean, cov = pairs[:4]
         if found is not None:
             mean, cov = found.mean, found.cov
@@ -471,6 +278,8 @@ class HypothesisChain:
     def _between(self, sensor: OpenSensor, step: int, members: Members) -> int:
         """How many components are kept of a step's members before an open sighting."""
         most = self._most
+        if step + self.given.first <= 1:  # pieces of the prior are to be weighed by what is seen
+            most = max(most, self.settings.pieces * self.regimes.size)
         if sensor.exclusive:  # what was seen so far may differ, and is not forgotten
             most = int((members.logs > -np.inf).sum(axis=0).max())
             if most > _ASSIGNMENTS:
@@ -525,15 +334,11 @@ class HypothesisChain:
 
     def reduced(self, known: Belief) -> Belief:
         """The belief of pieces of the prior, merged into as many components as others have."""
-        count = self.settings.count
-        if len(known.logs) <= count:
+        if len(known.logs) <= self.settings.count:
             return known
-        owner, memory = merging.seeded(
-            known.shares, known.memory, known.mean, known.cov, count, APART, self.angles
-        )
-        logs, counts = best_of(known.logs, known.counts, owner, count)
-        found = merging.merged(logs, owner, count, known.mean, known.cov, self.angles)
-        return Belief(found.logs, memory, counts, found.mean, found.cov)
+        logs, memory, counts, mean, cov = known
+        regime = self.regimes.example[memory]
+        return self._closed(Members(logs, counts, regime, mean, cov, 1))[0]
 
     def _closed(self, members: Members, between: int | None = None) -> tuple[Belief, Stage]:
         """Members merged into components of one memory each, and the stage.
@@ -588,117 +393,13 @@ class HypothesisChain:
         for sensor, each in zip(sensors, reversed(found), strict=True):
             self.associations.setdefault(sensor, []).append(each)
 
-    def _taken(self, step: int, pairs: Pairs) -> Taken | None:
-        """All pairs with the measurements of a step taken in; None without any."""
-        if not self._readings:
-            return None
-        copies = len(pairs.logs)
-        if copies not in self._sensors:
-            self._sensors[copies] = sensors(self.given, self._seeing, self._readings, copies)
-        batches = self._sensors[copies]
-        every = [(batch.which, self._of_batch(batch, step, pairs)) for batch in batches]
-        found = [(which, each) for which, each in every if each is not None]
-        if not found:
-            return None
-        if len(every) == 1:
-            return found[0][1]
-        shape = pairs.logs.shape
-        mean, cov, density = pairs.mean.copy(), pairs.cov.copy(), np.zeros(shape)
-        certain = np.zeros(shape, dtype=np.intp)
-        for which, each in found:
-            mean[:, :, which], cov[:, :, :, which] = each.mean, each.cov
-            density[:, which], certain[:, which] = each.density, each.certain
-        return Taken(mean, cov, density, certain if certain.any() else 0)
-
-    def _of_batch(self, batch: Batch, step: int, pairs: Pairs) -> Taken | None:
-        """The pairs of a batch's regimes, with the measurements of a step; None without any."""
-        chain, local = batch.at(step)
-        parts = chain.readings(local)
-        if not parts:
-            return None
-        batch.used = True
-        copies, size = len(pairs.logs), len(pairs.mean)
-        shape = copies, batch.which.size, self.runs
-        own = _as_runs(pairs.mean, pairs.cov, batch.which, copies, chain)
-        after, density = chain.take(chain.plan.first + local, own, parts)
-        density = np.broadcast_to(density, chain.plan.batch).reshape(shape)
-        after = Moments(after.mean.reshape(size, *shape), after.cov.reshape(size, size, *shape))
-        if not np.isfinite(density.sum() + after.mean.sum() + after.cov.sum()):
-            # A contradiction has the density −∞, and no other number is to be infinite.
-            bad = np.isnan(density) | (density == np.inf) | ~_finite(*after)
-            alive = bad & (pairs.logs[:, batch.which] > -np.inf)
-            if alive.any():
-                chain.check = True
-                chain.take(chain.plan.first + local, own, parts)
-                self._infinite("belief", step, alive)
-            density = np.where(bad, -np.inf, density)
-            after = Moments(*_replaced(*after, bad))
-        assert chain.certain is not None
-        certain = chain.certain.count
-        if np.any(certain):
-            certain = np.broadcast_to(certain, chain.plan.batch).reshape(shape)
-        else:
-            certain = 0
-        return Taken(
-            after.mean,
-            after.cov,
-            density,
-            certain,
-        )
-
     def settled(self) -> tuple[list[Array], Mask]:
         """The largest moves at each relinearisation, (runs,), and whether a run settled."""
-        residuals: list[Array] = []
-        converged = np.ones(self.runs, dtype=bool)
-        every = [batch for batches in self._sensors.values() for batch in batches]
-        every += [batch for batches in self._moved_by.values() for batch in batches]
-        for batch in every:
-            moved, own = batch.settled()
-            residuals, converged = largest(residuals, moved), converged & own
-        return residuals, converged
+        return self._trials.settled()
 
     def reversed(self, step: int, pairs: Pairs, known: Moments) -> Conditional:
-        """The motion to a step, reversed: its components given each pair, (copies, S, runs, ...).
-
-        `pairs` are those of the step, and `known` the components of the step before, or mixtures of
-        them, (n, copies, 1, runs) or (n, 1, S, runs).
-        """
-        moved, size = pairs.moved, self.size
-        assert moved is not None
-        shape = moved.mean.shape[1:]
-        matrix, noise = np.empty((*shape, size, size)), np.empty((*shape, size, size))
-        for batch in self._motions(shape[0]):
-            own = shape[0], batch.which.size, self.runs, size, size
-            found = batch.motion(step)
-            matrix[:, batch.which] = found.matrix.reshape(own)
-            noise[:, batch.which] = found.cov.reshape(own)
-        each = (
-            np.broadcast_to(known.mean, (size, *shape)),
-            np.broadcast_to(known.cov, (size, size, *shape)),
-        )
-        back = moments.reverse(
-            components_last(each[0], 1),
-            components_last(each[1], 2),
-            matrix,
-            noise,
-            components_last(moved.mean, 1),
-            components_last(moved.cov, 2),
-        )
-        if self.settings.mix:
-            return back
-        assert pairs.choice is not None
-        index = np.broadcast_to(pairs.choice, (shape[0], *pairs.choice.shape[1:]))
-        index = np.broadcast_to(index, (*index.shape[:2], self.runs))
-        return Conditional(
-            *(
-                np.take_along_axis(
-                    np.broadcast_to(part, (*shape, *part.shape[3:])),
-                    index.reshape(*index.shape, *(1,) * (part.ndim - 3)),
-                    axis=1,
-                )
-                for part in back
-            )
-        )
+        """The motion to a step, reversed; as of `Trials`."""
+        return self._trials.reversed(step, pairs, known)
 
     def _refuse(self, step: int, total: Array) -> None:
         """Raise the NumericalError for measurements that every hypothesis excludes."""
@@ -712,40 +413,3 @@ class HypothesisChain:
             step=step,
             run=run,
         )
-
-
-class Taken(NamedTuple):
-    """Pairs with the measurements of a step taken in, and the log-density of these.
-
-    `certain` are how many measured components each pair determined, (copies, regimes, runs); 0 if
-    none did.
-    """
-
-    mean: Array
-    cov: Array
-    density: Array
-    certain: Counts
-
-
-def _finite(mean: Array, cov: Array) -> Mask:
-    """Whether moments (n, *batch) and (n, n, *batch) are finite, (*batch)."""
-    return np.asarray(np.isfinite(mean).all(axis=0) & np.isfinite(cov).all(axis=(0, 1)))
-
-
-def _replaced(mean: Array, cov: Array, bad: Mask) -> tuple[Array, Array]:
-    """Moments with N(0, I) where they are bad, (*batch)."""
-    eye = np.eye(len(mean)).reshape(len(mean), len(mean), *(1,) * bad.ndim)
-    return np.where(bad, 0.0, mean), np.where(bad, eye, cov)
-
-
-def _as_runs(mean: Array, cov: Array, which: Integers, copies: int, chain: MomentChain) -> Moments:
-    """Some of the moments (n, copies, choices or 1, runs) as the runs of a batch."""
-    size, batch = len(mean), chain.plan.batch
-    runs = mean.shape[-1]
-    if mean.shape[2] == 1:
-        shape = copies, which.size, runs
-        mean = np.broadcast_to(mean, (size, *shape))
-        cov = np.broadcast_to(cov, (size, size, *shape))
-    elif mean.shape[2] != which.size:
-        mean, cov = mean[:, :, which], cov[:, :, :, which]
-    return Moments(mean.reshape(size, *batch), cov.reshape(size, size, *batch))

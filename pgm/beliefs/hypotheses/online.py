@@ -14,9 +14,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from pgm.beliefs.hypotheses.chain import HypothesisChain, Pairs
+from pgm.beliefs.hypotheses.chain import HypothesisChain
 from pgm.beliefs.hypotheses.counts import leading
 from pgm.beliefs.hypotheses.outcome import Beliefs, Marginals
+from pgm.beliefs.hypotheses.records import Pairs
 from pgm.beliefs.hypotheses.run import Asked, associations_of, chain_of
 from pgm.boundary import as_mapping
 from pgm.compile import SliceLayout

@@ -50,6 +50,8 @@ class Regimes:
         (size,): the memory of each regime.
     memories : int
         The number of memories.
+    example : ndarray of int
+        (memories,): a regime of each memory.
 
     `first` is the number of the step at which the evidence begins; steps are counted from there.
     """
@@ -82,10 +84,10 @@ class Regimes:
             own = tuple(self._each[k] for k in kept)
             self.memory = np.asarray(np.ravel_multi_index(own, counts))
         # A regime of each memory, and its place among the joint states of a slice's states.
-        _, self._example = np.unique(self.memory, return_index=True)
+        _, self.example = np.unique(self.memory, return_index=True)
         among = [k for k, v in enumerate(slice_) if v in plan.states]
         shape = tuple(self.shape[k] for k in among)
-        places = tuple(self._each[k][self._example] for k in among)
+        places = tuple(self._each[k][self.example] for k in among)
         self._column = np.ravel_multi_index(places, shape) if among else np.zeros(1, np.intp)
         self._columns = math.prod(shape)
         self._plan = plan
@@ -99,7 +101,7 @@ class Regimes:
         Of the step before, `x.previous`, it is that in each memory, (memories, 1).
         """
         each = self._each[self.variables.index(variable.template)]
-        return each[self._example][:, None] if variable.lag else each
+        return each[self.example][:, None] if variable.lag else each
 
     def prior(self) -> Array:
         """Ln p(regime at step 0), where controls, which begin at step 1, are in their first state.

@@ -9,8 +9,9 @@ import numpy as np
 
 from pgm.beliefs.hypotheses.back import BackwardChain, Flow
 from pgm.beliefs.hypotheses.cases import Given
-from pgm.beliefs.hypotheses.chain import Belief, HypothesisChain, Settings, State
+from pgm.beliefs.hypotheses.chain import HypothesisChain
 from pgm.beliefs.hypotheses.outcome import Beliefs, HypothesisOutcome
+from pgm.beliefs.hypotheses.records import Belief, Settings, State
 from pgm.beliefs.hypotheses.regimes import Regimes
 from pgm.beliefs.hypotheses.roles import Roles, roles_of
 from pgm.compile import DynamicGraph

@@ -80,7 +80,7 @@ class OpenSensor:
         return self.unknown.association == JOINT
 
     def probabilities(self, rows: Sequence[Array]) -> Iterator[Array]:
-        """Those of candidates, of being spurious, and of being new, (runs, k + 2), by sighting.
+        """The probabilities of candidates, of spurious and of new sightings, (runs, k + 2), each.
 
         `rows` are those of the alternatives, (k + 1, runs). NaN where nothing was measured.
         """

@@ -371,3 +371,22 @@ def test_an_online_filter_of_pieces_is_the_filter():
         belief=belief,
     ).log_evidence
     assert far(found.log_evidence, total) < 1e-9
+
+
+def test_pieces_of_the_prior_are_weighed_by_open_sightings():
+    """A single candidate is the named one: pieces are not merged before it is seen."""
+    beacon = np.array([[-3.0, 0.0]])
+    step, belief = np.arange(1, 4), pgm.Gaussians(16, starts=256)
+    asked = {
+        PUSH: ASKED[PUSH][:3],
+        R: pgm.sightings(step=step, given={BEACON: np.tile(beacon, (3, 1))}),
+    }
+    values = MIRROR.sample(asked, rng=4)[R]
+    named = asked | {R: pgm.sightings(values, step=step, given={BEACON: np.tile(beacon, (3, 1))})}
+    unknown = pgm.unknown(beacon, association="sum")
+    hidden = asked | {R: pgm.sightings(values, step=step, given={BEACON: unknown})}
+    wanted = pgm.filter(MIRROR, named, belief=belief)
+    found = pgm.filter(MIRROR, hidden, belief=belief)
+    assert far(found.log_evidence, wanted.log_evidence) < 1e-9
+    assert far(found[P].mean[:2], wanted[P].mean[:2]) < 1e-9
+    assert far(found[P].cov[:2], wanted[P].cov[:2]) < 1e-9
