@@ -99,8 +99,9 @@ def chain_of(
     settings = _settings(asked, regimes, back=back)
     hidden = tuple(cpd.child for cpd in model.transition if not cpd.discrete)
     given = Given(bound, hidden, frozenset(model.states), lineariser, schedule, first)
-    _require_room(given, regimes, settings)
-    return HypothesisChain(given, regimes, roles_of(model, bound), settings)
+    roles = roles_of(model, bound)
+    _require_room(given, regimes, roles, settings)
+    return HypothesisChain(given, regimes, roles, settings)
 
 
 def _settings(asked: Asked, regimes: Regimes, *, back: bool) -> Settings:
@@ -136,15 +137,18 @@ def _require_once(call: Call, roles: Roles) -> None:
         )
 
 
-def _require_room(given: Given, regimes: Regimes, settings: Settings) -> None:
+def _require_room(given: Given, regimes: Regimes, roles: Roles, settings: Settings) -> None:
+    """Refuse beliefs, and the divergences by which members are merged, that would not fit."""
     size = sum(v.dimension for v in given.hidden)
-    bound, pairs = given.bound, max(settings.count, settings.pieces) * regimes.size
+    alternatives = [1 + r.unknown[1].count for r in roles.open if r.unknown is not None]
+    copies = max([regimes.size, *alternatives])
+    bound, pairs = given.bound, max(settings.count, settings.pieces) * copies
     each = settings.count * (1 + size + size * size)
     if settings.back:
         each = 2 * each + 2 * pairs * (2 + size + size * size)
     merging = 0 if settings.prune else 4 * pairs * settings.count
     if not settings.prune and settings.count != regimes.memories:
-        merging += 2 * pairs * min(pairs, settings.count * regimes.size)
+        merging += 2 * pairs * pairs
     passing = merging + 8 * pairs * (size + 1) ** 2
     if settings.prune:  # of each step it is kept alone which pairs were
         passing, each = passing + each, settings.count
@@ -152,7 +156,7 @@ def _require_room(given: Given, regimes: Regimes, settings: Settings) -> None:
         bound.runs * ((bound.steps + 1) * each + passing),
         f"the beliefs of {settings.count:,} Gaussians with {regimes.size:,} joint states of "
         f"({listed(regimes.variables)}) at {bound.steps + 1:,} steps in {bound.runs:,} runs",
-        "keep fewer Gaussians, or give fewer runs or steps to a call",
+        "keep fewer Gaussians, cut the prior into fewer pieces, or give fewer runs or steps",
         error=GraphError,
     )
 

@@ -390,3 +390,14 @@ def test_pieces_of_the_prior_are_weighed_by_open_sightings():
     assert far(found.log_evidence, wanted.log_evidence) < 1e-9
     assert far(found[P].mean[:2], wanted[P].mean[:2]) < 1e-9
     assert far(found[P].cov[:2], wanted[P].cov[:2]) < 1e-9
+
+
+def test_pieces_that_would_not_fit_are_refused():
+    marks = np.random.default_rng(0).normal(size=(50, 2))
+    unknown = pgm.unknown(marks, association="sum")
+    read = {
+        PUSH: ASKED[PUSH][:1],
+        R: pgm.sightings([[1.0]], step=[1], given={BEACON: unknown}),
+    }
+    with pytest.raises(pgm.GraphError, match="fewer pieces"):
+        pgm.filter(MIRROR, read, belief=pgm.Gaussians(16, starts=2**14))
