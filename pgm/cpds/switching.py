@@ -33,10 +33,11 @@ class SwitchingCPD(CPD):
     - s: the states of the discrete parents;
     - p_s: the CPD of y in these states, its *case*, with continuous parents x_s of its own.
 
-    A group that one belongs to and a height, a mode and a motion, a fault and a reading. It stands
-    in networks without time, where `pgm.infer` sums over all states that the tables and the
-    evidence leave possible; and as a sensor of a `DynamicBayesianNetwork` of tables, a hidden
-    Markov model that reads numbers.
+    A group that one belongs to and a height, a mode and a motion, a fault and a reading. In
+    networks without time `pgm.infer` sums over all states that the tables and the evidence leave
+    possible. In a `DynamicBayesianNetwork` it is a prior, a transition or a sensor: as a sensor of
+    states that are all discrete it makes a hidden Markov model that reads numbers, which is exact;
+    with continuous states beside them beliefs are mixtures of Gaussians, `pgm.Gaussians`.
 
     Parameters
     ----------
@@ -176,6 +177,10 @@ class SwitchingCPD(CPD):
         rows = [(self.named(case), part._title) for case, part in self.cases.items()]
         shown = [None if k is None else rows[k] for k in few(len(rows))]
         return [Listing((listed(self.switches), "case"), shown)]
+
+    def case_of(self, states: Hashable) -> Case:
+        """The case of some states, by name or index; of several parents a tuple of them."""
+        return _indices(f"{self!r}", self.switches, states)
 
     def named(self, case: Case) -> str:
         """The states of a case by name."""

@@ -138,6 +138,15 @@ class BoundEvidence:
         )
         return replace(self, transition=tuple(map(inputs, self.transition)), readings=readings)
 
+    def repeated(self, count: int) -> BoundEvidence:
+        """The evidence with all its runs so many times, on an axis of hypotheses before them."""
+
+        def tiled(array: npt.NDArray[Kind]) -> npt.NDArray[Kind]:
+            return array if array.shape[1] == 1 else np.concatenate([array] * count, axis=1)
+
+        lead = (count, *self.lead)
+        return replace(self.mapped(tiled), lead=lead, own_runs=self.runs, form=None)
+
     def emptied(self) -> BoundEvidence:
         """The layout with zeros that take no memory."""
         return self.mapped(lambda array: np.broadcast_to(array.dtype.type(0), array.shape))

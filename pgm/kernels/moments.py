@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.kernels import roots, solving, step
-from pgm.kernels.arrays import LAST_PLACES, LOG_2PI, Array, inner, multiply
+from pgm.kernels.arrays import LAST_PLACES, LOG_2PI, Array, inner, multiply, transpose
 from pgm.kernels.dense import Rounded, Stack, StackRoot
 
 # The part of what is summed up that rounding leaves where the sum ought to be zero.
@@ -145,6 +145,18 @@ def push(mean: Array, cov: Array, conditional: Conditional) -> tuple[Array, Arra
         *(Stack.column(mean), Stack(cov, True)), Stack(matrix), Stack.column(offset), Stack(noise)
     )
     return pushed[0].vector, pushed[1].array
+
+
+def pushed_with(mean: Array, cov: Array, conditional: Conditional) -> tuple[Array, Array]:
+    """The moments of y and x as one vector, (..., d + n) and (..., d + n, d + n).
+
+    x ~ N(mean, cov) is of n components, and `conditional` is p(y | x), as of `push`.
+    """
+    own_mean, own_cov = push(mean, cov, conditional)
+    cross = conditional.matrix @ cov
+    upper = np.concatenate([own_cov, cross], axis=-1)
+    lower = np.concatenate([transpose(cross), cov], axis=-1)
+    return np.concatenate([own_mean, mean], axis=-1), np.concatenate([upper, lower], axis=-2)
 
 
 def log_density(residual: Array, cov: Array) -> Array:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pgm.arguments import public
+from pgm.beliefs.own.family import BeliefFamily, require_family
 from pgm.boundary import is_number, is_whole
 from pgm.display import titled
 from pgm.errors import ConvergenceWarning, EvidenceError, ModelError, PgmError, levels_to_user
@@ -241,6 +242,7 @@ def fit(
     learn: Learn,
     lineariser: Lineariser = TAYLOR,
     schedule: Smoothing = _ONCE,
+    belief: BeliefFamily[Any] | None = None,
     steps: int | Sequence[int | None] | None = None,
     iterations: int = 200,
     tolerance: float = 1e-6,
@@ -260,6 +262,10 @@ def fit(
     that does not, as of nonlinear models it may, is halved five times, and then refused. Where a
     noise vanishes and the log-evidence rises without end the search stops, and its status says so.
 
+    Where discrete variables choose among CPDs (`SwitchingCPD`), each row enters the expectations of
+    a case by the probability that this holds there. Where mixtures of Gaussians are merged, the
+    log-evidence and its gradient are approximate, as of nonlinear models.
+
     Parameters
     ----------
     model : DynamicBayesianNetwork
@@ -271,9 +277,13 @@ def fit(
         The parts that are learnt, all else being fixed: by ``x.at(0)`` of the prior of a state, by
         ``x`` of its transition, by ``z`` of a sensor, a part of `pgm.learning` or a tuple of them,
         ``{x: (Coefficients(), Covariance("diagonal")), z: Covariance()}``; by an input its
-        `Parameter`.
+        `Parameter`. Of a `SwitchingCPD` that is learnt of every case; or, by state, of some:
+        ``{z: {"working": Covariance()}}``.
     lineariser, schedule : optional
         Settings of the smoother, without a gate; ``Smoothing(iterations=...)`` linearises again.
+    belief : BeliefFamily, optional
+        How many Gaussians mixtures of a model with discrete and continuous variables have:
+        ``pgm.Gaussians(8)``.
     steps : int or sequence of int, optional
         T, or that of each recording, where no plain array tells.
     iterations : int
@@ -343,7 +353,9 @@ def fit(
             "NaN where posterior.innovations[z].rejected"
         )
     require_lineariser(lineariser)
-    learner = Learner(model, recordings, learn, lineariser, schedule, every, single=single)
+    if belief is not None:
+        require_family(belief, model)
+    learner = Learner(model, recordings, learn, lineariser, schedule, belief, every, single=single)
     with reporting(progress):
         search = Search(learner, int(iterations), float(tolerance), accelerate=accelerate)
         found = search.run()

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from pgm.beliefs.moments.outcomes.families import FamilyBelief
 from pgm.cpds import AffineCPD, ConditionalGaussian, GaussianCPD, LinearGaussianCPD, Noise
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope, listed, namesake
@@ -16,11 +15,14 @@ from pgm.kernels.arrays import Array, Mask, transpose
 from pgm.learning.residuals import Known, Residuals, residuals
 from pgm.learning.steps import CovarianceStep
 from pgm.learning.values import Coefficients, Covariance, Offset
+from pgm.posteriors.expectations import FamilyBelief
 
 # Coordinate ascent over coefficients and noise, where neither alone has a closed form.
 _ROUNDS = 200
 _SETTLED = 1e-13
 _LEAST = 1e-300
+# The part of a mean that sums of many rows may be off by.
+_STILL = 2.0**-44
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,23 +36,24 @@ class Weighted:
     normal: Array
     said: Array
     moments: list[tuple[Array, Array, Array, Array]]
-    ranks: int
+    ranks: float
 
 
 @dataclass(frozen=True, eq=False)
 class Expected:
     """Expected second moments Σ E[r rᵀ] of a CPD's residuals over N rows.
 
-    They are sums of E[r rᵀ], E[r gᵀ], E[g gᵀ], regressors being counted from the reference (k,),
-    near their mean where an offset is free, so that sums keep their digits; `weighted` in their
-    place, where the noise is a function of evidence.
+    N is a number of rows, or the sum of their weights. They are sums of E[r rᵀ], E[r gᵀ], E[g gᵀ],
+    regressors being counted from the reference (k,), near their mean where an offset is free, so
+    that sums keep their digits; `weighted` in their place, where the noise is a function of
+    evidence.
     """
 
     cpd: Any
     own: Array
     cross: Array
     gram: Array
-    count: int
+    count: float
     reference: Array
     weighted: Weighted | None = None
 
@@ -129,22 +132,26 @@ class GaussianStep:
         if isinstance(cpd.cov, Noise):
             return self._by_row(cpd, every, count, reference)
         if count and self.free[:, -1].all() and self.free[:, :-1].any():
-            reference = sum(each.regressors.sum(axis=0) for each in every) / count
+            reference = sum(each.weighted(each.regressors).sum(axis=0) for each in every) / count
             reference[-1] = 0.0
         sums = zip(*(each.sums(reference) for each in every), strict=True)
         own, cross, gram = (np.sum(parts, axis=0) for parts in sums)
+        # A regressor that differs from its mean by rounding alone tells nothing.
+        still = np.diagonal(gram) <= count * (_STILL * reference) ** 2
+        still[-1] = False
+        cross, gram = np.where(still, 0.0, cross), np.where(still | still[:, None], 0.0, gram)
         return Expected(cpd, own, cross, gram, count, reference)
 
-    def _by_row(self, cpd: Any, every: list[Residuals], count: int, reference: Array) -> Expected:
+    def _by_row(self, cpd: Any, every: list[Residuals], count: float, reference: Array) -> Expected:
         """Sums over rows, each weighted by the inverse of its own noise covariance."""
         rows, columns = np.nonzero(self.free)
         normal, said = np.zeros((rows.size, rows.size)), np.zeros(rows.size)
-        moments, ranks = [], 0
+        moments, ranks = [], 0.0
         for each in every:
             own, cross, gram = each.rows()
             weight = np.broadcast_to(np.linalg.pinv(each.noise, hermitian=True), own.shape)
             rank = np.linalg.matrix_rank(each.noise, hermitian=True)
-            ranks += int(np.broadcast_to(rank, len(own)).sum())
+            ranks += float(each.weighted(np.broadcast_to(rank, len(own))).sum())
             moments.append((own, cross, gram, weight))
             for k, (i, a) in enumerate(zip(rows, columns, strict=True)):
                 normal[k] += np.sum(weight[:, i, rows] * gram[:, a, columns], axis=0)

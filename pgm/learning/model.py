@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from pgm.beliefs.markov.counts import expected_counts
-from pgm.beliefs.moments.outcomes.families import family_beliefs
-from pgm.cpds import CPD, ConditionalGaussian, TableCPD
+from pgm.beliefs.own.family import BeliefFamily
+from pgm.cpds import CPD, ConditionalGaussian, MixtureCPD, TableCPD
 from pgm.display import titled
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import Evidence, constant
@@ -19,6 +18,7 @@ from pgm.inference import Smoothing
 from pgm.inference.dynamic import over_time
 from pgm.kernels.arrays import Array
 from pgm.learning.gaussian import GaussianStep
+from pgm.learning.places import ROLES, Place, by_place, place_of, replaced
 from pgm.learning.steps import ParameterStep, TableStep
 from pgm.learning.values import (
     PARTS,
@@ -33,12 +33,16 @@ from pgm.learning.values import (
 )
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
+from pgm.posteriors.expectations import Expectations, Learnable
 from pgm.posteriors.posterior import Posterior
 from pgm.schedules.binding import bind_chain
 from pgm.schedules.options import Call
-from pgm.variables import Variable
+from pgm.variables import Discrete, Variable
 
-ROLES = ("prior", "transition", "observation")
+_AS_CASES = (
+    "make its components states of a discrete variable, each with a case of a pgm.SwitchingCPD, of "
+    "which everything can be"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,10 +55,14 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class Expected:
-    """The posterior of each recording at a point, and the objective there."""
+    """The posterior of each recording at a point, and the objective there.
+
+    `expectations` have for each recording the function that gives those of some CPDs.
+    """
 
     point: Point
     posteriors: list[Any]
+    expectations: list[Callable[[Sequence[Learnable]], Expectations]]
     log_evidence: float
     objective: float
 
@@ -69,18 +77,18 @@ class Learner:
         learn: Learn,
         lineariser: Lineariser,
         schedule: Smoothing,
+        belief: BeliefFamily[Any] | None,
         steps: Sequence[int | None],
         *,
         single: bool,
     ) -> None:
         self.recordings, self.steps, self.single = recordings, steps, single
-        self.lineariser, self.schedule = lineariser, schedule
-        self.places: list[tuple[str, int]] = []
+        self.lineariser, self.schedule, self.belief = lineariser, schedule, belief
+        self.places: list[Place] = []
         self.blocks: list[Any] = []
         self.parameters: dict[Variable, ParameterStep] = {}
         for variable, value in learn.items():
-            parts = value if isinstance(value, tuple | list) else (value,)
-            self._declare(model, variable, parts)
+            self._declare(model, variable, value)
         self.start = Point(model, {v: each.start for v, each in self.parameters.items()})
         self._require_told()
 
@@ -99,7 +107,8 @@ class Learner:
                         variable=reading.cpd.child,
                     )
                 told.update([reading.cpd] if reading.taken.any() else ())
-        for cpd in self._cpds(self.start):
+        for place in self.places:
+            cpd = place.of(model).cpd
             if cpd not in told:
                 raise EvidenceError(
                     f"nothing in the evidence tells of {cpd!r}, which is to be learnt: it has no "
@@ -111,49 +120,46 @@ class Learner:
     @property
     def _sensors(self) -> set[Variable]:
         """The sensors of which something is learnt."""
-        used = {cpd.child for cpd in self._cpds(self.start)}
+        used = {part.cpd.child for part in self._learnable(self.start)}
         for cpd in self.start.model.observation:
             used |= {cpd.child} if set(cpd.parents) & set(self.parameters) else set()
         return used
 
-    def _declare(self, model: DynamicBayesianNetwork, variable: Any, parts: Any) -> None:
-        for part in parts:
-            if not isinstance(part, PARTS):
-                raise ModelError(
-                    f"learn of {variable!r}: takes a part of pgm.learning, "
-                    f"{', '.join(each.__name__ for each in PARTS)}, or a tuple of them; found "
-                    f"{titled(part)}"
-                )
-        kinds = [type(part) for part in parts]
-        if not kinds or len(set(kinds)) < len(kinds):
-            raise ModelError(
-                f"learn of {variable!r}: takes one part or several, each kind once; found "
-                f"{titled(parts)}"
-            )
-        if Parameter in kinds:
+    def _declare(self, model: DynamicBayesianNetwork, variable: Any, learnt: Any) -> None:
+        """Declare what is learnt by a variable: a parameter, or parts of its CPD."""
+        if not isinstance(learnt, Mapping) and Parameter in map(
+            type, (parts := _parts(variable, learnt))
+        ):
             self._declare_parameter(model, variable, parts)
             return
-        role, index = _place(model, variable)
-        cpd = getattr(model, role)[index]
-        if (role, index) in self.places:
+        place = place_of(model, variable)
+        if any(each[:2] == place[:2] for each in self.places):
             raise ModelError(f"learn names the CPD of {variable!r} twice")
+        for each, own in by_place(place, place.of(model).cpd, learnt):
+            self.blocks.append(self._block(model, each.of(model).own, _parts(variable, own)))
+            self.places.append(each)
+
+    def _block(self, model: DynamicBayesianNetwork, cpd: CPD, parts: Sequence[Any]) -> Any:
+        """The M step of parts of a CPD."""
+        kinds = list(map(type, parts))
         if isinstance(cpd, TableCPD):
             self._require(cpd, kinds, (Table,))
-            block: Any = TableStep(cpd, parts)
-        elif isinstance(cpd, ConditionalGaussian):
-            self._require(cpd, kinds, (Covariance, Coefficients, Offset))
-            if cpd.noise is not None:
-                raise ModelError(
-                    f"{cpd!r} has robust noise, {cpd.noise!r}, of which nothing is learnt; learn "
-                    "it with Gaussian noise, noise=None",
-                    cpd=cpd,
-                )
-            hidden = tuple(p for p in cpd.given if p.template in {*model.states, *model.controls})
-            block = GaussianStep(cpd, hidden, parts)
-        else:
-            raise ModelError(f"{cpd!r} is of a kind of which nothing can be learnt", cpd=cpd)
-        self.places.append((role, index))
-        self.blocks.append(block)
+            return TableStep(cpd, parts)
+        if not isinstance(cpd, ConditionalGaussian):
+            raise ModelError(
+                f"{cpd!r} is of a kind of which nothing can be learnt"
+                + f"; {_AS_CASES}" * isinstance(cpd, MixtureCPD),
+                cpd=cpd,
+            )
+        self._require(cpd, kinds, (Covariance, Coefficients, Offset))
+        if cpd.noise is not None:
+            raise ModelError(
+                f"{cpd!r} has robust noise, {cpd.noise!r}, of which nothing is learnt; learn it "
+                "with Gaussian noise, noise=None",
+                cpd=cpd,
+            )
+        hidden = tuple(p for p in cpd.given if p.template in {*model.states, *model.controls})
+        return GaussianStep(cpd, hidden, parts)
 
     def _require(self, cpd: CPD, kinds: list[type], fit: tuple[type, ...]) -> None:
         for kind in kinds:
@@ -167,7 +173,7 @@ class Learner:
     def _declare_parameter(self, model: Any, variable: Any, parts: Any) -> None:
         if len(parts) > 1:
             raise ModelError(f"learn of {variable!r}: a Parameter has no other parts")
-        if model.discrete or variable not in model.inputs:
+        if isinstance(variable, Discrete) or variable not in model.inputs:
             raise ModelError(
                 f"learn of {variable!r}: a Parameter is an input of Gaussian CPDs, a parent that "
                 f"no CPD explains; those are [{listed(model.inputs)}]",
@@ -197,58 +203,75 @@ class Learner:
 
     def expected(self, point: Point) -> Expected:
         """The E step: one smoother a recording."""
-        posteriors = []
+        posteriors, expectations = [], []
         schedule, lineariser = self.schedule, self.lineariser
         if point.model.discrete:  # nothing is linearised
             schedule, lineariser = Smoothing(), TAYLOR
+        call = Call(schedule, lineariser)
         for evidence, steps in zip(self.evidence(point), self.steps, strict=True):
             # Whether smoothers have settled is told at the end of the search, once.
-            family, asked = over_time(point.model, evidence, Call(schedule, lineariser), steps)
-            posteriors.append(Posterior(family.infer(*asked)))
+            family, asked = over_time(point.model, evidence, call, steps, belief=self.belief)
+            outcome, expect = family.infer_to_learn(*asked)
+            posteriors.append(Posterior(outcome))
+            expectations.append(expect)
         total = float(sum(np.sum(each.log_evidence) for each in posteriors))
         prior = sum(
             block.log_prior(cpd)
             for block, cpd in zip(self.blocks, self._cpds(point), strict=True)
             if isinstance(block, TableStep)
         )
-        return Expected(point, posteriors, total, total + prior)
+        return Expected(point, posteriors, expectations, total, total + prior)
+
+    def _learnable(self, point: Point) -> list[Learnable]:
+        """The CPDs that are learnt."""
+        return [place.of(point.model) for place in self.places]
 
     def _cpds(self, point: Point) -> list[Any]:
-        return [getattr(point.model, role)[index] for role, index in self.places]
+        return [each.own for each in self._learnable(point)]
 
     def _with(self, point: Point, cpds: list[Any], parameters: dict[Variable, Array]) -> Point:
-        parts = {role: list(getattr(point.model, role)) for role in ROLES}
-        for (role, index), cpd in zip(self.places, cpds, strict=True):
-            parts[role][index] = cpd
-        return Point(point.model.replace(**parts) if cpds else point.model, parameters)
+        model = replaced(point.model, zip(self.places, cpds, strict=True)) if cpds else point.model
+        return Point(model, parameters)
 
     def improved(self, expected: Expected) -> tuple[Point, Array]:
         """The M step, and the gradient of the objective by the coordinates."""
         point, slopes = expected.point, [np.zeros(0)]
-        cpds, new = self._cpds(point), []
-        if point.model.discrete:
-            every = [expected_counts(each._outcome, cpds) for each in expected.posteriors]
-            for block, cpd in zip(self.blocks, cpds, strict=True):
-                counts = np.sum([each[cpd] for each in every], axis=0)
-                new.append(block.maximised(cpd, counts))
-                slopes.append(block.gradient(cpd, counts))
-            return self._with(point, new, {}), np.concatenate(slopes)
-        families = [family_beliefs(each._outcome) for each in expected.posteriors]
+        learnable, new = self._learnable(point), []
+        wanted = dict.fromkeys([*learnable, *self._of_parameters(point.model)])
+        every = [expect(list(wanted)) for expect in expected.expectations]
         known = dict(point.parameters)
         for variable, step in self.parameters.items():
             beliefs = [
-                belief for each in families for cpd, belief in each.items() if variable in cpd.given
+                belief
+                for each in every
+                for part, belief in each.families.items()
+                if variable in part.own.given
             ]
             known[variable], slope = step.maximised(beliefs, known)
             slopes.append(slope)
-        for block, cpd in zip(self.blocks, cpds, strict=True):
-            beliefs = [each[cpd] for each in families if cpd in each]
+        for block, part in zip(self.blocks, learnable, strict=True):
+            cpd: Any = part.own
+            if isinstance(block, TableStep):
+                counts = np.sum([each.counts[cpd] for each in every], axis=0)
+                slopes.append(block.gradient(cpd, counts))
+                new.append(block.maximised(cpd, counts))
+                continue
+            beliefs = [each.families[part] for each in every if part in each.families]
             sums = block.expected(beliefs, point.parameters)
             slopes.append(block.gradient(sums))
             if any(variable in cpd.given for variable in known):
                 sums = block.expected(beliefs, known)
             new.append(block.maximised(sums))
         return self._with(point, new, known), np.concatenate(slopes)
+
+    def _of_parameters(self, model: DynamicBayesianNetwork) -> Iterator[Learnable]:
+        """The CPDs that parameters are parents of."""
+        for role in ROLES:
+            for number, cpd in enumerate(getattr(model, role)):
+                for place, _ in by_place(Place(role, number), cpd, None):
+                    part = place.of(model)
+                    if any(variable in part.own.given for variable in self.parameters):
+                        yield part
 
     def vanishing(self, point: Point) -> CPD | None:
         """A CPD whose noise has shrunk to almost nothing, if any."""
@@ -273,7 +296,7 @@ class Learner:
         for block, cpd in zip(self.blocks, self._cpds(point), strict=True):
             size = len(block.vector(cpd))
             part = vector[start : start + size]
-            cpds.append(block.at(part) if point.model.discrete else block.at(cpd, part))
+            cpds.append(block.at(cpd, part))
             start += size
         return self._with(point, cpds, parameters)
 
@@ -289,28 +312,26 @@ class Learner:
     def _named(self, point: Point) -> dict[Variable, Any]:
         """The learnt parameters and CPDs, by the variables that the user named."""
         named: dict[Variable, Any] = dict(point.parameters)
-        for (role, _), cpd in zip(self.places, self._cpds(point), strict=True):
-            named[cpd.child.at(0) if role == "prior" else cpd.child] = cpd
+        for place, part in zip(self.places, self._learnable(point), strict=True):
+            child = part.cpd.child
+            named[child.at(0) if place.role == "prior" else child] = part.cpd
         return named
 
 
-def _place(model: DynamicBayesianNetwork, variable: Any) -> tuple[str, int]:
-    """The role and index of a variable's CPD: x.at(0) names a prior, x a transition or sensor."""
-    if isinstance(variable, Variable):
-        first = variable.step == 0 and not variable.lag
-        roles: Mapping[str, Any] = (
-            {"prior": model.prior}
-            if first
-            else {
-                "transition": model.transition,
-                "observation": model.observation,
-            }
+def _parts(variable: Any, learnt: Any) -> Sequence[Any]:
+    """The parts that are learnt by a variable, each of another kind; anything else is refused."""
+    parts = learnt if isinstance(learnt, tuple | list) else (learnt,)
+    for part in parts:
+        if not isinstance(part, PARTS):
+            raise ModelError(
+                f"learn of {variable!r}: takes a part of pgm.learning, "
+                f"{', '.join(each.__name__ for each in PARTS)}, or a tuple of them; of a "
+                f"SwitchingCPD also a mapping of states to these; found {titled(part)}"
+            )
+    kinds = list(map(type, parts))
+    if not kinds or len(set(kinds)) < len(kinds):
+        raise ModelError(
+            f"learn of {variable!r}: takes one part or several, each kind once; found "
+            f"{titled(parts)}"
         )
-        for role, cpds in roles.items():
-            for index, cpd in enumerate(cpds):
-                if cpd.child == (variable.template if first else variable):
-                    return role, index
-    raise ModelError(
-        f"learn of {variable!r}: {titled(model)} has no CPD of it; name x.at(0) for the prior of a "
-        "state, x for its transition, z for a sensor"
-    )
+    return parts

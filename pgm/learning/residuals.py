@@ -7,8 +7,9 @@ error ε has the covariance Ω. The sums over rows of
 
     E[r rᵀ] = e eᵀ + A C Aᵀ + Ω,    E[r gᵀ] = e ḡᵀ + A C G,    E[g gᵀ] = ḡ ḡᵀ + Gᵀ C G,
 
-g being the parents and a one, are all that M steps need. Of a measurement with missing components
-these are expected too, given those that are there.
+g being the parents and a one, are all that M steps need. Rows have weights where a belief is of
+several Gaussians, or a CPD may not hold. Of a measurement with missing components these are
+expected too, given those that are there.
 
 Kokkala, Solin & Särkkä (2015) have expectations over the joint, which are equal where integrals are
 exact: these are over the parents alone (Stein's lemma).
@@ -22,13 +23,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pgm.beliefs.moments.outcomes.families import FamilyBelief
 from pgm.cpds import AffineCPD
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, Mask, components_last, quiet, symmetric, transpose
 from pgm.kernels.moments import predict
 from pgm.kernels.solving import regression
 from pgm.linearisation.family import Family
+from pgm.posteriors.expectations import FamilyBelief
 from pgm.variables import Variable
 
 Known = Mapping[Variable, Array]
@@ -40,7 +41,8 @@ class Residuals:
 
     The mean e (N, d), the line A (1 or N, d, n), the covariance C (N, n, n), the error Ω with what
     missing components add (1 or N, d, d), the regressors ḡ (N, k), of which the components of
-    `hidden` parents stand first, and the CPD's own noise (1 or N, d, d).
+    `hidden` parents stand first, and the CPD's own noise (1 or N, d, d). The `weight` (N,) is the
+    probability that a row is of the CPD; None where all are one.
     """
 
     mean: Array
@@ -50,11 +52,19 @@ class Residuals:
     regressors: Array
     noise: Array
     hidden: int
+    weight: Array | None = None
 
     @property
-    def count(self) -> int:
-        """The number of rows, N."""
-        return len(self.mean)
+    def count(self) -> float:
+        """The number of rows, N, or the sum of their weights."""
+        return len(self.mean) if self.weight is None else float(self.weight.sum())
+
+    def weighted(self, values: Array) -> Array:
+        """Values (N, ...), or (1, ...), of rows times their weights."""
+        if self.weight is None:
+            return values
+        found: Array = self.weight.reshape(-1, *(1,) * (values.ndim - 1)) * values
+        return found
 
     def rows(self) -> tuple[Array, Array, Array]:
         """The moments E[r rᵀ], E[r gᵀ] and E[g gᵀ] of each row."""
@@ -65,23 +75,26 @@ class Residuals:
         cross[..., :hidden] += across[..., :hidden]
         gram = self.regressors[:, :, None] * self.regressors[:, None, :]
         gram[:, :hidden, :hidden] += self.cov[:, :hidden, :hidden]
-        return symmetric(own + self.error), cross, gram
+        own = symmetric(own + self.error)
+        return self.weighted(own), self.weighted(cross), self.weighted(gram)
 
     def sums(self, reference: Array | float = 0.0) -> tuple[Array, Array, Array]:
         """The sums of these over the rows, the regressors counted from a reference point."""
         hidden, g = self.hidden, self.regressors - reference
+        cov, mean = self.weighted(self.cov), self.weighted(self.mean)
         if len(self.line) == 1:
-            spread = self.cov.sum(axis=0)
+            spread = cov.sum(axis=0)
             across = self.line[0] @ spread
             around = across @ self.line[0].T
         else:
-            every = self.line @ self.cov
+            every = self.line @ cov
             across = every.sum(axis=0)
             around = np.einsum("rin,rjn->ij", every, self.line)
-            spread = self.cov[:, :hidden, :hidden].sum(axis=0)
-        weight = self.count if len(self.error) == 1 else 1
-        own = self.mean.T @ self.mean + around + weight * self.error.sum(axis=0)
-        cross, gram = self.mean.T @ g, g.T @ g
+            spread = cov[:, :hidden, :hidden].sum(axis=0)
+        one = len(self.error) == 1
+        error = self.count * self.error[0] if one else self.weighted(self.error).sum(axis=0)
+        own = mean.T @ self.mean + around + error
+        cross, gram = mean.T @ g, self.weighted(g).T @ g
         cross[:, :hidden] += across[:, :hidden]
         gram[:hidden, :hidden] += spread[:hidden, :hidden]
         return symmetric(own), cross, symmetric(gram)
@@ -144,6 +157,7 @@ def residuals(belief: FamilyBelief, known: Known) -> Residuals:
         g.reshape(flat, -1),
         _flat(family.own_noise, rows, runs),
         hidden,
+        None if belief.weights is None else belief.weights.reshape(flat),
     )
     if belief.taken is None:
         return found
@@ -159,7 +173,7 @@ def _flat(array: Array, rows: int, runs: int) -> Array:
         single: Array = array[0]
         return single
     wide = np.broadcast_to(array, (rows, runs, *array.shape[2:]))
-    found: Array = wide.reshape(-1, *array.shape[2:])
+    found: Array = wide.reshape(rows * runs, *array.shape[2:])
     return found
 
 
@@ -200,6 +214,7 @@ def _expected(found: Residuals, taken: Mask) -> Residuals:
         found.regressors,
         found.noise,
         found.hidden,
+        found.weight,
     )
 
 
@@ -215,4 +230,5 @@ def _at(found: Residuals, rows: Mask) -> Residuals:
         found.regressors[rows],
         part(found.noise),
         found.hidden,
+        None if found.weight is None else found.weight[rows],
     )

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from pgm.beliefs.moments.outcomes.families import FamilyBelief
 from pgm.boundary import as_floats
 from pgm.cpds import ConditionalGaussian, Noise, TableCPD
 from pgm.display import called, number
@@ -16,6 +15,7 @@ from pgm.factors.scope import as_value
 from pgm.kernels.arrays import Array, symmetric
 from pgm.learning.residuals import Known, residuals
 from pgm.learning.values import Covariance, Parameter, Table
+from pgm.posteriors.expectations import FamilyBelief
 from pgm.variables import Variable
 
 # Smaller parts of the largest variance are none of a singular covariance.
@@ -122,7 +122,7 @@ class CovarianceStep:
                 cpd=cpd,
             )
 
-    def likeliest(self, own: Array, count: int) -> Any:
+    def likeliest(self, own: Array, count: float) -> Any:
         """The covariance that makes sums E[r rᵀ] of so many residuals likeliest, within bounds.
 
         −½ (N ln |Q| + tr Q⁻¹ S) is largest at S/N, of which variances, the factor, or eigenvalues
@@ -179,7 +179,7 @@ class CovarianceStep:
         found: Array = lower * np.where(np.diagonal(lower) < 0.0, -1.0, 1.0)
         return found
 
-    def gradient(self, cpd: Any, own: Array, count: int) -> Array:
+    def gradient(self, cpd: Any, own: Array, count: float) -> Array:
         """The derivatives of the expected log-density by the coordinates.
 
         By L that of −½ (N ln |L Lᵀ| + tr (L Lᵀ)⁻¹ S) is L⁻ᵀ (L⁻¹ S L⁻ᵀ − N).
@@ -243,7 +243,7 @@ class TableStep:
                 f"{cpd!r}: prior_counts has shape {counts.shape}; () or {cpd.table.shape} was due",
                 cpd=cpd,
             )
-        self.start, self.free = cpd, cpd.table > 0.0
+        self.free = cpd.table > 0.0
         self.prior = np.where(self.free, counts, 0.0)
 
     def log_prior(self, cpd: TableCPD) -> float:
@@ -270,13 +270,13 @@ class TableStep:
         found: Array = 2.0 * (told - roots * counts.sum(axis=-1, keepdims=True))
         return found[self.free]
 
-    def at(self, vector: Array) -> TableCPD:
+    def at(self, cpd: TableCPD, vector: Array) -> TableCPD:
         """The table of some coordinates."""
         weights = np.zeros(self.free.shape)
         weights[self.free] = vector**2
         total = weights.sum(axis=-1, keepdims=True)
-        table = np.where(total > 0.0, weights / np.where(total > 0.0, total, 1.0), self.start.table)
-        return TableCPD(self.start.child, self.start.given, table=table)
+        table = np.where(total > 0.0, weights / np.where(total > 0.0, total, 1.0), cpd.table)
+        return TableCPD(cpd.child, cpd.given, table=table)
 
 
 _HALVINGS = 20
@@ -389,7 +389,7 @@ class ParameterStep:
                 for m, (other, along) in enumerate(slopes[: k + 1]):
                     both = mean[:, :, None] * other[:, None, :]
                     both = both + line @ cov @ np.swapaxes(along, -1, -2)
-                    curvature[k, m] += float(np.sum(weight * both))
+                    curvature[k, m] += float(np.sum(weight * sides[0][0][place].weighted(both)))
                     curvature[m, k] = curvature[k, m]
         return gradient, curvature
 

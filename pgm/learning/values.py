@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Literal
@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from pgm.arguments import public
 from pgm.boundary import as_floats, is_number
+from pgm.cpds import CPD, SwitchingCPD
 from pgm.display import InCode, Listing, Shown, Summary, few, number
 from pgm.errors import ModelError
 from pgm.immutable import Immutable
@@ -286,5 +287,16 @@ class Fit(Shown, Immutable):
                 parts.append(f"{variable!r}: {', '.join(map(number, value))}")
             else:
                 parts.append(f"{variable!r}: {value._title}")
-                parts.extend(value._parts())
+                for named, own in _cases(value):
+                    parts.extend([named] if named else [])
+                    parts.extend(own._parts())
         return Summary(self._title, parts)
+
+
+def _cases(cpd: CPD) -> Iterator[tuple[str, CPD]]:
+    """The CPDs that discrete variables choose among, each with its title; else a CPD alone."""
+    if not isinstance(cpd, SwitchingCPD):
+        yield "", cpd
+        return
+    for case, own in cpd.cases.items():
+        yield f"{cpd.named(case)}: {own._title}", own

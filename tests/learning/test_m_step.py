@@ -22,10 +22,12 @@ def recording(rng, model, missing=False):
     return controls, readings
 
 
-def stepped(model, evidence, learn, lineariser=None, **more):
+def stepped(model, evidence, learn, lineariser=None):
     """The model after one M step, and the gradient of the log-evidence."""
     lineariser = lineariser or pgm.Taylor()
-    learner = Learner(model, [evidence], learn, lineariser, pgm.Smoothing(), [None], single=True)
+    learner = Learner(
+        model, [evidence], learn, lineariser, pgm.Smoothing(), None, [None], single=True
+    )
     image, gradient = learner.improved(learner.expected(learner.start))
     return image, gradient, learner
 

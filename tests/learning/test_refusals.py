@@ -121,6 +121,11 @@ def test_robust_noise():
         pgm.fit(model().replace(observation=[sight]), READINGS, learn={Z: Covariance()})
 
 
+def test_beliefs_without_expectations():
+    with pytest.raises(pgm.ModelError, match="no expectations to learn by"):
+        pgm.fit(model(), READINGS, learn={Z: Covariance()}, belief=pgm.Particles(10))
+
+
 def test_gates():
     with pytest.raises(pgm.ModelError, match="what a gate rejects would change"):
         pgm.fit(model(), READINGS, learn={Z: Covariance()}, schedule=pgm.Smoothing(gate=0.99))

@@ -15,11 +15,11 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.beliefs.hypotheses.chain import HypothesisChain
-from pgm.beliefs.hypotheses.records import Kept, Pairs, Stage
+from pgm.beliefs.hypotheses.records import Stage
 from pgm.beliefs.moments.steps.readings import Moments
 from pgm.kernels.arrays import Array, components_last
 from pgm.kernels.merging import joined, split
-from pgm.kernels.moments import push
+from pgm.kernels.moments import pushed_with
 from pgm.kernels.semirings import log_sum
 
 
@@ -29,6 +29,24 @@ class Flow(NamedTuple):
     logs: Array
     mean: Array
     cov: Array
+
+
+class TwoSlices(NamedTuple):
+    """The pairs of a step, each with the slice before it, given all evidence: (K, S, runs).
+
+    With Gaussians that were mixed beforehand there is one of each regime, (1, S, runs). The moments
+    are of the earlier slice's components, then the later one's, (..., 2 n).
+    """
+
+    logs: Array
+    mean: Array
+    cov: Array
+
+    @property
+    def earlier(self) -> tuple[Array, Array]:
+        """The moments of the earlier slice."""
+        size = self.mean.shape[-1] // 2
+        return self.mean[..., :size], self.cov[..., :size, :size]
 
 
 class BackwardChain:
@@ -48,11 +66,42 @@ class BackwardChain:
 
     def back(self, step: int, later: Flow) -> Flow:
         """A step's components, by the last members of the step after."""
-        kept = self.chain.kept[step + 1]
-        flow = later
+        return self.before(step + 1, self.two(step + 1, later))
+
+    def two(self, step: int, last: Flow) -> TwoSlices:
+        """The pairs of a step with the slice before, by the step's last members."""
+        kept = self.chain.kept[step]
         for before, stage in zip(kept.stages[-2::-1], kept.stages[:0:-1], strict=True):
-            flow = self._split(before, self._joined(flow, stage.members.copies))
-        return self._moved_back(step, kept, flow)
+            last = self._split(before, self._joined(last, stage.members.copies))
+        pairs, known = kept.pairs, self.chain.kept[step - 1].known
+        logs = last.logs.reshape(-1, self.chain.regimes.size, self.chain.runs)
+        mean = last.mean.reshape(*logs.shape, -1)
+        cov = last.cov.reshape(*logs.shape, mean.shape[-1], -1)
+        if pairs.mixed is None:
+            earlier = Moments(known.mean[:, :, None], known.cov[:, :, :, None])
+        else:
+            earlier = Moments(pairs.mixed.mean, pairs.mixed.whole)
+        reverse = self.chain.reversed(step, pairs, earlier)
+        return TwoSlices(logs, *pushed_with(mean, cov, reverse))
+
+    def before(self, step: int, two: TwoSlices) -> Flow:
+        """The components of the step before, by a step's pairs with the slice before."""
+        return _of_copies(*self.unmixed(step, two))
+
+    def unmixed(self, step: int, two: TwoSlices) -> Flow:
+        """The components of the step before in each regime of a step, (K, S, runs)."""
+        mixed = self.chain.kept[step].pairs.mixed
+        if mixed is None:
+            return Flow(two.logs, *two.earlier)
+        found = split(
+            two.earlier,
+            (components_last(mixed.mean, 1), components_last(mixed.whole, 2)),
+            np.zeros(mixed.logs.shape, dtype=np.intp),
+            mixed.logs,
+            (components_last(mixed.members, 1), components_last(mixed.cov, 2)),
+        )
+        turned = components_last(mixed.turned, 1)
+        return Flow(found.logs + two.logs, found.mean + turned, found.cov)
 
     def regimes(self, step: int, opened: Flow) -> Array:
         """The log-probabilities of regimes, by the members of a step's last stage, (S, runs)."""
@@ -71,35 +120,6 @@ class BackwardChain:
         )
         logs = found.logs + np.take_along_axis(flow.logs, stage.owner, axis=0)
         return Flow(logs, found.mean + components_last(stage.turned, 1), found.cov)
-
-    def _moved_back(self, step: int, kept: Kept, flow: Flow) -> Flow:
-        """The components of a step, by the pairs of the step after."""
-        pairs, known = kept.pairs, self.chain.kept[step].known
-        logs = flow.logs.reshape(-1, self.chain.regimes.size, self.chain.runs)
-        mean = flow.mean.reshape(*logs.shape, -1)
-        cov = flow.cov.reshape(*logs.shape, mean.shape[-1], -1)
-        if pairs.mixed is None:
-            before = Moments(known.mean[:, :, None], known.cov[:, :, :, None])
-        else:
-            before = Moments(pairs.mixed.mean, pairs.mixed.whole)
-        mean, cov = push(mean, cov, self.chain.reversed(step + 1, pairs, before))
-        if pairs.mixed is not None:
-            logs, mean, cov = self._unmixed(pairs, Flow(logs[0], mean, cov))
-        return _of_copies(logs, mean, cov)
-
-    def _unmixed(self, pairs: Pairs, later: Flow) -> Flow:
-        """The components that were mixed for each regime, by the mixtures, (K, S, runs)."""
-        mixed = pairs.mixed
-        assert mixed is not None
-        found = split(
-            (later.mean, later.cov),
-            (components_last(mixed.mean, 1), components_last(mixed.whole, 2)),
-            np.zeros(mixed.logs.shape, dtype=np.intp),
-            mixed.logs,
-            (components_last(mixed.members, 1), components_last(mixed.cov, 2)),
-        )
-        turned = components_last(mixed.turned, 1)
-        return Flow(found.logs + later.logs[None], found.mean + turned, found.cov)
 
     def _joined(self, flow: Flow, copies: int) -> Flow:
         """Components, by the copies of each."""

@@ -70,16 +70,17 @@ class Given:
         observation: Sequence[CPD] = (),
     ) -> DynamicBayesianNetwork:
         """The network of the CPDs of one role, and stand-ins for the others."""
-
-        def stand_in(variable: Variable) -> CPD:
-            size = variable.dimension
-            return GaussianCPD(variable, np.zeros(size), np.eye(size))
-
         return DynamicBayesianNetwork(
             prior or [stand_in(v) for v in self.hidden if v in self.states],
             transition or [stand_in(v) for v in self.hidden],
             observation,
         )
+
+
+def stand_in(variable: Variable) -> CPD:
+    """A CPD in the place of one that is of no concern."""
+    size = variable.dimension
+    return GaussianCPD(variable, np.zeros(size), np.eye(size))
 
 
 class Choices:
@@ -277,7 +278,7 @@ def _width(bound: BoundEvidence, rows: Array) -> int:
     return 0 if rows.shape[1] == 1 else math.ceil(rows.size / max(bound.steps, 1))
 
 
-def _seen(cpd: CPD, inputs: Mapping[Variable, Array]) -> Inputs:
+def seen(cpd: CPD, inputs: Mapping[Variable, Array]) -> Inputs:
     """The values of a case's own parents."""
     return {v: rows for v, rows in inputs.items() if v in cpd.parents}
 
@@ -301,7 +302,7 @@ def motions(
         which = np.flatnonzero(np.isin(choices.of[0], group)) if mixed else group
         cpds = choices.at(choices.of[0, which] if mixed else which, copies, given.bound.lead)
         graph = compile(given.network(transition=cpds), given.bound.steps, compiled=False)
-        own = [_seen(cpd, each) for cpd, each in zip(cpds, inputs, strict=True)]
+        own = [seen(cpd, each) for cpd, each in zip(cpds, inputs, strict=True)]
         found.append(Batch(given, which, copies, graph, own, (), keep=keep))
     return found
 
@@ -316,7 +317,7 @@ def sensors(
         cpds = choices.at(choices.of[which], copies, given.bound.lead)
         graph = compile(given.network(observation=cpds), given.bound.steps, compiled=False)
         own = [
-            replace(reading, cpd=cpd, inputs=_seen(cpd, reading.inputs))
+            replace(reading, cpd=cpd, inputs=seen(cpd, reading.inputs))
             for cpd, reading in zip(cpds, readings, strict=True)
         ]
         found.append(Batch(given, which, copies, graph, (), own))

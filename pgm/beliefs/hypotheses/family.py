@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 from pgm.arguments import public
 from pgm.beliefs.hypotheses import modes
+from pgm.beliefs.hypotheses.expectations import expectations
 from pgm.beliefs.hypotheses.online import HypothesisSteps
-from pgm.beliefs.hypotheses.run import Asked, run
+from pgm.beliefs.hypotheses.run import Asked, passes, run
 from pgm.beliefs.own.family import BeliefFamily
 from pgm.boundary import is_whole
 from pgm.compile import DynamicGraph
 from pgm.errors import ModelError
 from pgm.evidence import BoundEvidence
 from pgm.networks import DynamicBayesianNetwork
+from pgm.posteriors.expectations import Expectations, Learnable
 from pgm.posteriors.outcome import Outcome
 from pgm.schedules.options import Call
 from pgm.schedules.schedule import Filtering
@@ -142,6 +145,18 @@ class Gaussians(BeliefFamily[Any]):
             return modes.run(graph, bound, call, self.count, self.starts, self.draws)
         self._require_no_draws()
         return run(graph, bound, call, Asked(self.count, self.mix, max(self.starts, 1)))
+
+    def infer_to_learn(
+        self, graph: DynamicGraph, bound: BoundEvidence, call: Call
+    ) -> tuple[Outcome[Any], Callable[[Sequence[Learnable]], Expectations]]:
+        """The mixtures of a smoother, and expectations by its pass back."""
+        if self.starts:
+            raise ModelError(
+                f"{self!r}: fit learns by one smoother, and starts= asks for several: leave it out"
+            )
+        outcome, backward = passes(graph, bound, call, Asked(self.count, self.mix))
+        assert backward is not None
+        return outcome, lambda parts: expectations(backward, graph, parts)
 
     def online(self, model: DynamicBayesianNetwork, options: dict[str, Any]) -> HypothesisSteps:
         """The steps of an online filter."""

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from pgm.beliefs.hypotheses.adapted import ModeBeliefs, adapt
 from pgm.beliefs.hypotheses.points import white_points
@@ -35,13 +34,12 @@ from pgm.errors import (
     PgmError,
     levels_to_user,
 )
-from pgm.evidence import BoundEvidence, Reading
-from pgm.evidence.dynamic import Inputs
+from pgm.evidence import BoundEvidence
 from pgm.factors import Gaussian, GaussianMixture
 from pgm.factors.scope import Scope
 from pgm.kernels import roots
 from pgm.kernels.angles import difference
-from pgm.kernels.arrays import Array, Integers, Kind, Mask
+from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.semirings import log_sum
 from pgm.posteriors.belief_kind import SMOOTHED
 from pgm.posteriors.belief_kind import Kind as Knows
@@ -269,32 +267,9 @@ def _schedule(call: Call) -> Smoothing:
     return Smoothing(ITERATIONS, damping=damping)
 
 
-def _repeated(bound: BoundEvidence, count: int) -> BoundEvidence:
-    """The evidence with all its runs so many times, on an axis before them."""
-
-    def tiled(array: npt.NDArray[Kind]) -> npt.NDArray[Kind]:
-        return array if array.shape[1] == 1 else np.concatenate([array] * count, axis=1)
-
-    def inputs(own: Inputs) -> Inputs:
-        return {v: tiled(values) for v, values in own.items()}
-
-    def reading(own: Reading) -> Reading:
-        values, taken = tiled(own.values), tiled(own.taken)
-        return replace(own, values=values, taken=taken, inputs=inputs(own.inputs))
-
-    return replace(
-        bound,
-        lead=(count, *bound.lead),
-        transition=tuple(map(inputs, bound.transition)),
-        readings=tuple(map(reading, bound.readings)),
-        own_runs=bound.runs,
-        form=None,
-    )
-
-
 def _begun(graph: DynamicGraph, bound: BoundEvidence, call: Call, starts: int) -> Array:
     """The trajectories of the starts, (T+1, starts, runs, n): points of the prior, driven on."""
-    many = _repeated(bound, starts)
+    many = bound.repeated(starts)
     plan = ChainPlan.make(graph, many, call.lineariser)
     chain = MomentChain(plan, ONCE, keep=False)
     mean, cov = chain.start().by_run
@@ -328,7 +303,7 @@ def _arrived(graph: DynamicGraph, bound: BoundEvidence, call: Call, begun: Array
             if variable not in layout.states:
                 own = own[..., 1:, :]
             start[variable] = own.reshape(some.size, *bound.lead, *own.shape[-2:])
-        part = _repeated(bound, some.size)
+        part = bound.repeated(some.size)
         try:
             outcome = MOMENTS.infer(graph, part, call._replace(start=start))
         except (PgmError, np.linalg.LinAlgError) as error:

@@ -48,6 +48,13 @@ class Asked:
 
 def run(graph: DynamicGraph, bound: BoundEvidence, call: Call, asked: Asked) -> HypothesisOutcome:
     """The beliefs of a mixed chain after a call's schedule."""
+    return passes(graph, bound, call, asked)[0]
+
+
+def passes(
+    graph: DynamicGraph, bound: BoundEvidence, call: Call, asked: Asked
+) -> tuple[HypothesisOutcome, BackwardChain | None]:
+    """The beliefs after a call's schedule, and the pass back; None of a filter."""
     model = graph.model
     kind = kind_of(call.schedule, "mixtures of Gaussians")
     schedule = call.schedule
@@ -78,10 +85,10 @@ def run(graph: DynamicGraph, bound: BoundEvidence, call: Call, asked: Asked) -> 
     found = associations_of(chain)
     filtered = HypothesisOutcome(graph, status, total, beliefs, regimes, found)
     if kind == FILTERED:
-        return filtered
+        return filtered, None
     backward = BackwardChain(chain)
     beliefs = _smoothed(chain, backward, kind, bound.steps)
-    return HypothesisOutcome(graph, status, total, beliefs, regimes, found, filtered)
+    return HypothesisOutcome(graph, status, total, beliefs, regimes, found, filtered), backward
 
 
 def chain_of(

@@ -6,52 +6,126 @@ values. A belief is (*states, [runs]): an axis for each hidden variable of a ste
 then one of runs, which is there only if the user gave axes of runs.
 """
 
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
 from pgm.beliefs.markov.joints import pair
 from pgm.beliefs.markov.outcome import StateOutcome
-from pgm.cpds import CPD
+from pgm.cpds import CPD, SwitchingCPD, TableCPD
+from pgm.evidence import BoundEvidence, Reading
+from pgm.factors.axes import sizes
 from pgm.kernels.arrays import Array, Integers
+from pgm.linearisation.family import Family
+from pgm.linearisers import Lineariser
+from pgm.networks import DynamicBayesianNetwork
+from pgm.posteriors.expectations import Expectations, FamilyBelief, Learnable
 
 
-def expected_counts(posterior: StateOutcome, cpds: list[CPD]) -> dict[CPD, Array]:
-    """The expected number of times that each CPD's parents and child had their states.
+def expectations(
+    posterior: StateOutcome, parts: Sequence[Learnable], lineariser: Lineariser
+) -> Expectations:
+    """The expected counts of tables, and the weights of cases of sensors that read numbers.
 
-    cpds: CPDs of the posterior's model, for which to count; their tables are arrays of numbers, not
-        functions.
-
-    Returns: By CPD its counts, (size of each parent..., size of the child), summed over steps,
-        measurements and runs.
+    parts: CPDs of the posterior's model, or cases of them; tables are arrays, not functions.
     """
     chain, plan, bound = posterior._chain, posterior._plan, posterior._slices.bound
-    model = posterior.graph.model
-    counts = {cpd: np.zeros(cpd.table.shape) for cpd in cpds}  # type: ignore[attr-defined]
-    prior = [cpd for cpd in model.prior if cpd in counts]
-    moving = [(cpd, bound.transition[k]) for k, cpd in enumerate(model.transition) if cpd in counts]
-    reading = [each for each in bound.readings if each.cpd in counts]
-    ends = [np.searchsorted(each.step, np.arange(bound.steps + 2)) for each in reading]
+    tally = Tally(posterior.graph.model, bound, [part.cpd for part in parts])
     places = {v: k for k, v in enumerate(plan.slice)}
+    axes = {v.previous: k for k, v in enumerate(plan.states)}
+    axes |= {v: len(axes) + k for k, v in enumerate(plan.slice)}
     message = chain.unit()
     for step in range(bound.steps, -1, -1):
         if step < bound.steps:
             message = chain.back(step, message)
-        belief = chain.posterior(step, message)
-        for each, end in zip(reading, ends, strict=True):
-            for row in range(end[step], end[step + 1]):
-                _read(counts[each.cpd], each, row, _by_run(belief, chain.batch), places)
+        tally.add_readings(step, _by_run(chain.posterior(step, message), chain.batch), places)
         if not step:
-            first = _by_run(belief, chain.batch)
-            for cpd in prior:
-                _moved(counts[cpd], cpd, {}, 0, first, places)
-        elif moving:
-            both = _by_run(pair(chain, plan, step, message), chain.batch)
-            axes = {v.previous: k for k, v in enumerate(plan.states)}
-            axes |= {v: len(axes) + k for k, v in enumerate(plan.slice)}
-            for cpd, inputs in moving:
-                _moved(counts[cpd], cpd, inputs, step - 1, both, axes)
-    return counts
+            tally.add_prior(_by_run(chain.posterior(0, message), chain.batch), places)
+        elif tally.moving:
+            tally.add_motion(step, _by_run(pair(chain, plan, step, message), chain.batch), axes)
+    beliefs = {}
+    for part in parts:
+        reading = next((each for each in bound.readings if each.cpd is part.cpd), None)
+        if part.cpd in tally.counts or reading is None:
+            continue
+        weights = np.ones((reading.step.size, bound.runs))
+        if part.case is not None:
+            weights = tally.shares[part.cpd]
+            for state in reversed(part.case):
+                weights = weights[..., state]
+        beliefs[part] = _weighted(part, reading, bound, lineariser, weights)
+    return Expectations(tally.counts, beliefs)
+
+
+def _weighted(
+    part: Learnable, reading: Reading, bound: BoundEvidence, lineariser: Lineariser, weights: Array
+) -> FamilyBelief:
+    """The belief of a case without hidden parents, whose measurements have these weights."""
+    own: Any = part.own
+    inputs = {v: rows for v, rows in reading.inputs.items() if v in own.parents}
+    known = own, (), reading.step, inputs, lineariser, bound.lead
+    family = Family.make(*known, numbering=bound.numbering)
+    shape = *weights.shape, 0
+    mean, cov = np.zeros(shape), np.zeros((*shape, 0))
+    return FamilyBelief(family, mean, cov, reading.values, reading.taken, weights)
+
+
+class Tally:
+    """Expected counts of CPDs, to which the beliefs of one step after another are added.
+
+    A belief is (runs, *states), given all measurements, over at least the hidden variables of the
+    CPDs, with `axes`: of each of these its axis, counted from the first one of states.
+
+    counts: By table, (size of each parent..., size of the child), summed over steps, measurements
+        and runs.
+    shares: By sensor that discrete variables choose the CPD of, the probability of each case at
+        each of its measurements, (rows, runs, size of each variable that chooses...).
+    """
+
+    def __init__(
+        self, model: DynamicBayesianNetwork, bound: BoundEvidence, cpds: Iterable[CPD]
+    ) -> None:
+        wanted = set(cpds)
+        self.counts: dict[CPD, Array] = {
+            cpd: np.zeros(cpd.table.shape) for cpd in wanted if isinstance(cpd, TableCPD)
+        }
+        self._prior = [cpd for cpd in model.prior if cpd in self.counts]
+        # Not those of an online update, which has no inputs.
+        pairs = zip(model.transition, bound.transition, strict=False)
+        self._motions = [(cpd, inputs) for cpd, inputs in pairs if cpd in self.counts]
+        self._readings = [each for each in bound.readings if each.cpd in wanted]
+        self.shares: dict[CPD, Array] = {
+            each.cpd: np.zeros((each.step.size, bound.runs, *sizes(each.cpd.switches)))
+            for each in self._readings
+            if isinstance(each.cpd, SwitchingCPD)
+        }
+        steps = np.arange(bound.steps + 2)
+        self._ends = [np.searchsorted(each.step, steps) for each in self._readings]
+
+    @property
+    def moving(self) -> bool:
+        """Whether any CPD is of a transition."""
+        return bool(self._motions)
+
+    def add_prior(self, belief: Array, axes: dict[Any, int]) -> None:
+        """Add the belief of step 0."""
+        for cpd in self._prior:
+            _moved(self.counts[cpd], cpd, {}, 0, belief, axes)
+
+    def add_motion(self, step: int, belief: Array, axes: dict[Any, int]) -> None:
+        """Add the belief of a step and the one before."""
+        for cpd, inputs in self._motions:
+            _moved(self.counts[cpd], cpd, inputs, step - 1, belief, axes)
+
+    def add_readings(self, step: int, belief: Array, axes: dict[Any, int]) -> None:
+        """Add the belief of a step to the counts of its measurements."""
+        for each, end in zip(self._readings, self._ends, strict=True):
+            for row in range(end[step], end[step + 1]):
+                if each.cpd in self.counts:
+                    _read(self.counts[each.cpd], each, row, belief, axes)
+                elif each.cpd in self.shares:
+                    _chosen(self.shares[each.cpd][row], each, row, belief, axes)
 
 
 def _by_run(belief: Array, batch: int) -> Array:
@@ -132,3 +206,15 @@ def _read(counts: Array, reading: Any, row: int, belief: Array, axes: dict[Any, 
             counts[at] += found[run][..., None] * share
         else:
             counts[(*at, int(_states(reading.values, row, runs)[run]))] += found[run]
+
+
+def _chosen(shares: Array, reading: Any, row: int, belief: Array, axes: dict[Any, int]) -> None:
+    """Set p(states that choose a sensor's CPD | all measurements), (runs, sizes...), in place."""
+    switches = reading.cpd.switches
+    found = _marginal(belief, [axes[v] for v in switches if v in axes])
+    for run in range(len(found)):
+        at = tuple(
+            slice(None) if v in axes else int(_states(reading.inputs[v], row, len(found))[run])
+            for v in switches
+        )
+        shares[run][at] = found[run]

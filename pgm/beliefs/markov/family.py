@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 from pgm.beliefs import discrete
+from pgm.beliefs.markov.counts import expectations
 from pgm.beliefs.markov.online import online_tables
 from pgm.beliefs.markov.run import run
 from pgm.beliefs.own.family import BeliefFamily
@@ -15,6 +17,7 @@ from pgm.errors import EvidenceError, ModelError, PgmError
 from pgm.evidence import BoundEvidence, Evidence
 from pgm.factors import Table
 from pgm.networks import DynamicBayesianNetwork
+from pgm.posteriors.expectations import Expectations, Learnable
 from pgm.posteriors.outcome import Outcome
 from pgm.schedules.options import Call
 
@@ -44,6 +47,13 @@ class Tables(BeliefFamily[Table]):
     def infer(self, graph: DynamicGraph, bound: BoundEvidence, call: Call) -> Outcome[Table]:
         """The tables of all slices."""
         return run(graph, bound, call.schedule, call.impossible)
+
+    def infer_to_learn(
+        self, graph: DynamicGraph, bound: BoundEvidence, call: Call
+    ) -> tuple[Outcome[Table], Callable[[Sequence[Learnable]], Expectations]]:
+        """The tables, and their expected counts."""
+        outcome = run(graph, bound, call.schedule, call.impossible)
+        return outcome, lambda parts: expectations(outcome, parts, call.lineariser)
 
     def infer_static(self, graph: ClusterGraph, evidence: Evidence, call: Call) -> Outcome[Table]:
         """The tables of a network without time."""

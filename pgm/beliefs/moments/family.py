@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 from pgm.beliefs import gaussian
 from pgm.beliefs.moments.online.moment_steps import MomentSteps
+from pgm.beliefs.moments.outcomes.families import family_beliefs
+from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
 from pgm.beliefs.moments.parts.run import run
 from pgm.beliefs.own.family import BeliefFamily
 from pgm.clustergraph import ClusterGraph
-from pgm.evidence import Evidence
+from pgm.compile import DynamicGraph
+from pgm.evidence import BoundEvidence, Evidence
 from pgm.factors import Gaussian
 from pgm.networks import DynamicBayesianNetwork
+from pgm.posteriors.expectations import Expectations, Learnable
 from pgm.posteriors.outcome import Outcome
 from pgm.schedules.options import Call
 
@@ -30,6 +35,14 @@ class Moments(BeliefFamily[Gaussian]):
 
     # The moments of all slices, or of the variables to keep.
     infer = staticmethod(run)
+
+    def infer_to_learn(
+        self, graph: DynamicGraph, bound: BoundEvidence, call: Call
+    ) -> tuple[Outcome[Gaussian], Callable[[Sequence[Learnable]], Expectations]]:
+        """The moments, and the smoothed beliefs of all families."""
+        outcome = run(graph, bound, call)
+        assert isinstance(outcome, ChainOutcome)  # nothing is asked to be kept alone
+        return outcome, lambda parts: family_beliefs(outcome)
 
     def infer_static(
         self, graph: ClusterGraph, evidence: Evidence, call: Call

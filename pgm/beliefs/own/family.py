@@ -6,7 +6,7 @@ update.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, Generic
 
 from pgm.arguments import public
@@ -22,6 +22,7 @@ from pgm.evidence import BoundEvidence, Evidence
 from pgm.factors.scope import listed
 from pgm.kernels.arrays import Array
 from pgm.networks import DynamicBayesianNetwork
+from pgm.posteriors.expectations import Expectations, Learnable
 from pgm.posteriors.figures import Threshold
 from pgm.posteriors.outcome import B, Outcome
 from pgm.schedules.options import Call, refused
@@ -280,6 +281,15 @@ class BeliefFamily(ByAttributes, Generic[B]):
     def infer(self, graph: DynamicGraph, bound: BoundEvidence, call: Call) -> Outcome[B]:
         """The outcome of a call's schedule on a dynamic network's graph, given its evidence."""
         return run(self, graph, bound, call)
+
+    def infer_to_learn(
+        self, graph: DynamicGraph, bound: BoundEvidence, call: Call
+    ) -> tuple[Outcome[B], Callable[[Sequence[Learnable]], Expectations]]:
+        """The outcome of a smoother, and expectations of CPDs given all evidence, as of `fit`."""
+        raise ModelError(
+            f"{self!r} has no expectations to learn by: fit with Gaussian beliefs, tables, or "
+            "mixtures of Gaussians, and leave belief= out"
+        )
 
     def infer_static(self, graph: ClusterGraph, evidence: Evidence, call: Call) -> Outcome[B]:
         """The outcome of a call's schedule on the graph of a network without time."""

@@ -36,9 +36,16 @@ CALLS = {
     "OnlineFilter": lambda belief: pgm.OnlineFilter(walk, belief=belief).initial()[x].mean,
 }
 
+# Which takes beliefs that have expectations alone.
+LEARNING = {
+    "fit": lambda belief: pgm.fit(
+        walk, {z: [[4.0], [2.0]]}, learn={z: pgm.learning.Covariance()}, belief=belief
+    )
+}
+
 
 def test_every_entry_point_that_takes_a_belief_is_tried():
-    assert set(taking_a_belief()) == set(CALLS)
+    assert set(taking_a_belief()) == {*CALLS, *LEARNING}
 
 
 @pytest.mark.parametrize("name", CALLS)
@@ -57,11 +64,11 @@ def test_a_family_goes_through_every_entry_point(name, belief):
     np.testing.assert_allclose(CALLS[name](belief), due, atol=0.15)
 
 
-@pytest.mark.parametrize("name", CALLS)
+@pytest.mark.parametrize("call", [*CALLS.values(), *LEARNING.values()], ids=[*CALLS, *LEARNING])
 @pytest.mark.parametrize("belief", ["grid", 3, pgm.Grid, EnsembleKalman])
-def test_what_is_no_family_is_refused(name, belief):
+def test_what_is_no_family_is_refused(call, belief):
     with pytest.raises(pgm.ModelError, match=r"belief= is a pgm.Grid\(...\) .* or a family"):
-        CALLS[name](belief)
+        call(belief)
 
 
 def test_the_family_is_that_of_the_network():

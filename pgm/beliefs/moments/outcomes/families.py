@@ -7,41 +7,23 @@ vector of a step's states and hidden controls; only the states act on the next s
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from pgm.beliefs.moments.digits.adjoint import CarefulSmoothed
 from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
 from pgm.beliefs.moments.passes import backward
 from pgm.beliefs.moments.passes.backward import Beliefs
-from pgm.cpds import CPD
-from pgm.kernels.arrays import Array, Index, Mask, block, quiet
+from pgm.kernels.arrays import Index, block, quiet
 from pgm.linearisation.family import Family
-
-
-class FamilyBelief(NamedTuple):
-    """The joint belief (rows, runs, n) of a CPD's hidden parents and, if hidden, its child.
-
-    The n components are the hidden parents', then a hidden child's; the child of a sensor is not
-    hidden. `family` is the CPD at its rows, `mean` is (rows, runs, n), `cov` (rows, runs, n, n).
-    `values` (rows, runs or 1, d) are the measurements of a sensor, None for another CPD; `taken`, a
-    mask of the same shape, marks the components that were measured, None if all were.
-    """
-
-    family: Family
-    mean: Array
-    cov: Array
-    values: Array | None
-    taken: Mask | None
+from pgm.posteriors.expectations import Expectations, FamilyBelief, Learnable
 
 
 @quiet()
-def family_beliefs(posterior: ChainOutcome) -> dict[CPD, FamilyBelief]:
-    """The belief of each family that has rows, by CPD, from a smoothed posterior."""
+def family_beliefs(posterior: ChainOutcome) -> Expectations:
+    """The belief of each family that has rows, from a smoothed posterior."""
     plan, beliefs = posterior._plan, posterior._beliefs
     layout, places = plan.layout, plan.layout.state_places
-    found: dict[CPD, FamilyBelief] = {}
+    found: dict[Learnable, FamilyBelief] = {}
     first = Beliefs(beliefs.mean[:1][..., places], block(beliefs.cov[:1], places, places))
     groups = [(plan.prior, first)]
     if plan.steps:
@@ -50,7 +32,7 @@ def family_beliefs(posterior: ChainOutcome) -> dict[CPD, FamilyBelief]:
         everywhere = np.arange(moments.mean.shape[-1])
         for link in links:
             chosen = np.concatenate([everywhere[link.parents], everywhere[link.child]])
-            found[link.family.cpd] = _belief(link.family, moments, chosen)
+            found[Learnable(link.family.cpd)] = _belief(link.family, moments, chosen)
     everywhere = np.arange(layout.slice_size)
     for sensor in plan.sensors:
         if not sensor.family.step.size:
@@ -58,8 +40,8 @@ def family_beliefs(posterior: ChainOutcome) -> dict[CPD, FamilyBelief]:
         rows = sensor.family.step - plan.first
         at = Beliefs(beliefs.mean[rows], beliefs.cov[rows])
         own = _belief(sensor.family, at, everywhere[sensor.parents])
-        found[sensor.family.cpd] = own._replace(values=sensor.values, taken=sensor.taken)
-    return found
+        found[Learnable(sensor.family.cpd)] = own._replace(values=sensor.values, taken=sensor.taken)
+    return Expectations({}, found)
 
 
 def _belief(family: Family, moments: Beliefs, chosen: Index) -> FamilyBelief:

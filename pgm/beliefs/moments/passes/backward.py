@@ -22,7 +22,7 @@ import numpy as np
 from pgm.beliefs.moments.compiled import sweep as compiled
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.kernels import moments, roots
-from pgm.kernels.arrays import Array, Index, apply, block, room, sandwich, transpose
+from pgm.kernels.arrays import Array, Index, apply, block, room, sandwich
 from pgm.kernels.dense import Stack, StackRoot
 from pgm.kernels.moments import Conditional
 from pgm.kernels.prefixes import gather, in_chunks, levels, prefixes, take
@@ -340,16 +340,6 @@ def pairs(beliefs: Beliefs, reverse: Reverse, steps: slice | int) -> Beliefs:
     for an int; components are those of the states, then those of the slice.
     """
     conditional = Conditional(*(part[steps] for part in reverse.states))
-    slice_mean, slice_cov = beliefs.mean[1:][steps], beliefs.cov[1:][steps]
-    mean, cov = moments.push(slice_mean, slice_cov, conditional)
-    cross = conditional.matrix @ slice_cov
     return Beliefs(
-        np.concatenate([mean, slice_mean], axis=-1),
-        np.concatenate(
-            [
-                np.concatenate([cov, cross], axis=-1),
-                np.concatenate([transpose(cross), slice_cov], axis=-1),
-            ],
-            axis=-2,
-        ),
+        *moments.pushed_with(beliefs.mean[1:][steps], beliefs.cov[1:][steps], conditional)
     )
