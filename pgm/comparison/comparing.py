@@ -30,7 +30,7 @@ from pgm.progress import Progress, counted, reporting
 from pgm.schedules.argument_checks import require_lineariser
 from pgm.schedules.binding import bind_chain
 from pgm.schedules.options import Call
-from pgm.variables import Variable
+from pgm.variables import Discrete, Variable
 
 OverTime = Filtering | FixedLag | Smoothing
 Truth = Mapping[Variable, Any]
@@ -75,13 +75,15 @@ def compare(
     Parameters
     ----------
     model : DynamicBayesianNetwork
-        A model of Gaussian CPDs.
+        A model of Gaussian CPDs, or of those and discrete variables, of which the continuous
+        states are compared.
     evidence : mapping of Variable
         As for `infer`; leading axes are runs, over which rows are averaged.
     linearisers : mapping of str to Lineariser, or sequence of Lineariser, optional
         A mapping names them; those of a sequence are called by their class, or all they show
         where two are of one. `Taylor()`, `Unscented()` and `Cubature()` without. A `BeliefFamily`
-        may stand among them: it is compared by the mean and covariance of its beliefs.
+        may stand among them, as a `Grid`, or ``pgm.Gaussians(8)``: it is compared by the mean and
+        covariance of its beliefs.
     schedules : mapping of str to schedule, or sequence of them, optional
         `Filtering`, `FixedLag` or `Smoothing`; a filter and a smoother without.
     oracle : Grid, posterior over time, or mapping, optional
@@ -173,6 +175,8 @@ def _run(
         failures = (*FAILURES, ModelError, EvidenceError)
     else:
         call = call._replace(lineariser=method)
+        if compared.graph.model.mixed:  # whose mixtures are kept whole
+            call = call._replace(keep=None)
     began = time.perf_counter()
     try:
         posterior = send(  # of runs that did not settle the rows tell
@@ -288,10 +292,17 @@ def _parted(oracle: Any, truth: Any) -> tuple[BeliefFamily[Any] | Oracle | None,
 def _states(
     model: DynamicBayesianNetwork, states: Any, truth: Truth | None
 ) -> tuple[Variable, ...]:
+    continuous = tuple(state for state in model.states if not isinstance(state, Discrete))
     if states is None:
-        return tuple(state for state in model.states if state in (truth or ())) or model.states
+        return tuple(state for state in continuous if state in (truth or ())) or continuous
     chosen = as_scope(states, "states=")
     for state in chosen:
+        if isinstance(state, Discrete):
+            raise ModelError(
+                f"states=: {state!r} is discrete, and beliefs are compared by means and "
+                f"covariances; those of continuous states are of {listed(continuous)}",
+                variable=state,
+            )
         if state not in model.states:
             raise ModelError(
                 f"states=: {state!r} is no state of the network; those are {listed(model.states)}",

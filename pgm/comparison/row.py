@@ -49,7 +49,7 @@ class Row(Shown):
     log_evidence : float
         ln p(measurements), the mean over runs.
     log_evidence_kind : str
-        ``exact``, ``linearised``, ``laplace`` or ``grid``.
+        ``exact``, ``linearised``, ``laplace``, ``merged``, ``grid``, and so on.
     seconds : float
         Duration of the one call, with work done once in a process; NaN of beliefs that came with
         another row's, or were given.

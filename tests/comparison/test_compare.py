@@ -454,3 +454,48 @@ def test_what_does_not_fit_is_refused_before_any_run(given, told, monkeypatch):
     given = {"model": bent(), "evidence": SQUARES, "steps": T} | given
     with pytest.raises(ModelError, match=told):
         pgm.compare(given.pop("model"), given.pop("evidence"), **given)
+
+
+def switching():
+    """A drift that is calm or wild, as its mode has it."""
+    mode, s = pgm.Discrete("mode", states=("calm", "wild")), pgm.Variable("s")
+    cases = {
+        name: pgm.LinearGaussianCPD(s, {s.previous: 0.9}, cov=cov)
+        for name, cov in (("calm", 0.1), ("wild", 4.0))
+    }
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.TableCPD(mode, table=[0.6, 0.4]), pgm.GaussianCPD(s, 0.0, 1.0)],
+        [
+            pgm.TableCPD(mode, mode.previous, table=[[0.8, 0.2], [0.3, 0.7]]),
+            pgm.SwitchingCPD(s, mode, cases),
+        ],
+        [pgm.LinearGaussianCPD(z, {s: 1.0}, cov=0.4)],
+    )
+    return model, mode, s
+
+
+def test_mixtures_are_compared_by_their_moments():
+    """Those of few Gaussians with an oracle of all sequences, as filter and as smoother."""
+    model, mode, s = switching()
+    drawn = model.sample(steps=6, rng=1)
+    beliefs = [pgm.Gaussians(2), pgm.Gaussians(8), pgm.Gaussians(mix=True)]
+    every = pgm.Gaussians(128)
+    found = pgm.compare(
+        *(model, drawn.evidence), linearisers=beliefs, oracle=every, truth={s: drawn[s]}
+    )
+    for schedule, run in (("filter", pgm.filter), ("smoother", pgm.smooth)):
+        due = run(model, drawn.evidence, belief=every)[s].gaussian()
+        for belief in beliefs:
+            row = found[repr(belief), schedule]
+            own = run(model, drawn.evidence, belief=belief)[s].gaussian()
+            ratio = own.cov / due.cov
+            away = (own.mean - due.mean)[..., 0] ** 2 / own.cov[..., 0, 0]
+            kl = 0.5 * (1 / ratio + np.log(ratio) - 1)[..., 0, 0] + 0.5 * away
+            assert_allclose(row.kl_by_step, kl, atol=1e-12)
+            assert row.log_evidence_kind == "merged"
+        assert found["Gaussians(8)", schedule].kl < found["Gaussians(2)", schedule].kl
+    linear = pgm.compare(model, drawn.evidence, truth={s: drawn[s]})
+    default = pgm.smooth(model, drawn.evidence)
+    assert linear["Taylor", "smoother"].log_evidence == default.log_evidence
+    with pytest.raises(ModelError, match="mode is discrete"):
+        pgm.compare(model, drawn.evidence, truth={s: drawn[s]}, states=[mode])

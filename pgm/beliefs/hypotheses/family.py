@@ -133,6 +133,12 @@ class Gaussians(BeliefFamily[Any]):
         self.count, self.mix = None if count is None else int(count), mix
         self.starts, self.draws = int(starts), int(draws)
 
+    def __repr__(self) -> str:
+        given = [] if self.count is None else [f"{self.count}"]
+        settings = {"mix": self.mix, "starts": self.starts, "draws": self.draws}
+        given += [f"{name}={value}" for name, value in settings.items() if value]
+        return f"{type(self).__name__}({', '.join(given)})"
+
     def require(self, model: DynamicBayesianNetwork) -> None:
         """Refuse a network of discrete variables alone, whose tables are exact."""
         if model.discrete:

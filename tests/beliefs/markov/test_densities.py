@@ -256,5 +256,3 @@ def test_refusals():
     chain = pgm.DynamicBayesianNetwork(prior, moves, [fine])
     with pytest.raises(pgm.EvidenceError, match="too far from what every state"):
         pgm.filter(chain, {z: [[1e200]]})
-    with pytest.raises(pgm.ModelError, match="of a kind of which nothing can be learnt"):
-        pgm.fit(chain, [{z: [[0.0]]}], learn={z: pgm.learning.Covariance()})
