@@ -35,8 +35,8 @@ HEIGHT = {name: height for height, layer in enumerate(LAYERS) for name in layer}
 # The folders of a folder, each of which imports from those before it; files beside them are above.
 ROOMS = {
     "pgm.beliefs": (
-        *("points", "own", "gaussian", "moments", "discrete", "markov", "mixed", "hypotheses"),
-        *("grid", "particles"),
+        *("points", "own", "gaussian", "moments", "modes", "discrete", "markov", "mixed"),
+        *("hypotheses", "grid", "particles"),
     ),
     "pgm.beliefs.moments": (
         *("steps", "compiled", "passes", "trajectories", "digits", "smoothers"),

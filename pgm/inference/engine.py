@@ -100,7 +100,8 @@ def infer(
     belief : Grid, Particles, or another BeliefFamily, optional
         For a dynamic network of continuous variables: its beliefs as probabilities of the cells of
         a grid, one run after another, as weighted draws, or of a family of your own, in place of
-        Gaussians.
+        Gaussians. For any network of continuous variables several modes of its posterior,
+        ``pgm.Gaussians(4, starts=16)``.
     progress : bool or callable
         Whether bars show how far the work is, on a terminal or in a notebook and nowhere else; or a
         function, ``progress(done, total)``, called at the start of each stage and after each of its
@@ -186,8 +187,11 @@ def send(
         require_over_time(call, graph, family)
         with reporting(progress):
             return answered(family, family.infer(graph, bound, call))
-    asked = call.asked(graph) if belief is None else {**call.asked(graph), "belief": belief}
-    family = family_of(graph.network)
+    asked = call.asked(graph)
+    own = belief if isinstance(belief, BeliefFamily) and belief.without_time else None
+    if belief is not None and own is None:
+        asked["belief"] = belief
+    family = family_of(graph.network) if own is None else own
     if asked:
         require(asked, graph, STATIC)
         require({n: v for n, v in asked.items() if n not in IDLE}, graph, family)

@@ -357,7 +357,7 @@ WEIGHED = listed(
     {f"{DIGITS}careful_belief.py": "informed", "learning/steps.py": "likeliest at"},
     {"viewer/placing.py": "_stressed", "factors/gaussian_mixture.py": "cov"},
     # The moments of draws.
-    {"beliefs/hypotheses/adapted.py": "_moments"},
+    {"beliefs/modes/adapted.py": "_moments"},
 )
 KINDS = listed(
     {"kernels/numbers.py": "Matrix", "kernels/dense.py": "Dense Runs Stack"},
@@ -378,7 +378,7 @@ SOLUTIONS = listed(
     {"beliefs/particles/guided_proposal.py": "_whitened steered"},
     {"inference/audit/corrected.py": "_from_gaussian"},
     # Conditionals of Gaussians whose moments are those of draws; points of unit covariance.
-    {"beliefs/hypotheses/adapted.py": "_given", "beliefs/hypotheses/points.py": "cut"},
+    {"beliefs/modes/chain_laws.py": "_given", "beliefs/modes/points.py": "cut"},
     {"kernels/joint_compatibility.py": "__init__"},
     # The losses of merging, and the coordinates of what is learnt of what was merged.
     {"kernels/merging.py": "_losses _principal _whitening"},

@@ -64,19 +64,7 @@ def run(
     moments. The posterior's status tells of convergence and of correct digits; fewer than six
     digits give a `PrecisionWarning`, unless `warn` leaves that to the caller.
     """
-    network = graph.network
-    linear = graph.derived(_linear)
-    absent = barren(graph, evidence)
-    weighed = [cpd for cpd in robust(graph) if cpd.child not in absent]
-    require_weighable(graph, weighed, evidence, schedule)
-    needed = (v for cpd, known in knowing(graph) if cpd.child not in absent for v in known)
-    roles = graph.derived(_roles)
-    bound = bind_values(network.cpds, evidence, network.lead, needed, roles)
-    if absent and not linear:
-        linear = all(isinstance(c, AffineCPD) for c in network.cpds if c.child not in absent)
-    linear = linear and not weighed
-    anchored = not linear and is_controlled(schedule)
-    plan = graph.derived(_plan, frozenset(bound.values), absent, anchored)
+    plan, bound, linear = _laid_out(graph, evidence, schedule)
     loopy = isinstance(schedule, Loopy)
     places = plan.cluster_places if loopy else plan.places
     squares = (places.blocks.sizes**2).tolist()
@@ -91,6 +79,35 @@ def run(
     if warn:
         found.status._warn()
     return found
+
+
+@quiet()
+def linearised(
+    graph: ClusterGraph, evidence: Evidence, schedule: Schedule, lineariser: Lineariser
+) -> tuple[Model, BoundValues]:
+    """A network linearised at its prior, with its evidence; nothing is solved."""
+    plan, bound, _ = _laid_out(graph, evidence, schedule)
+    return Model.make(plan.layout, bound, lineariser, None), bound
+
+
+def _laid_out(
+    graph: ClusterGraph, evidence: Evidence, schedule: Schedule | None
+) -> tuple[TreePlan, BoundValues, bool]:
+    """The plan of a network with its evidence, and whether all that is not left out is linear."""
+    network = graph.network
+    linear = graph.derived(_linear)
+    absent = barren(graph, evidence)
+    weighed = [cpd for cpd in robust(graph) if cpd.child not in absent]
+    require_weighable(graph, weighed, evidence, schedule)
+    needed = (v for cpd, known in knowing(graph) if cpd.child not in absent for v in known)
+    roles = graph.derived(_roles)
+    bound = bind_values(network.cpds, evidence, network.lead, needed, roles)
+    if absent and not linear:
+        linear = all(isinstance(c, AffineCPD) for c in network.cpds if c.child not in absent)
+    linear = linear and not weighed
+    anchored = not linear and is_controlled(schedule)
+    plan = graph.derived(_plan, frozenset(bound.values), absent, anchored)
+    return plan, bound, linear
 
 
 def _solved(

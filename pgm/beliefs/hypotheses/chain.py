@@ -21,7 +21,6 @@ import numpy as np
 
 from pgm.beliefs.hypotheses.cases import Given
 from pgm.beliefs.hypotheses.counts import Counts, best_of, leading
-from pgm.beliefs.hypotheses.points import cut
 from pgm.beliefs.hypotheses.records import (
     Belief,
     Kept,
@@ -36,6 +35,7 @@ from pgm.beliefs.hypotheses.regimes import Regimes
 from pgm.beliefs.hypotheses.roles import Roles
 from pgm.beliefs.hypotheses.sightings import OpenSensor
 from pgm.beliefs.hypotheses.trials import Trials
+from pgm.beliefs.modes.points import cut
 from pgm.beliefs.moments.steps.readings import Moments
 from pgm.errors import ModelError, NumericalError
 from pgm.kernels import merging, roots

@@ -6,15 +6,17 @@ from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 from pgm.arguments import public
-from pgm.beliefs.hypotheses import modes
 from pgm.beliefs.hypotheses.expectations import expectations
 from pgm.beliefs.hypotheses.online import HypothesisSteps
 from pgm.beliefs.hypotheses.run import Asked, passes, run
+from pgm.beliefs.mixed.family import MIXED
+from pgm.beliefs.modes import chain, network
 from pgm.beliefs.own.family import BeliefFamily
 from pgm.boundary import is_whole
+from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
 from pgm.errors import ModelError
-from pgm.evidence import BoundEvidence
+from pgm.evidence import BoundEvidence, Evidence
 from pgm.networks import DynamicBayesianNetwork
 from pgm.posteriors.expectations import Expectations, Learnable
 from pgm.posteriors.outcome import Outcome
@@ -25,6 +27,8 @@ from pgm.schedules.schedule import Filtering
 @public
 class Gaussians(BeliefFamily[Any]):
     r"""Beliefs of a chain with discrete variables: a mixture of `count` Gaussians at each step.
+
+    And, with `starts`, the several modes of a nonlinear posterior, over time or not.
 
     .. math:: p(x_t, s_t \mid z) \approx \sum_k w_k \, N(x_t; \mu_k, P_k) \, p_k(s_t)
 
@@ -56,14 +60,16 @@ class Gaussians(BeliefFamily[Any]):
         Of a smoother of a nonlinear network without discrete variables the number of starts of
         iterated smoothers, points of the prior that are sent through the motion; 0 is none. The
         fixed points that are more than half a deviation apart, whole turns of angles aside, are the
-        modes of the posterior, weighed by their evidence: one call of as many runs. Of a filter the
-        number of narrower Gaussians that its prior is cut into, which are merged into `count` from
-        the first step on.
+        modes of the posterior, weighed by their evidence: one call of as many runs. So it is of a
+        network without time, by `infer`, where starts are points that its CPDs make of white noise,
+        and iterations those of a `Calibration`. Of a filter the number of narrower Gaussians that
+        its prior is cut into, which are merged into `count` from the first step on.
     draws : int
-        With `starts`, the number of draws of trajectories of each run, by which the modes' weights
-        and moments are adapted, in three rounds; 0 is none. Draws are of the modes' mixture, one in
-        twenty of the model alone, and are weighed with the model as it was declared. Some 4,000 are
-        a good number; ``status.effective`` tells how many the last were worth.
+        With `starts`, the number of draws of all hidden variables in each run, by which the modes'
+        weights and moments are adapted, in three rounds; 0 is none. Draws are of the modes'
+        mixture, one in twenty of the model alone, and are weighed with the model as it was
+        declared. Some 4,000 are a good number; ``status.effective`` tells how many the last were
+        worth.
 
     References
     ----------
@@ -102,7 +108,7 @@ class Gaussians(BeliefFamily[Any]):
 
     takes: ClassVar[frozenset[str]] = frozenset({"lineariser", "iterations", "damping", "schedule"})
     beliefs: ClassVar[str] = "mixtures of Gaussians"
-    spare: ClassVar[str] = "is not for chains of discrete and continuous variables"
+    spare: ClassVar[str] = "is not for mixtures of Gaussians"
 
     def __init__(
         self, count: int | None = None, mix: bool = False, starts: int = 0, draws: int = 0
@@ -148,9 +154,25 @@ class Gaussians(BeliefFamily[Any]):
         """The outcome of a call's schedule on a dynamic network's graph, given its evidence."""
         if self.starts and not isinstance(call.schedule, Filtering):
             assert self.count is not None
-            return modes.run(graph, bound, call, self.count, self.starts, self.draws)
+            return chain.run(graph, bound, call, self.count, self.starts, self.draws)
         self._require_no_draws()
         return run(graph, bound, call, Asked(self.count, self.mix, max(self.starts, 1)))
+
+    def infer_static(self, graph: ClusterGraph, evidence: Evidence, call: Call) -> Outcome[Any]:
+        """The modes of a network without time; of one with discrete variables all its mixtures."""
+        if graph.network.discrete:
+            raise ModelError("a network of tables is exact: leave belief= out")
+        if self.starts and not graph.network.mixed:
+            assert self.count is not None
+            return network.run(graph, evidence, call, self.count, self.starts, self.draws)
+        if not graph.network.mixed or self.starts:
+            raise ModelError(
+                f"{self!r}: a network without time has Gaussian beliefs, several of them where "
+                "starts= looks for modes of nonlinear CPDs, or where discrete variables choose, of "
+                "which it has as many as there are configurations: leave belief= out, or, without "
+                "discrete variables, give pgm.Gaussians(count, starts=...)"
+            )
+        return MIXED.infer_static(graph, evidence, call)
 
     def infer_to_learn(
         self, graph: DynamicGraph, bound: BoundEvidence, call: Call

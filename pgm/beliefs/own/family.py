@@ -191,6 +191,11 @@ class BeliefFamily(ByAttributes, Generic[B]):
         back = self.back
         return callable(back) and getattr(back, "__func__", back) is not BeliefFamily.back
 
+    @property
+    def without_time(self) -> bool:
+        """Whether it has beliefs of networks without time."""
+        return type(self).infer_static is not BeliefFamily.infer_static
+
     def moments(self, belief: Any) -> tuple[Array, Array]:
         """The mean (runs, d) and covariance (runs, d, d) of a belief over a slice.
 

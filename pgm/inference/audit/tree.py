@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.beliefs.gaussian.outcome import GaussianOutcome
+from pgm.beliefs.modes.network_density import NetworkDensity
 from pgm.beliefs.moments.trajectories.density import has_exact
 from pgm.beliefs.moments.trajectories.proposal import Path, Proposal
 from pgm.errors import GraphError
@@ -25,7 +26,6 @@ from pgm.inference.audit.corrected import Sums
 from pgm.inference.audit.draws import Draws, Strand
 from pgm.inference.audit.excursions import PREDICTED, Excursions
 from pgm.inference.audit.modes import MOST, Modes
-from pgm.inference.audit.tree_density import TreeDensity
 from pgm.kernels.arrays import Array, block
 from pgm.kernels.moments import Conditional
 
@@ -38,7 +38,7 @@ class TreeDraws:
         The law q of all variables, which stand in a single slice.
     modes : Modes
         Gaussians at other modes, for defensive draws.
-    density : TreeDensity
+    density : NetworkDensity
         The density of the model.
     reference : ndarray
         (runs,): added to all log-densities: ln p(z) of the linearised network where they are
@@ -51,7 +51,7 @@ class TreeDraws:
 
     answer: Path
     modes: Modes
-    density: TreeDensity
+    density: NetworkDensity
     reference: Array
     relative: bool
     mean: Array
@@ -88,7 +88,7 @@ class TreeDraws:
         if layout.size:
             joint = posterior.joint(*layout.hidden)
             mean, cov = joint.mean.reshape(runs, -1), joint.cov.reshape(runs, *joint.cov.shape[-2:])
-        density = TreeDensity.make(model, relative=relative)
+        density = NetworkDensity.make(model, relative=relative)
         free = density.free(mean.shape)
 
         def path(mean: Array, cov: Array) -> Path:

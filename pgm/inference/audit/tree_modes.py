@@ -20,13 +20,13 @@ from pgm.beliefs.gaussian.prior import prior_predictive
 from pgm.beliefs.gaussian.reweighting import reweigh
 from pgm.beliefs.gaussian.solving import TreeSolver
 from pgm.beliefs.gaussian.tree import TreePlan
+from pgm.beliefs.modes.network_density import NetworkDensity
 from pgm.beliefs.moments.trajectories.proposal import Path
 from pgm.errors import PgmError
 from pgm.factors.scope import angle_mask
 from pgm.inference.audit.modes import MOST, FixedPoints, Modes, choose
 from pgm.inference.audit.repeated import of_family, tiled
 from pgm.inference.audit.starts import images, white_points
-from pgm.inference.audit.tree_density import TreeDensity
 from pgm.kernels.arrays import Array, deviation, quiet
 
 # Points of the prior; linearisations at the most, the parts of a step that are tried in each, and
@@ -40,7 +40,7 @@ MakePath = Callable[[Array, Array], Path]
 @quiet()
 def find(
     plan: TreePlan,
-    density: TreeDensity,
+    density: NetworkDensity,
     answer: tuple[Array, Array],
     make: MakePath,
     most: int = MOST,
@@ -53,7 +53,7 @@ def find(
     ----------
     plan : TreePlan
         The rounds of messages by which the tree is calibrated.
-    density : TreeDensity
+    density : NetworkDensity
         The density of the network, of all runs.
     answer : tuple of ndarray
         The answer's mean (runs, n) and covariance (runs, n, n) of all variables.
@@ -90,7 +90,7 @@ def find(
     return Modes.made(laws, chosen.missed)
 
 
-def starts(density: TreeDensity, answer: Array) -> Array:
+def starts(density: NetworkDensity, answer: Array) -> Array:
     """Points (runs, C, n) from which calibrations start, the answer's means μ (runs, n) first.
 
     Let ρ be the values that the CPDs make of zero noise, parents before children. The means are
@@ -115,7 +115,7 @@ class Search:
     """
 
     plan: TreePlan
-    density: TreeDensity
+    density: NetworkDensity
     count: int
 
     def solve(self, at: Array) -> Calibrated:

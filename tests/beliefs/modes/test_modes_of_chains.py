@@ -340,7 +340,7 @@ def test_starts_of_which_none_settles_are_told_of():
         [pgm.NonlinearGaussianCPD(z, x, np.square, cov=0.05)],
     )
     read = {z: model.sample(steps=300, rng=0)[z]}
-    with pytest.warns(pgm.ConvergenceWarning, match="no smoother from any start"):
+    with pytest.warns(pgm.ConvergenceWarning, match="nothing had settled from any start"):
         found = pgm.smooth(model, read, belief=pgm.Gaussians(2, starts=4))
     assert not found.status.converged.all()
 

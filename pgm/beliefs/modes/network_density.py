@@ -34,7 +34,7 @@ class Weighed(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class TreeDensity:
+class NetworkDensity:
     """The product of all CPDs of a network with its evidence, over the hidden variables.
 
     model : Model
@@ -48,10 +48,11 @@ class TreeDensity:
     terms: list[Term]
 
     @classmethod
-    def make(cls, model: Model, *, relative: bool) -> TreeDensity:
-        """The density of a network; relative to the linearised CPDs' if `relative`."""
+    def make(cls, model: Model, *, relative: bool, near: bool = True) -> NetworkDensity:
+        """The density of a network; `relative` and `near` are as of its CPDs' `Term`."""
         every = zip(model.families, model.taken, strict=True)
-        return cls(model, [Term.make(f, relative=relative, taken=taken) for f, taken in every])
+        terms = [Term.make(f, relative=relative, near=near, taken=taken) for f, taken in every]
+        return cls(model, terms)
 
     def free(self, shape: tuple[int, int]) -> Mask:
         """The mask of free components, (1, runs, n); `shape` is (runs, n)."""

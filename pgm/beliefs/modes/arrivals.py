@@ -1,0 +1,145 @@
+"""Fixed points at which linearisations from several starts arrive, and the modes among them.
+
+A *start* is a value of all hidden variables. From each, iterations that linearise anew go to a
+*fixed point*; fixed points that are apart are the *modes* of the posterior, and the evidence of the
+model as it is linearised there, Laplace's approximation of a mode's mass, weighs them. Arrays have
+the S starts or K modes first, then the runs.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from pgm.beliefs.modes.outcome import Found, ModeFigures, Part
+from pgm.errors import ConvergenceWarning, ModelError, NumericalError, PgmError, levels_to_user
+from pgm.factors.scope import Scope
+from pgm.kernels.angles import difference
+from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.kernels.semirings import log_sum
+from pgm.posteriors.status import Status
+
+# Two fixed points are one mode if no component differs by more of its deviations.
+APART = 0.5
+# Linearisations from a start, unless a call asks for others.
+ITERATIONS = 50
+
+
+def arrived(infer: Callable[[Integers], Any], starts: int) -> list[Part]:
+    """The outcomes from all starts, of which `infer` takes some by number.
+
+    A start that fails in some run is left out of all.
+    """
+    left = [np.arange(starts)]
+    found: list[Part] = []
+    refused: PgmError | None = None
+    while left:
+        some = left.pop()
+        try:
+            outcome = infer(some)
+        except (PgmError, np.linalg.LinAlgError) as error:
+            if isinstance(error, PgmError):
+                refused = refused or error
+            if some.size > 1:
+                left += [some[: some.size // 2], some[some.size // 2 :]]
+            continue
+        found.append(Part(some, outcome))
+    if not found:
+        raise refused or ModelError("nothing has arrived from any start")
+    return found
+
+
+def chosen(
+    parts: Sequence[Part], hidden: Scope, lead: tuple[int, ...], first_run: int, count: int
+) -> Found:
+    """The modes at which starts have arrived, `count` at the most, the likeliest first.
+
+    `hidden` are the variables by which points are told apart. Errors count runs from `first_run`.
+    """
+    runs, starts = math.prod(lead), sum(len(part.starts) for part in parts)
+
+    def by_start(name: str) -> Array:
+        each = [np.asarray(getattr(part.outcome, name)) for part in parts]
+        return np.concatenate([own.reshape(-1, runs) for own in each])
+
+    logs = by_start("log_evidence")
+    settled = np.concatenate(
+        [np.asarray(part.outcome.status.converged).reshape(-1, runs) for part in parts]
+    )
+    settled &= np.isfinite(logs)
+    none = ~settled.any(axis=0)
+    ranked = np.where(settled | (none & np.isfinite(logs)), logs, -np.inf)
+    mean, std, angles = _points(parts, hidden, runs)
+    order = np.argsort(-ranked, axis=0, kind="stable")
+    each, filled = np.arange(runs), np.zeros(runs, dtype=np.intp)
+    index, weights = np.tile(order[0], (count, 1)), np.full((count, runs), -np.inf)
+    for place in order:
+        new = (ranked[place, each] > -np.inf) & (filled < count)
+        for k, other in enumerate(index):
+            off = np.abs(difference(mean[place, each], mean[other, each], angles))
+            wide = std[other, each]
+            apart = np.where(wide > 0.0, off / np.where(wide > 0.0, wide, 1.0), off > 0.0)
+            new &= (k >= filled) | (apart.max(axis=-1, initial=0.0) > APART)
+        at = filled[new], each[new]
+        index[at], weights[at] = place[new], ranked[place, each][new]
+        filled = filled + new
+    found = max(int(filled.max(initial=1)), 1)
+    index, weights = index[:found], weights[:found]
+    total = log_sum(weights, 0)
+    if not (total > -np.inf).all():
+        run = first_run + int((total == -np.inf).argmax())
+        raise NumericalError(
+            f"run {run}: from no start there is a log-evidence that float64 can hold; are the "
+            "evidence and the noises of a size that fits?",
+            run=run,
+        )
+    figures = ModeFigures(starts, settled.sum(axis=0).reshape(lead), filled.reshape(lead))
+    record = _record(parts, runs).reshape(-1, *lead)
+    converged = np.asarray(~none.reshape(lead))
+    status = Status(len(record) + 1, record, converged, _figures=figures)
+    return Found(status, np.asarray(total.reshape(lead)), parts, index, np.exp(weights - total))
+
+
+def _record(parts: Sequence[Part], runs: int) -> Array:
+    """The least of all starts' residuals at each linearisation after the first, (L − 1, runs)."""
+    each = [part.outcome.status.residuals.reshape(-1, len(part.starts), runs) for part in parts]
+    longest = max(map(len, each))
+    whole = [
+        np.pad(own, ((0, longest - len(own)), (0, 0), (0, 0)), "edge") for own in each if len(own)
+    ]
+    if not whole:
+        return np.zeros((0, runs))
+    found: Array = np.concatenate(whole, axis=1).min(axis=1)
+    return found
+
+
+def warn_of_unsettled(found: Found, iterations: int) -> None:
+    """Warn of runs in which nothing has settled, from any start."""
+    if not found.status.converged.all():
+        figures = found.status._figures
+        assert isinstance(figures, ModeFigures)
+        warnings.warn(
+            f"starts={figures.starts}: in some run nothing had settled from any start after "
+            f"{iterations} linearisations (status.converged, status.arrived); give more "
+            "iterations, or more starts",
+            ConvergenceWarning,
+            stacklevel=levels_to_user(),
+        )
+
+
+def _points(parts: Sequence[Part], hidden: Scope, runs: int) -> tuple[Array, Array, Mask]:
+    """The means and deviations of all variables at each fixed point, (S, runs, all), and angles."""
+    means: list[Array] = []
+    stds: list[Array] = []
+    angles = []
+    for variable in hidden:
+        each = [part.outcome[variable] for part in parts]
+        for found, name in ((means, "mean"), (stds, "std")):
+            whole = np.concatenate([getattr(own, name) for own in each])
+            found.append(whole.reshape(len(whole), runs, -1))
+        angles.append(np.tile(variable.angle_mask, means[-1].shape[-1] // variable.dimension))
+    return np.concatenate(means, -1), np.concatenate(stds, -1), np.concatenate(angles)

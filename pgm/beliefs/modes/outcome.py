@@ -1,0 +1,221 @@
+"""Results of several modes of one posterior: mixtures of Gaussians, one of each mode."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from pgm.clustergraph import ClusterGraph
+from pgm.compile import DynamicGraph
+from pgm.display import Summary
+from pgm.factors import Gaussian, GaussianMixture
+from pgm.factors.scope import Scope
+from pgm.kernels.arrays import Array, Integers
+from pgm.posteriors.belief_kind import SMOOTHED
+from pgm.posteriors.belief_kind import Kind as Knows
+from pgm.posteriors.figures import Figures
+from pgm.posteriors.outcome import Outcome
+from pgm.posteriors.status import Status
+from pgm.posteriors.summaries import of_network, over_time
+from pgm.variables import Variable
+
+
+class ModeFigures(Figures):
+    """How the smoothers of several starts went.
+
+    Attributes
+    ----------
+    starts : int
+        How many there were, in each run.
+    arrived : ndarray of int
+        (*runs): how many of them settled.
+    modes : ndarray of int
+        (*runs): how many modes are kept, no more than were asked for: points more than half a
+        deviation apart at which starts settled, or where none did, at which they ended.
+    effective : ndarray or None
+        (*runs): of draws that adapted the modes the effective number of the last round's; None if
+        none were asked for.
+    """
+
+    starts: int
+    arrived: Integers
+    modes: Integers
+    effective: Array | None
+
+    def __init__(
+        self, starts: int, arrived: Integers, modes: Integers, effective: Array | None = None
+    ) -> None:
+        for array in (arrived, modes, effective):
+            if array is not None:
+                array.flags.writeable = False
+        self._set(starts=starts, arrived=arrived, modes=modes, effective=effective)
+
+    @property
+    def phrases(self) -> list[str]:
+        """The figures in words."""
+        modes = _range(self.modes)
+        found = [
+            f"{modes} mode{'s' * (modes != '1')}",
+            f"{_range(self.arrived)} of {self.starts} starts settled",
+        ]
+        if self.effective is not None:
+            found.append(f"{_range(self.effective.astype(np.intp))} effective draws")
+        return found
+
+
+def _range(values: Integers) -> str:
+    low, high = (int(values.min()), int(values.max())) if values.size else (0, 0)
+    return str(low) if low == high else f"{low} to {high}"
+
+
+class Part(NamedTuple):
+    """Some starts, and the beliefs that they led to, with an axis of starts before runs."""
+
+    starts: Integers
+    outcome: Any
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Found:
+    """The modes of a posterior, whichever network it is of; leading axes are runs.
+
+    Attributes
+    ----------
+    parts : sequence of Part
+        The beliefs at which starts arrived.
+    index : ndarray of int
+        By mode the start that found it, (K, runs).
+    weights : ndarray
+        The modes' weights, (K, runs).
+    """
+
+    status: Status
+    log_evidence: Array
+    parts: Sequence[Part]
+    index: Integers
+    weights: Array
+
+    def with_draws(
+        self, weights: Array, log_evidence: Array, effective: Array, beliefs: Any
+    ) -> Found:
+        """The modes as draws adapted them, of weights (K, runs), with beliefs (K, *runs, ...)."""
+        lead, (count, runs) = np.shape(self.log_evidence), weights.shape
+        figures = self.status._figures
+        assert isinstance(figures, ModeFigures)
+        own = figures.starts, figures.arrived, figures.modes, effective.reshape(lead)
+        every = np.arange(count)
+        return Found(
+            self.status._with(_figures=ModeFigures(*own)),
+            np.asarray(log_evidence.reshape(lead)),
+            [Part(every, beliefs)],
+            np.tile(every[:, None], (1, runs)),
+            weights,
+        )
+
+    @property
+    def drawn(self) -> bool:
+        """Whether weighed draws adapted the modes."""
+        return getattr(self.status._figures, "effective", None) is not None
+
+    def mixture(self, each: Sequence[Gaussian]) -> GaussianMixture:
+        """The mixtures of the Gaussians of all starts, one of each part, (starts, *runs, ...)."""
+        lead = np.shape(self.log_evidence)
+        axes = 1 + len(lead)
+        mean = np.concatenate([own.mean for own in each])
+        cov = np.concatenate([own.cov for own in each])
+        count, runs = self.index.shape
+        steps = mean.shape[axes:-1]
+        at = self.index, np.broadcast_to(np.arange(runs), (count, runs))
+
+        def of_modes(values: Array, own: int) -> Array:
+            """Values (S, *lead, *steps, ...) of the modes, (*lead, *steps, K, ...)."""
+            flat = values.reshape(len(values), runs, *values.shape[axes:])
+            chosen = np.moveaxis(flat[at], 0, values.ndim - len(lead) - own)
+            return chosen.reshape(*lead, *chosen.shape[1:])
+
+        weights = np.moveaxis(self.weights, 0, 1).reshape(*lead, *(1,) * len(steps), count)
+        weights = np.broadcast_to(weights, (*lead, *steps, count)).copy()
+        found = Gaussian._make(each[0].scope, of_modes(mean, 1), of_modes(cov, 2))
+        return GaussianMixture._make(weights, found, each[0].steps)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ModesOutcome(Outcome[GaussianMixture]):
+    """Mixtures of the modes of a posterior."""
+
+    beliefs: ClassVar[str] = "mixtures of several modes"
+    silent: ClassVar[str] = "each mode has a linearisation of its own, and no messages are kept"
+
+    graph: ClusterGraph
+    _found: Found
+
+    @property
+    def status(self) -> Status:
+        """How the starts went."""
+        return self._found.status
+
+    @property
+    def log_evidence(self) -> Array:
+        """Ln p(evidence), (*runs), in nats."""
+        return self._found.log_evidence
+
+    @property
+    def log_evidence_kind(self) -> str:
+        """``modes`` by Laplace's approximation of those that were found; ``draws`` by weighing."""
+        return "draws" if self._found.drawn else "modes"
+
+    def __getitem__(self, variable: Variable) -> GaussianMixture:
+        """The marginal of a hidden variable; over time at all its steps or at one."""
+        return self._found.mixture([part.outcome[variable] for part in self._found.parts])
+
+    def joint(self, *variables: Variable) -> GaussianMixture:
+        """The joint of hidden variables; over time at steps, ``x.at(3)``."""
+        return self._found.mixture([part.outcome.joint(*variables) for part in self._found.parts])
+
+
+class ChainModes(ModesOutcome):
+    """Mixtures of the modes of a chain's posterior; leading axes are runs, then there are steps."""
+
+    moving: ClassVar[bool] = True
+    kind: ClassVar[Knows] = SMOOTHED
+
+    graph: DynamicGraph
+
+    @property
+    def _hidden(self) -> Scope:
+        return (*self.graph.model.states, *self.graph.model.controls)
+
+    @property
+    def _title(self) -> str:
+        lead = np.shape(self.log_evidence)
+        runs = f", runs {lead}" if lead else ""
+        return f"Posterior({self.kind}, steps 0..{self.graph.steps}{runs})"
+
+    def _summary(self) -> Summary:
+        lead = np.shape(self.log_evidence)
+        return over_time(self._title, self, self._hidden, lead, self.graph.steps)
+
+
+class NetworkModes(ModesOutcome):
+    """Mixtures of the modes of the posterior of a network without time; leading axes are runs."""
+
+    kind: ClassVar[None] = None
+
+    graph: ClusterGraph
+
+    @property
+    def _hidden(self) -> Scope:
+        hidden: Scope = self._found.parts[0].outcome._hidden
+        return hidden
+
+    @property
+    def _title(self) -> str:
+        lead = np.shape(self.log_evidence)
+        runs = f", runs {lead}" if lead else ""
+        return f"Posterior({self.graph._title}{runs})"
+
+    def _summary(self) -> Summary:
+        return of_network(self._title, self, self._hidden, np.shape(self.log_evidence))
