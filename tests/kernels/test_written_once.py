@@ -339,7 +339,11 @@ COMPLEMENTS = listed(
     {"kernels/merging.py": "split"},
 )
 GAINS = listed({STEP: "gain reweighed after"})
-FACTORISATIONS = listed({"kernels/roots.py": "_semidefinite_root regular_root"})
+FACTORISATIONS = listed(
+    {"kernels/roots.py": "_semidefinite_root regular_root"},
+    # The squares by which merged means differ, which are added up.
+    {"kernels/machine/sweeps/mixture.py": "_merged add_cov"},
+)
 # Beside the step: wrapping to [−π, π) with its end, and bins around a circle.
 TURNS = listed({STEP: "turns"}, {"kernels/angles.py": "wrap", "kernels/bins.py": "keys"})
 GAPS = listed(

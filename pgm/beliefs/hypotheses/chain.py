@@ -19,7 +19,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pgm.beliefs.hypotheses.cases import Given
+from pgm.beliefs.hypotheses.cases import Choices, Given
 from pgm.beliefs.hypotheses.counts import Counts, best_of, leading
 from pgm.beliefs.hypotheses.records import (
     Belief,
@@ -66,6 +66,8 @@ class HypothesisChain:
         By step, if components are pruned, the member that each of them is, (K, runs).
     left_out : ndarray of bool
         (runs,): whether any possible member was left out.
+    by_memory : bool
+        Whether motions are chosen by states of the step before.
     """
 
     def __init__(
@@ -83,8 +85,8 @@ class HypothesisChain:
         self._trials = Trials(given, regimes, roles, mix=settings.mix, back=settings.back)
         # Of each memory the choice in each regime; one row where the memory makes no difference.
         of = self._trials.moving.of
-        self._by_memory = bool((of != of[:1]).any())
-        if settings.mix and self._by_memory:
+        self.by_memory = bool((of != of[:1]).any())
+        if settings.mix and self.by_memory:
             raise ModelError(
                 "mix=True mixes the Gaussians of all states of the step before, and motions are "
                 "chosen by these (.previous): leave mix out"
@@ -96,6 +98,11 @@ class HypothesisChain:
         self.regime_logs: list[Array] = []
         self.chosen: list[Integers] = []
         self.left_out: Mask = np.zeros(self.runs, dtype=bool)
+
+    @property
+    def choices(self) -> tuple[Choices, Choices]:
+        """The choices of the motion, and those of the sensors."""
+        return self._trials.moving, self._trials.seeing
 
     def start(self) -> State:
         """The pairs of step 0: the prior's Gaussian in each regime, or its pieces."""
@@ -139,7 +146,7 @@ class HypothesisChain:
             choice = np.zeros((1, self.regimes.size, 1), dtype=np.intp)
             mean = np.broadcast_to(mean, (len(mean), *shape))
             cov = np.broadcast_to(cov, (*cov.shape[:2], *shape))
-        elif not self._by_memory:
+        elif not self.by_memory:
             choice = of[:1, :, None]
             mean, cov = mean[:, :, of[0]], cov[:, :, :, of[0]]
         else:

@@ -106,7 +106,9 @@ class Gaussians(BeliefFamily[Any]):
     starts: int
     draws: int
 
-    takes: ClassVar[frozenset[str]] = frozenset({"lineariser", "iterations", "damping", "schedule"})
+    takes: ClassVar[frozenset[str]] = frozenset(
+        {"lineariser", "iterations", "damping", "schedule", "compiled"}
+    )
     beliefs: ClassVar[str] = "mixtures of Gaussians"
     spare: ClassVar[str] = "is not for mixtures of Gaussians"
 
@@ -189,6 +191,8 @@ class Gaussians(BeliefFamily[Any]):
     def online(self, model: DynamicBayesianNetwork, options: dict[str, Any]) -> HypothesisSteps:
         """The steps of an online filter."""
         self._require_no_draws()
+        if options.pop("compiled", None):
+            raise self.refusal("compiled", model)
         asked = Asked(self.count, self.mix, max(self.starts, 1))
         return HypothesisSteps(model, asked, **options)
 

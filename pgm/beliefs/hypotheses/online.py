@@ -206,10 +206,10 @@ class HypothesisSteps(InCode, Immutable):
         beliefs = Beliefs.of(
             kind,
             chain.given.hidden,
-            [shares.reshape(members, runs)],
-            [components_last(pairs.mean.reshape(size, members, runs), 1)],
-            [components_last(pairs.cov.reshape(size, size, members, runs), 2)],
-            [log_sum(shares, 0)],
+            shares.reshape(1, members, runs),
+            components_last(pairs.mean.reshape(size, members, runs), 1)[None],
+            components_last(pairs.cov.reshape(size, size, members, runs), 2)[None],
+            log_sum(shares, 0)[None],
         )
         marginals = Marginals(SliceLayout.of(self.model), beliefs, chain.regimes)
         residuals, converged = chain.settled()

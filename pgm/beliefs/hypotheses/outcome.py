@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -55,20 +54,19 @@ class Beliefs:
         cls,
         kind: Kind,
         hidden: Scope,
-        logs: Sequence[Array],
-        means: Sequence[Array],
-        covs: Sequence[Array],
-        regimes: Sequence[Array],
+        logs: Array,
+        means: Array,
+        covs: Array,
+        regimes: Array,
     ) -> Beliefs:
         """The beliefs of all steps, of log-weights and log-probabilities."""
-        weights = np.exp(np.stack(logs))
+        weights = np.exp(logs)
         some = (weights > 0.0).any(axis=(0, 2))
         weights = weights[:, some]
         weights /= weights.sum(axis=1, keepdims=True)
-        shares = np.exp(np.stack(regimes))
+        shares = np.exp(regimes)
         shares /= shares.sum(axis=1, keepdims=True)
-        mean, cov = np.stack(means)[:, some], np.stack(covs)[:, some]
-        return cls(kind, hidden, weights, mean, cov, shares)
+        return cls(kind, hidden, weights, means[:, some], covs[:, some], shares)
 
 
 @dataclass(frozen=True, eq=False)

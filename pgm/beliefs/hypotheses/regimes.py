@@ -124,6 +124,11 @@ class Regimes:
             logs = logs + np.where(own, math.log(variable.size), -np.inf)
         return logs
 
+    @property
+    def is_constant(self) -> bool:
+        """Whether `onward` is the same at all steps."""
+        return self._fixed and not self._evidence
+
     def likelihood(self, step: int) -> Array | None:
         """Ln p(discrete measurements of a step | regime), (size, runs or 1); None without any."""
         found, scale = self._slices.likelihood(step)

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pgm.beliefs.hypotheses import compiled
 from pgm.beliefs.hypotheses.back import BackwardChain, Flow
 from pgm.beliefs.hypotheses.cases import Given
 from pgm.beliefs.hypotheses.chain import HypothesisChain
+from pgm.beliefs.hypotheses.compiled import Swept
 from pgm.beliefs.hypotheses.outcome import Beliefs, HypothesisOutcome
 from pgm.beliefs.hypotheses.records import Belief, Settings, State
 from pgm.beliefs.hypotheses.regimes import Regimes
@@ -69,19 +71,15 @@ def passes(
             "modes of a nonlinear model"
         )
     _require_once(call, roles)
-    record = _Record(chain)
-    sweep.forward(chain, bound.steps, record)
-    total = frozen(np.sum(record.log_densities, axis=0).reshape(bound.lead))
+    done, account = compiled.forward(chain, graph.layout.compiled)
+    if done is None:
+        record = _Record(chain)
+        sweep.forward(chain, bound.steps, record)
+        done = record.swept
+    total = frozen(np.sum(done.density, axis=0).reshape(bound.lead))
     residuals, converged = chain.settled()
-    status = Status.of(residuals, converged, bound.lead)
-    beliefs = Beliefs.of(
-        FILTERED,
-        hidden,
-        [known.shares for known in record.known],
-        [components_last(known.mean, 1) for known in record.known],
-        [components_last(known.cov, 2) for known in record.known],
-        chain.regime_logs,
-    )
+    status = Status.of(residuals, converged, bound.lead).with_compilation(account)
+    beliefs = Beliefs.of(FILTERED, hidden, done.logs, done.mean, done.cov, done.regimes)
     found = associations_of(chain)
     filtered = HypothesisOutcome(graph, status, total, beliefs, regimes, found)
     if kind == FILTERED:
@@ -190,16 +188,28 @@ class _Record:
         self.known.append(self._chain.reduced(known))
         self.log_densities.append(np.asarray(log_density))
 
+    @property
+    def swept(self) -> Swept:
+        """The sweep by step."""
+        known = self.known
+        return Swept(
+            np.stack([each.shares for each in known]),
+            np.stack([components_last(each.mean, 1) for each in known]),
+            np.stack([components_last(each.cov, 2) for each in known]),
+            np.stack(self._chain.regime_logs),
+            np.stack(self.log_densities),
+        )
+
 
 def _told(chain: HypothesisChain, kind: Kind, flows: Sequence[tuple[Flow, Array]]) -> Beliefs:
     """The beliefs of all steps by what flows back to each, with the logs of its regimes."""
     return Beliefs.of(
         kind,
         chain.given.hidden,
-        [flow.logs for flow, _ in flows],
-        [flow.mean for flow, _ in flows],
-        [flow.cov for flow, _ in flows],
-        [regimes for _, regimes in flows],
+        np.stack([flow.logs for flow, _ in flows]),
+        np.stack([flow.mean for flow, _ in flows]),
+        np.stack([flow.cov for flow, _ in flows]),
+        np.stack([regimes for _, regimes in flows]),
     )
 
 

@@ -42,8 +42,8 @@ class Trials:
 
     Attributes
     ----------
-    moving : Choices
-        The choices of the motion.
+    moving, seeing : Choices
+        The choices of the motion, and of the sensors.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class Trials:
         self.size = sum(v.dimension for v in given.hidden)
         self._prior = Choices(regimes, roles.prior)
         self.moving = Choices(regimes, roles.transition, later=True)
-        self._seeing = Choices(regimes, roles.observation)
+        self.seeing = Choices(regimes, roles.observation)
         self._readings = roles.readings
         self._sensors: dict[int, list[Batch]] = {}
         self._moved_by: dict[int, list[Batch]] = {}
@@ -132,7 +132,7 @@ class Trials:
             return None
         copies = len(pairs.logs)
         if copies not in self._sensors:
-            self._sensors[copies] = sensors(self.given, self._seeing, self._readings, copies)
+            self._sensors[copies] = sensors(self.given, self.seeing, self._readings, copies)
         batches = self._sensors[copies]
         every = [(batch.which, self._of_batch(batch, step, pairs)) for batch in batches]
         found = [(which, each) for which, each in every if each is not None]

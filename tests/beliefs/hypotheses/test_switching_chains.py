@@ -584,7 +584,6 @@ def test_what_cannot_be_is_refused():
     refused("1 Gaussian for .mode., .* have 2 joint states", belief=pgm.Gaussians(1))
     refused("mix=True keeps a Gaussian for each joint state", belief=pgm.Gaussians(3, mix=True))
     refused("gate= is not for mixtures of Gaussians", gate=0.99)
-    refused("compiled= is not for chains", compiled=True)
     refused("Grid.* is for networks of continuous variables", belief=pgm.Grid({X: (-5.0, 5.0, 50)}))
     with pytest.raises(pgm.ModelError, match="a count of Gaussians is a whole number"):
         pgm.Gaussians(0)

@@ -14,13 +14,13 @@ from pgm.kernels.machine.emitter.wholes import Whole
 from pgm.kernels.machine.matrices.in_memory.frame import Frame
 from pgm.kernels.machine.matrices.lines import Lines
 from pgm.kernels.machine.matrices.loops import Loops
-from pgm.kernels.machine.sweeps import costs, relinearising, windows
+from pgm.kernels.machine.sweeps import costs, mixture, relinearising, windows
 from pgm.kernels.machine.sweeps.associating import associated, is_open
 from pgm.kernels.machine.sweeps.extent import is_long
 from pgm.kernels.machine.sweeps.motion import predicted
 from pgm.kernels.machine.sweeps.reading import taken
 from pgm.kernels.machine.sweeps.rounding import Rounding, is_far
-from pgm.kernels.machine.sweeps.told import Backward, Forward, Linearised, Windows
+from pgm.kernels.machine.sweeps.told import Backward, Forward, Linearised, Mixture, Windows
 from pgm.kernels.machine.sweeps.watch import Watch
 from pgm.kernels.machine.sweeps.writer import Writer
 from pgm.kernels.numbers import where
@@ -39,7 +39,7 @@ _LARGEST = 1e150
 _CORRELATED = 3e-5
 
 Sweep = Callable[[int, int, int], None]
-Chain = Forward | Backward | Windows | Linearised
+Chain = Forward | Backward | Mixture | Windows | Linearised
 
 
 @lru_cache(maxsize=128)
@@ -60,6 +60,8 @@ def made(chain: Chain, lanes: int, loops: bool | None = None) -> Sweep:
             forward(w, chain)
         elif isinstance(chain, Windows):
             _tell(w, LEFT, where(windows.written(w, chain), 0.0, 1.0))
+        elif isinstance(chain, Mixture):
+            _tell(w, LEFT, where(mixture.written(w, chain), 0.0, 1.0))
         elif isinstance(chain, Linearised):
             written = relinearising.written if chain.cost is None else costs.written
             _tell(w, LEFT, where(written(w, chain), 0.0, 1.0))

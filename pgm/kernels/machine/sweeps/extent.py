@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from pgm.kernels.machine.emitter.processor import registers
-from pgm.kernels.machine.sweeps.told import Backward, Forward, Linearised, Row, Windows
+from pgm.kernels.machine.sweeps.told import Backward, Forward, Linearised, Mixture, Row, Windows
 
 # Operations of a sweep forward and of one back from which on loops are compiled sooner and run no
 # slower. Those of packs take twice as long to compile.
 _FORWARD, _BACK = 3000, 1500
 
 
-def is_long(chain: Forward | Backward | Windows | Linearised, lanes: int) -> bool:
+def is_long(chain: Forward | Backward | Mixture | Windows | Linearised, lanes: int) -> bool:
     """Whether a sweep of so many lanes is to be written in loops."""
     if isinstance(chain, Windows):
         return False  # they are written in lines alone
+    if isinstance(chain, Mixture):
+        chain = chain.ahead  # whose pairs are swept in a loop
     most = _BACK if isinstance(chain, Backward) else _FORWARD
     return operations(chain, lanes) > (most // 2 if lanes > 1 else most)
 

@@ -49,6 +49,7 @@ class Writer:
             for array in arrays(chain)
         }
         self.lag = wholes.load(told.LAG)
+        self.numbers = {place: wholes.load(place) for place in getattr(chain, "numbers", ())}
         sensors = getattr(chain, "sensors", ())
         due = [sensor.bounds for sensor in sensors if sensor.bounds is not None]
         self._bounds = {place: addresses.load(place) for place in due}

@@ -9,7 +9,13 @@ A *row* of a CPD is a step of a transition, or a sighting of a sensor; *runs* ar
 robots that are swept together.
 """
 
-from pgm.kernels.machine.sweeps.told.chains import Backward, Forward, Linearised, Windows
+from pgm.kernels.machine.sweeps.told.chains import (
+    Backward,
+    Forward,
+    Linearised,
+    Mixture,
+    Windows,
+)
 from pgm.kernels.machine.sweeps.told.kept import as_kept, chosen, kept_sensor
 from pgm.kernels.machine.sweeps.told.rows import Called, Lines, Motion, Points, Row, Rows
 from pgm.kernels.machine.sweeps.told.sensors import Candidates, Gate, Loss, Sensor
@@ -65,6 +71,7 @@ __all__ = [
     "Linearised",
     "Lines",
     "Loss",
+    "Mixture",
     "Motion",
     "Points",
     "Row",

@@ -91,6 +91,63 @@ class Backward:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Mixture:
+    """A forward sweep of a mixture of K Gaussians, one of each memory, merged at every step.
+
+    Each Gaussian, or mixture of all of them, is a *pair* with each of S regimes. Hypotheses are
+    runs: the pair of Gaussian k and regime s of the user's run r is at (k S + s) R + r of arrays of
+    pairs, and Gaussian k at k R + r.
+
+    Attributes
+    ----------
+    ahead : Forward
+        The chain of the pairs; its arrays of beliefs have the one row of the step at hand.
+    own_runs : int
+        The place in the table of R, the number of the user's runs.
+    memories : tuple of int
+        Of each regime its memory.
+    mixed : bool
+        Whether Gaussians are mixed for each regime before they are predicted.
+    onward : Array
+        Ln p(regime | memory) by step, (memories · S,), of the user's runs.
+    likelihood : Array
+        Ln p(discrete measurements | regime) by step, (S,), of the user's runs; at step 0 with the
+        logarithm of the regime's prior probability.
+    pairs : Array
+        The log-weights of pairs, of the step at hand.
+    logs, mean, cov : Array
+        By step the log-weights of the Gaussians, and their moments.
+    regimes : Array
+        By step the log-probabilities of the regimes, regime s of run r at s R + r.
+    density : Array
+        By step the log-density of the measurements, of the user's runs.
+    """
+
+    ahead: Forward
+    own_runs: int
+    memories: tuple[int, ...]
+    mixed: bool
+    onward: Array
+    likelihood: Array
+    pairs: Array
+    logs: Array
+    mean: Array
+    cov: Array
+    regimes: Array
+    density: Array
+
+    @property
+    def sensors(self) -> tuple[Sensor, ...]:
+        """The sensors of the chain."""
+        return self.ahead.sensors
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """The places of numbers in the table."""
+        return (self.own_runs,)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Windows:
     """The windows of a fixed lag that slide along a chain.
 
