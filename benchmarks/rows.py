@@ -265,6 +265,7 @@ def switching(kind: str, modes: int) -> Row:
         work=lambda size: manoeuvres.draw(modes, size),
         contenders={
             "pgm": part("pgm_manoeuvres", "filtering", kind),
+            "pgm_compiled": part("pgm_manoeuvres", "filtering", kind, compiled=True),
             "filterpy": part("filterpy_manoeuvres", "filtering"),
         },
         check=agreement.modes,
@@ -282,6 +283,7 @@ def switching_runs() -> Row:
         work=lambda size: manoeuvres.draw(2, 60, runs=size),
         contenders={
             "pgm": part("pgm_manoeuvres", "filtering", "imm"),
+            "pgm_compiled": part("pgm_manoeuvres", "filtering", "imm", compiled=True),
             "filterpy": part("filterpy_manoeuvres", "filtering"),
         },
         check=agreement.modes,

@@ -61,6 +61,8 @@ COMPILED = (  # row, peer, how many times the cost of its fastest way ours in ma
     ("linear", "cuthbert", 0.5),
     *((f"components_{n}", "dynamax", most) for n, most in ((12, 0.8), (24, 1.1), (50, 1.35))),
     ("map", "gtsam", 1 / 30),
+    *((f"imm_{modes}", "filterpy", 0.1) for modes in (2, 3, 5)),
+    *((f"gpb2_{modes}", "filterpy", 0.15) for modes in (2, 3)),
 )
 MAPS: tuple[tuple[str, str, float | None, float], ...] = (
     # Row, peer, how many times its cost ours may be, by NumPy alone and in machine code.

@@ -10,12 +10,12 @@ from benchmarks.work.manoeuvres import Array, Manoeuvres
 from models.networks import fix, target
 
 
-def filtering(kind: str, work: Manoeuvres) -> Contender:
+def filtering(kind: str, work: Manoeuvres, *, compiled: bool = False) -> Contender:
     """The probabilities of modes and the means of states, (runs, T, ·).
 
     `kind` is ``"imm"``, the interacting multiple model, or ``"gpb2"``, as many Gaussians as modes.
     """
-    graph = pgm.compile(work.network, work.steps)
+    graph = pgm.compile(work.network, work.steps, compiled=compiled)
     belief = pgm.Gaussians(mix=kind == "imm")
 
     def call() -> tuple[Array, Array]:
