@@ -36,8 +36,10 @@ class MixtureCPD(CPD):
     - p_k: the CPDs of the mixture, each with parents of its own;
     - w_k: their probabilities, the same whatever the parents are.
 
-    Outliers of a sensor, wheels that slip, a robot that may have been carried away. Networks that
-    have one take ``belief=pgm.Particles(...)`` or ``pgm.Grid(...)``.
+    Outliers of a sensor, wheels that slip, a robot that may have been carried away. Over time, with
+    Gaussian components, beliefs are mixtures of Gaussians (`Gaussians`), of one unless ``belief=``
+    asks for more; or any, with ``belief=pgm.Particles(...)`` or ``pgm.Grid(...)``. Networks without
+    time have it as a `SwitchingCPD` of a discrete variable.
 
     Parameters
     ----------

@@ -12,6 +12,7 @@ from pgm.beliefs.markov.family import TABLES
 from pgm.beliefs.mixed import MIXED
 from pgm.beliefs.moments.family import MOMENTS
 from pgm.beliefs.own.family import BeliefFamily, require_family
+from pgm.cpds import MixtureCPD
 from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.evidence import BoundEvidence
@@ -26,7 +27,8 @@ def family_of(
 ) -> BeliefFamily[B]:
     """The given family, or tables of a discrete network, mixtures of a mixed one, or moments.
 
-    Evidence, if it is `bound`, asks for mixtures, too, where it leaves open which of several hidden
+    Mixtures of Gaussians are also the beliefs of a continuous network that has a `MixtureCPD`; and
+    evidence, if it is `bound`, asks for them where it leaves open which of several hidden
     variables was seen, or has candidates that are to be summed over. A `belief` that is no family,
     or a model that cannot have it, is a ModelError.
     """
@@ -36,7 +38,8 @@ def family_of(
     # B is Any here, as it is of every call without belief=: which one the network decides.
     found: BeliefFamily[Any] = TABLES if model.discrete else MOMENTS
     if isinstance(model, DynamicBayesianNetwork):
-        return GAUSSIANS if model.mixed or (bound is not None and is_summed(bound)) else found
+        several = model.mixed or any(isinstance(cpd, MixtureCPD) for cpd in model.cpds)
+        return GAUSSIANS if several or (bound is not None and is_summed(bound)) else found
     return MIXED if model.mixed else found
 
 

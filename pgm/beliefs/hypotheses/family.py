@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 from pgm.arguments import public
+from pgm.beliefs.hypotheses.causes import caused, with_causes
 from pgm.beliefs.hypotheses.expectations import expectations
 from pgm.beliefs.hypotheses.online import HypothesisSteps
 from pgm.beliefs.hypotheses.run import Asked, passes, run
@@ -15,6 +16,7 @@ from pgm.beliefs.own.family import BeliefFamily
 from pgm.boundary import is_whole
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
+from pgm.cpds import MixtureCPD
 from pgm.errors import ModelError
 from pgm.evidence import BoundEvidence, Evidence
 from pgm.networks import DynamicBayesianNetwork
@@ -154,6 +156,7 @@ class Gaussians(BeliefFamily[Any]):
 
     def infer(self, graph: DynamicGraph, bound: BoundEvidence, call: Call) -> Outcome[Any]:
         """The outcome of a call's schedule on a dynamic network's graph, given its evidence."""
+        graph, bound = with_causes(graph, bound)
         if self.starts and not isinstance(call.schedule, Filtering):
             assert self.count is not None
             return chain.run(graph, bound, call, self.count, self.starts, self.draws)
@@ -184,6 +187,7 @@ class Gaussians(BeliefFamily[Any]):
             raise ModelError(
                 f"{self!r}: fit learns by one smoother, and starts= asks for several: leave it out"
             )
+        graph, bound = with_causes(graph, bound)
         outcome, backward = passes(graph, bound, call, Asked(self.count, self.mix))
         assert backward is not None
         return outcome, lambda parts: expectations(backward, graph, parts)
@@ -194,7 +198,16 @@ class Gaussians(BeliefFamily[Any]):
         if options.pop("compiled", None):
             raise self.refusal("compiled", model)
         asked = Asked(self.count, self.mix, max(self.starts, 1))
-        return HypothesisSteps(model, asked, **options)
+        for cpd in model.observation:
+            if isinstance(cpd, MixtureCPD):
+                raise ModelError(
+                    f"{cpd!r}: each sighting of a mixture has a component of its own, and how many "
+                    "a step will have is not known online: make a fault a state of a discrete "
+                    "variable, with a pgm.SwitchingCPD, or give belief=pgm.Particles(...)",
+                    variable=cpd.child,
+                    cpd=cpd,
+                )
+        return HypothesisSteps(caused(model), asked, **options)
 
     def _require_no_draws(self) -> None:
         """Refuse draws of a filter."""
