@@ -53,7 +53,7 @@ QUESTIONS: dict[str, tuple[str, type[PgmError]]] = {
 # balanced tree, moments or tables of a network without time, mixtures of a mixed one; or the
 # marginals of variables alone.
 CHAIN, SLICES, BALANCED, NETWORK, TABLES = "chain", "slices", "balanced", "network", "tables"
-MIXTURES, MARGINALS = "mixtures", "marginals"
+MIXTURES, MARGINALS, SWITCHING = "mixtures", "marginals", "switching"
 
 
 class OverTime(Protocol[B_co]):

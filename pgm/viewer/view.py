@@ -17,13 +17,13 @@ from pgm.compile import DynamicGraph
 from pgm.display import Shown
 from pgm.errors import GraphError
 from pgm.inference import GrowingMap, Posterior
-from pgm.posteriors.outcome import CHAIN, MARGINALS, MIXTURES, SLICES
+from pgm.posteriors.outcome import CHAIN, MARGINALS, MIXTURES, SLICES, SWITCHING
 from pgm.viewer import chain, graph, growing
 from pgm.viewer.numbers import CELL, FILE, Limits, Numbers, Run, chosen_runs, chosen_steps
 from pgm.viewer.scripts import script
 
 # The forms of beliefs that a page shows step by step, and not cluster by cluster.
-_OVER_TIME = (CHAIN, SLICES, MARGINALS)
+_OVER_TIME = (CHAIN, SLICES, MARGINALS, SWITCHING)
 
 
 @public

@@ -242,7 +242,7 @@ class HypothesisChain:
 
         And the log-density of the measurements, (runs,).
         """
-        members, total = self._pairs(step, pairs).scaled()
+        members, total = self.informed(step, pairs).scaled()
         stages: list[Stage] = []
         told: list[OpenSensor] = []
         for sensor in self._open:
@@ -260,7 +260,7 @@ class HypothesisChain:
         self._tell(told, stages, members)
         return stages, members, total
 
-    def _pairs(self, step: int, pairs: Pairs) -> Members:
+    def informed(self, step: int, pairs: Pairs) -> Members:
         """The pairs as members of a stage, given all measurements but open sightings."""
         found = self._trials.taken(step, pairs)
         logs, counts, mean, cov = pairs[:4]

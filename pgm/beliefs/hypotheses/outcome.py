@@ -18,7 +18,7 @@ from pgm.kernels.arrays import Array, frozen
 from pgm.posteriors.associations import Found
 from pgm.posteriors.belief_kind import Kind
 from pgm.posteriors.hidden import located
-from pgm.posteriors.outcome import Outcome
+from pgm.posteriors.outcome import SWITCHING, Outcome
 from pgm.posteriors.status import Status
 from pgm.posteriors.summaries import over_time
 from pgm.variables import Discrete, Variable
@@ -144,6 +144,7 @@ class HypothesisOutcome(Outcome[Any]):
     beliefs: ClassVar[str] = "mixtures of a mixed chain"
     silent: ClassVar[str] = "mixtures go from slice to slice, and no messages are kept"
     moving: ClassVar[bool] = True
+    form: ClassVar[str] = SWITCHING
 
     graph: DynamicGraph
     status: Status
@@ -151,6 +152,8 @@ class HypothesisOutcome(Outcome[Any]):
     _beliefs: Beliefs
     _regimes: Regimes
     associations: Found
+    # What was asked, by which it may be asked again.
+    _asked: Any
     # The forward pass of a smoother; None of a filter, which is one.
     _forward: HypothesisOutcome | None = None
 

@@ -81,12 +81,14 @@ def passes(
     status = Status.of(residuals, converged, bound.lead).with_compilation(account)
     beliefs = Beliefs.of(FILTERED, hidden, done.logs, done.mean, done.cov, done.regimes)
     found = associations_of(chain)
-    filtered = HypothesisOutcome(graph, status, total, beliefs, regimes, found)
+    again = bound, call, asked
+    filtered = HypothesisOutcome(graph, status, total, beliefs, regimes, found, again)
     if kind == FILTERED:
         return filtered, None
     backward = BackwardChain(chain)
     beliefs = _smoothed(chain, backward, kind, bound.steps)
-    return HypothesisOutcome(graph, status, total, beliefs, regimes, found, filtered), backward
+    smoothed = HypothesisOutcome(graph, status, total, beliefs, regimes, found, again, filtered)
+    return smoothed, backward
 
 
 def chain_of(

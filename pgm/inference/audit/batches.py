@@ -6,7 +6,7 @@ wider tails. A draw has a value of every hidden variable; that of a chain is mad
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from pgm.inference.audit.corrected import Compared, Sums
 from pgm.inference.audit.draws import Draws
 from pgm.inference.audit.mixture import Mixture, weigh
+from pgm.inference.audit.states import ComparedStates, StateSums
 from pgm.kernels.arrays import quiet
 from pgm.progress import counted
 
@@ -23,7 +24,7 @@ BATCH, ROOM = 2**18, 2**24
 
 
 class Drawing(Protocol):
-    """The source of draws from q and d: `ChainDraws` of a chain, `TreeDraws` of a tree."""
+    """The source of draws from q and d: `ChainDraws`, `TreeDraws`, or `SwitchingDraws`."""
 
     @property
     def width(self) -> int:
@@ -42,7 +43,7 @@ class Drawing(Protocol):
         Returns their values, and their log-densities by the model, by q and by d.
         """
 
-    def sums(self) -> list[Sums]:
+    def sums(self) -> Sequence[Sums | StateSums]:
         """Sums over draws, still empty, by which the moments of beliefs are estimated.
 
         There is one `Sums` for each belief that is compared with the Gaussian answer's: that of
@@ -52,7 +53,7 @@ class Drawing(Protocol):
 
 def estimate(
     drawing: Drawing, runs: int, samples: int, rng: np.random.Generator
-) -> tuple[Mixture, list[Compared]]:
+) -> tuple[Mixture, list[Compared | ComparedStates]]:
     """Make S = `samples` draws from q and S from d for each run, and the estimates from them.
 
     The first result has the estimates of the evidence and of divergences. The second has, for each

@@ -89,7 +89,7 @@ class Compared:
         of = f" of run {where}" if lead else ""
         return float(found[step, run]), f"{', '.join(map(repr, scope))}{of}"
 
-    def gaussian(self, lead: tuple[int, ...]) -> Gaussian:
+    def belief(self, lead: tuple[int, ...]) -> Gaussian:
         """The exact moments as a Gaussian, its leading axes the runs, `lead`, then steps if any."""
         mean, cov = self._stacked(self.mean, lead), self._stacked(self.cov, lead)
         return Gaussian._make(self.scope, mean, cov, self.steps)
@@ -123,6 +123,9 @@ class Sums:
         (steps,): whether the posterior's belief at a step is given all measurements, as q is.
     timed : bool
         Whether the network has steps.
+    plain : bool
+        Whether q, whose draws these are, need not have the answer's moments, so that they are of no
+        use as control variates.
     _offsets, _squares : ndarray
         (2, steps, runs, n) and (2, steps, runs, n, n): the sums of δ and of δ δᵀ, weighed by y and
         by v.
@@ -135,6 +138,7 @@ class Sums:
     cov: Array
     judged: Mask
     timed: bool
+    plain: bool = False
     _offsets: Array = field(init=False)
     _squares: Array = field(init=False)
 
@@ -172,12 +176,12 @@ class Sums:
             E δ = mean of (y − β v) δ / Ẑ,   E δ δᵀ = mean of (y − β v) δ δᵀ / Ẑ + (β / Ẑ) P.
 
         Here v δ and v δ δᵀ, whose expected values 0 and P are known, are control variates. Where
-        the result is no proper covariance, the moments weighed by y alone are taken. Components in
-        which the Gaussian has no variance are not compared.
+        the result is no proper covariance, or the sums are `plain`, the moments weighed by y alone
+        are taken. Components in which the Gaussian has no variance are not compared.
         """
         weights, evidence = mixture.weighed.weights, mixture.evidence
-        lower, slope = roots.root(self.cov), evidence.slope
-        total = weights.shape[-1] * evidence.value
+        lower, slope = roots.root(self.cov), evidence.slope * (not self.plain)
+        total = weights.sum(-1) if self.plain else weights.shape[-1] * evidence.value
         own = (slope / evidence.value)[:, None, None] * self.cov
         offset, cov = _moments(
             (self._offsets[0] - slope[:, None] * self._offsets[1]) / total[:, None],

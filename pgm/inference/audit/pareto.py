@@ -23,6 +23,9 @@ def pareto_shape(log_weights: Array) -> Array:
     density (1 + k x/σ)^(−1/k − 1)/σ is fitted to them, by the posterior mean over a grid of the
     ratio −k/σ; k is then regularised towards ½. Moments of order below 1/k exist.
 
+    Draws of discrete variables have equal weights: where a quarter of the M weights are equal to
+    the (M + 1)-th but for rounding, excesses are counted from the next smaller weight, or from 0.
+
     k is NaN for fewer than 25 draws, −∞ where the largest weights are all equal, and ∞ where a few
     weights dwarf the rest: the lower quartile of the excesses is below 10⁻¹² of the largest.
 
@@ -36,8 +39,13 @@ def pareto_shape(log_weights: Array) -> Array:
     size = int(min(count / 5, 3 * np.sqrt(count)))
     top = np.sort(np.partition(log_weights, count - size - 1, axis=-1)[:, count - size - 1 :])
     weights = np.exp(top - top[:, -1:])
-    excess = weights[:, 1:] - weights[:, :1]
     place = int(size / 4 + 0.5) - 1
+    tied = top[:, 1 + place] - top[:, 0] <= EQUAL
+    below = np.where(log_weights < top[:, :1] - EQUAL, log_weights, -np.inf).max(axis=-1)
+    least = np.where(
+        tied & (top[:, -1] > top[:, 0] + EQUAL), np.exp(below - top[:, -1]), weights[:, 0]
+    )
+    excess = weights[:, 1:] - least[:, None]
     equal = excess[:, -1] <= EQUAL
     steep = ~equal & (excess[:, place] <= STEEP * excess[:, -1])
     excess[equal | steep] = np.arange(1, size + 1) / size  # these are not fitted

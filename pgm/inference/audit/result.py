@@ -8,12 +8,13 @@ from types import MappingProxyType
 import numpy as np
 
 from pgm.display import Listing, Shown, Summary, number
-from pgm.factors import Gaussian
+from pgm.factors import Gaussian, Table
 from pgm.immutable import Immutable
 from pgm.inference.audit.corrected import Compared
 from pgm.inference.audit.innovation_checks import InnovationCheck
 from pgm.inference.audit.mixture import Mixture
 from pgm.inference.audit.modes import Modes
+from pgm.inference.audit.states import ComparedStates
 from pgm.kernels.arrays import Array, Integers, Mask, frozen
 from pgm.posteriors.summaries import spread
 from pgm.variables import Variable
@@ -44,7 +45,10 @@ def _is_trusted(mixture: Mixture, modes: Modes) -> Mask:
 
 
 def _is_suspect(
-    mixture: Mixture, compared: Sequence[Compared], correction: Array, trusted: Mask
+    mixture: Mixture,
+    compared: Sequence[Compared | ComparedStates],
+    correction: Array,
+    trusted: Mask,
 ) -> Mask:
     """Whether the Gaussian answer's moments or log-evidence are off in each run, (runs,).
 
@@ -95,10 +99,12 @@ class Audit(Shown, Immutable):
         (...): KL(p(x | z) ‖ q) of all variables in nats, and its standard error: large where q has
         lost a mode.
     moment_divergence : mapping of Variable to ndarray
-        For each variable alone, KL(N(exact moments) ‖ marginal of q) in nats, (..., steps) of a
-        chain, (...) of a network without time; infinite where too few draws leave no covariance.
-    corrected : mapping of Variable to Gaussian
-        The exact posterior's mean and covariance of each hidden variable, estimated.
+        For each variable alone, KL(N(exact moments) ‖ N(moments of the answer)) in nats, of a
+        discrete one KL(exact probabilities ‖ the answer's), (..., steps) of a chain, (...) of a
+        network without time; infinite where too few draws leave no covariance.
+    corrected : mapping of Variable to Gaussian or Table
+        The exact posterior's mean and covariance of each hidden variable, estimated; of a discrete
+        one the probabilities of its states.
     suspect : ndarray of bool
         (...): whether some belief, of a variable or of a cluster's variables together, is further
         than 0.5 nats from the exact moments, beyond the error that so few effective draws may leave
@@ -157,7 +163,7 @@ class Audit(Shown, Immutable):
     inclusive_divergence: Array
     inclusive_error: Array
     moment_divergence: Mapping[Variable, Array]
-    corrected: Mapping[Variable, Gaussian]
+    corrected: Mapping[Variable, Gaussian | Table]
     suspect: Mask
     trusted: Mask
     pareto_k: Array
@@ -172,7 +178,7 @@ class Audit(Shown, Immutable):
         self,
         mixture: Mixture,
         gaussian_log_evidence: Array,
-        compared: Sequence[Compared] = (),
+        compared: Sequence[Compared | ComparedStates] = (),
         innovations: Mapping[Variable, InnovationCheck] = MappingProxyType({}),
         modes: Modes | None = None,
     ) -> None:
@@ -205,7 +211,7 @@ class Audit(Shown, Immutable):
         self._set(
             **reshaped,
             gaussian_log_evidence=frozen(known),
-            corrected=MappingProxyType({v: each.gaussian(lead) for v, each in alone.items()}),
+            corrected=MappingProxyType({v: each.belief(lead) for v, each in alone.items()}),
             moment_divergence=MappingProxyType(
                 {v: each.divergences(lead) for v, each in alone.items()}
             ),

@@ -14,14 +14,28 @@ from pgm.inference.audit.batches import estimate
 from pgm.inference.audit.chain import ChainDraws
 from pgm.inference.audit.innovation_checks import checks
 from pgm.inference.audit.result import Audit
+from pgm.inference.audit.switching import SwitchingDraws
 from pgm.inference.audit.tree import TreeDraws
-from pgm.posteriors.outcome import BALANCED, CHAIN, MIXTURES, NETWORK, SLICES, TABLES
+from pgm.posteriors.outcome import (
+    BALANCED,
+    CHAIN,
+    MIXTURES,
+    NETWORK,
+    SLICES,
+    SWITCHING,
+    TABLES,
+)
 from pgm.posteriors.posterior import Posterior
 from pgm.progress import Progress, reporting
 from pgm.schedules.limits import require_runs
 
 # The draws from beliefs of each form.
-_DRAWS: dict[str, Any] = {CHAIN: ChainDraws, BALANCED: ChainDraws, NETWORK: TreeDraws}
+_DRAWS: dict[str, Any] = {
+    CHAIN: ChainDraws,
+    BALANCED: ChainDraws,
+    NETWORK: TreeDraws,
+    SWITCHING: SwitchingDraws,
+}
 
 
 @public
@@ -71,14 +85,20 @@ def audit(
     network; or a mode in a region that the prior hardly reaches and no mirror image hits. Beside
     sensors without noise other modes are found and not drawn from: the audit is then not `trusted`.
 
+    Of a switching model, whose answer is a mixture of Gaussians, paths of its discrete variables
+    are drawn: q is a Markov chain that has the smoothed probabilities of each two successive steps,
+    and d is the model's own. Given a path all CPDs are linear, so that p(path, z) is what a Kalman
+    filter finds, and trajectories are drawn from it exactly; the divergences are those of paths.
+    Nonlinear cases, and sightings that leave open what was seen, are refused.
+
     Residuals of measurements of angles are wrapped, and an angle that a function wraps is taken on
     the branch of the linearisation, so that wrapping it or not gives the same.
 
     Parameters
     ----------
     posterior : Posterior
-        Of Gaussian beliefs.
-        The posterior of a filter or smoother, or of a tree.
+        The posterior of a filter or smoother, or of a tree: of Gaussian beliefs, or of mixtures of
+        Gaussians over time.
     samples : int
         S, the number of draws from q for each run, 2 or more; there are as many defensive draws.
         The result keeps a number for each draw, and the draws are made in batches of bounded size.
@@ -123,12 +143,12 @@ def audit(
     graph = outcome.graph
     for cpd in graph.network.cpds if outcome.form == NETWORK else graph.model.prior:
         cpd.require_proper("an audit draws from the posterior, and weighs with the prior")
-    draws: ChainDraws | TreeDraws = _DRAWS[outcome.form].make(outcome)
+    draws: ChainDraws | TreeDraws | SwitchingDraws = _DRAWS[outcome.form].make(outcome)
     known = posterior.log_evidence
     require_runs(8 * samples, known.size, "the weights of an audit")
     with reporting(progress):
         mixture, compared = estimate(draws, known.size, samples, generator)
-    seen = {} if outcome.form == NETWORK else checks(posterior.innovations)
+    seen = {} if outcome.form in (NETWORK, SWITCHING) else checks(posterior.innovations)
     return Audit(mixture, known, compared, seen, draws.modes)
 
 

@@ -1,0 +1,188 @@
+"""Paths of regimes drawn and weighed: hypotheses that are followed, and never merged.
+
+Given a path of regimes, one at each step, a chain of linear CPDs has one Gaussian at each step, and
+ln p(path, z) is what its filter says of the measurements z, with the path's own probability. Arrays
+of paths are (T+1, draws, runs), or a step's (draws, runs).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.beliefs.hypotheses.back import BackwardChain
+from pgm.beliefs.hypotheses.chain import HypothesisChain
+from pgm.beliefs.hypotheses.records import Belief, Pairs
+from pgm.beliefs.moments.steps.readings import Moments
+from pgm.kernels import merging, roots
+from pgm.kernels.arrays import Array, Integers, apply, components_last
+from pgm.kernels.moments import Conditional
+
+
+class Followed(NamedTuple):
+    """Paths that were followed: ln p(path, z), (draws, runs), and trajectories given these.
+
+    `certain` says that some path makes a measurement certain, and has no density. `last` has the
+    moments (draws, runs, ...) of the last slice; `back` by step, from the last one on, each slice
+    given the next, (draws, runs, ...).
+    """
+
+    log_density: Array
+    certain: bool
+    last: Moments
+    back: list[Conditional]
+
+    def drawn(self, rng: np.random.Generator) -> Array:
+        """A trajectory of each path, given all measurements, (T+1, draws, runs, n)."""
+
+        def off(cov: Array) -> Array:
+            return apply(roots.root(cov), rng.standard_normal(cov.shape[:-1]))
+
+        found = [self.last.mean + off(self.last.cov)]
+        for each in self.back:
+            found.append(apply(each.matrix, found[-1]) + each.offset + off(each.cov))
+        return np.stack(found[::-1])
+
+
+def follow(chain: HypothesisChain, paths: Integers) -> Followed:
+    """Follow paths, as many as the chain has components."""
+    count = chain.regimes.size
+    pairs, back = chain.start(), list[Conditional]()
+    known: Belief | None = None
+    certain = False
+    for step, regimes in enumerate(paths):
+        if known is not None:
+            before = known
+            pairs = chain.predict(step, known)
+            assert isinstance(pairs, Pairs)
+            moments = Moments(before.mean[:, :, None], before.cov[:, :, :, None])
+            back.append(_at(chain.reversed(step, pairs, moments), regimes))
+        assert isinstance(pairs, Pairs)
+        members = chain.informed(step, pairs)
+        certain = certain or isinstance(members.counts, np.ndarray)
+        copy = np.arange(len(regimes))[:, None] if step else 0
+        place = copy * count + regimes
+        known = Belief(
+            np.take_along_axis(members.logs, place, axis=0),
+            chain.regimes.memory[regimes],
+            0,
+            np.take_along_axis(members.mean, place[None], axis=1),
+            np.take_along_axis(members.cov, place[None, None], axis=2),
+        )
+    assert known is not None
+    last = Moments(components_last(known.mean, 1), components_last(known.cov, 2))
+    return Followed(known.logs, certain, last, back[::-1])
+
+
+def _at(conditional: Conditional, regimes: Integers) -> Conditional:
+    """The conditionals (draws, S, runs, ...) of one regime of each draw and run."""
+    found = []
+    for part in conditional:
+        index = regimes[:, None].reshape(len(regimes), 1, -1, *(1,) * (part.ndim - 3))
+        found.append(np.take_along_axis(part, index, axis=1)[:, 0])
+    return Conditional(*found)
+
+
+class PathLaw:
+    """A law of paths: that of the model alone, or by the smoothed beliefs of pairs of steps.
+
+    The latter draws the last regime, then each memory given the regime after it, and the regime
+    that had it: a Markov chain, from the end on, of the smoothed probabilities.
+    """
+
+    def __init__(self, backward: BackwardChain) -> None:
+        chain = backward.chain
+        self._regimes, self._steps = chain.regimes, chain.given.bound.steps
+        self._runs = chain.runs
+        self._smoothed, self._pairs = _smoothed(backward)
+
+    def drawn(self, count: int, rng: np.random.Generator, *, prior: bool) -> Integers:
+        """So many paths of each run, of the smoothed beliefs, or of the model alone."""
+        regimes, steps = self._regimes, range(self._steps, -1, -1)
+        found = np.zeros((self._steps + 1, count, self._runs), dtype=np.intp)
+        if prior:
+            start = np.broadcast_to(regimes.prior(), (regimes.size, self._runs))
+            found[0] = _picked(np.broadcast_to(start[None], (count, *start.shape)), rng)
+            for step in range(1, self._steps + 1):
+                found[step] = _picked(self._onward(step, found[step - 1]), rng)
+            return found
+        for step in steps:
+            logs = self._smoothed[step]
+            if step < self._steps:
+                logs = self._before(step, found[step + 1])
+            else:
+                logs = np.broadcast_to(logs[None], (count, *logs.shape))
+            found[step] = _picked(logs, rng)
+        return found
+
+    def log_probability(self, paths: Integers, *, prior: bool) -> Array:
+        """The log-probabilities of paths, (draws, runs)."""
+        if prior:
+            start = np.broadcast_to(self._regimes.prior(), (self._regimes.size, self._runs))
+            total = _of(np.broadcast_to(start[None], (len(paths[0]), *start.shape)), paths[0])
+            for step in range(1, self._steps + 1):
+                total = total + _of(self._onward(step, paths[step - 1]), paths[step])
+            return total
+        last = self._smoothed[-1]
+        total = _of(np.broadcast_to(last[None], (len(paths[0]), *last.shape)), paths[-1])
+        for step in range(self._steps - 1, -1, -1):
+            total = total + _of(self._before(step, paths[step + 1]), paths[step])
+        return total
+
+    def _onward(self, step: int, before: Integers) -> Array:
+        """Ln p(regime | that of the step before), (draws, S, runs)."""
+        onward = self._regimes.onward(step)
+        memory = self._regimes.memory[before]
+        if onward.shape[-1] == 1:
+            return np.moveaxis(onward[memory][..., 0], -1, 1)
+        return np.moveaxis(onward[memory, :, np.arange(self._runs)], -1, 1)
+
+    def _before(self, step: int, after: Integers) -> Array:
+        """Ln q(regime | that of the step after), (draws, S, runs)."""
+        memory = self._regimes.memory
+        pairs, own = self._pairs[step], self._smoothed[step]
+        total = merging.normalised(pairs[:, after, np.arange(self._runs)])[0]
+        share = np.full((len(pairs), len(own), self._runs), -np.inf)
+        for kind in range(len(pairs)):
+            of_kind = np.where((memory == kind)[:, None], own, -np.inf)
+            share[kind] = merging.normalised(of_kind)[0]
+        found: Array = total[memory].swapaxes(0, 1) + share[memory, np.arange(len(memory))]
+        return found
+
+
+def _smoothed(backward: BackwardChain) -> tuple[list[Array], list[Array]]:
+    """By step ln p(regime), (S, runs), and of pairs of steps ln p(memory, regime after)."""
+    chain = backward.chain
+    steps, regimes, runs = chain.given.bound.steps, chain.regimes, chain.runs
+    alone, pairs = list[Array](), list[Array]()
+    flow = backward.last(steps)
+    for step in range(steps, -1, -1):
+        opened = backward.opened(step, flow)
+        alone.append(merging.normalised(backward.regimes(step, opened))[0])
+        if step:
+            two = backward.two(step, opened)
+            logs = backward.unmixed(step, two).logs
+            memory = chain.kept[step - 1].known.memory
+            joint = np.full((regimes.memories, regimes.size, runs), -np.inf)
+            each = np.arange(runs)
+            for own, weights in zip(memory, logs, strict=True):
+                joint[own, :, each] = np.logaddexp(joint[own, :, each], weights.T)
+            pairs.append(joint)
+            flow = backward.before(step, two)
+    return alone[::-1], pairs[::-1]
+
+
+def _picked(logs: Array, rng: np.random.Generator) -> Integers:
+    """A regime of each draw and run, by log-weights (draws, S, runs)."""
+    top = logs.max(axis=1, keepdims=True)
+    share = np.exp(logs - np.where(top > -np.inf, top, 0.0)).cumsum(axis=1)
+    chance = rng.random((len(logs), 1, logs.shape[-1])) * share[:, -1:]
+    found: Integers = np.minimum((chance >= share).sum(axis=1), logs.shape[1] - 1)
+    return found
+
+
+def _of(logs: Array, regimes: Integers) -> Array:
+    """The entries (draws, S, runs) of a regime of each draw and run."""
+    found: Array = np.take_along_axis(logs, regimes[:, None], axis=1)[:, 0]
+    return found

@@ -1,0 +1,125 @@
+"""Draws of the paths of a switching model's regimes, and of trajectories given these.
+
+The answer is a mixture of Gaussians at each step. Its draws are of a Markov chain of regimes that
+has the answer's smoothed probabilities of each two successive steps; defensive draws are of the
+model's own regimes. Given a path, all CPDs being linear, the posterior of the trajectory is a
+Gaussian that is drawn from exactly, so that weights are those of paths.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pgm.beliefs.hypotheses.outcome import HypothesisOutcome
+from pgm.beliefs.hypotheses.paths import PathLaw, follow
+from pgm.beliefs.hypotheses.run import Asked, chain_of, passes
+from pgm.cpds import AffineCPD
+from pgm.errors import ModelError, NumericalError
+from pgm.evidence import BoundEvidence
+from pgm.factors.scope import positions
+from pgm.inference.audit.corrected import Sums
+from pgm.inference.audit.draws import Draws
+from pgm.inference.audit.modes import Modes
+from pgm.inference.audit.states import StateSums
+from pgm.kernels.arrays import Array, Integers
+from pgm.linearisers import TAYLOR
+from pgm.schedules.schedule import Filtering, Smoothing
+
+
+@dataclass(frozen=True, eq=False)
+class SwitchingDraws:
+    """Paths and trajectories from the answer's law, or from the defensive one.
+
+    outcome : HypothesisOutcome
+        The answer.
+    bound : BoundEvidence
+    law : PathLaw
+        Of paths.
+    modes : Modes
+        None: paths are all that there is to be missed.
+    """
+
+    outcome: HypothesisOutcome
+    bound: BoundEvidence
+    law: PathLaw
+    modes: Modes
+
+    @classmethod
+    def make(cls, outcome: HypothesisOutcome) -> SwitchingDraws:
+        """Prepare to draw; nonlinear CPDs, and open sightings, are a ModelError."""
+        bound, call, asked = outcome._asked
+        smoothing = call._replace(schedule=Smoothing())
+        chain = chain_of(outcome.graph.model, bound, asked, call.lineariser, Filtering())
+        curved = [case for case in chain.roles.cases if not isinstance(case, AffineCPD)]
+        if curved or chain.roles.open:
+            told = f"{curved[0]!r} is nonlinear" if curved else "sightings leave open what was seen"
+            raise ModelError(
+                f"{told}: an audit of a switching model draws its discrete variables, and takes "
+                "linear CPDs, whose sightings leave nothing open, for exact given these"
+            )
+        _, backward = passes(outcome.graph, bound, smoothing, asked)
+        assert backward is not None
+        return cls(outcome, bound, PathLaw(backward), Modes.none(bound.runs))
+
+    @property
+    def _hidden(self) -> int:
+        return sum(v.dimension for v in self.outcome._beliefs.hidden)
+
+    @property
+    def width(self) -> int:
+        """The number of floats that a step of a draw of one run occupies while it is made."""
+        return 8 * self.outcome._regimes.size * (self._hidden + 1) ** 2
+
+    @property
+    def length(self) -> int:
+        """The number of floats of a whole draw of one run, of all steps."""
+        return (self.bound.steps + 1) * (2 * self._hidden + 1) ** 2
+
+    def sums(self) -> list[Sums | StateSums]:
+        """Sums over draws, still empty, of each hidden variable."""
+        outcome, beliefs, runs = self.outcome, self.outcome._beliefs, self.bound.runs
+        layout, steps = outcome.graph.layout, self.bound.steps
+        judged = np.array([outcome.kind.last(k, steps) == steps for k in range(steps + 1)])
+        found: list[Sums | StateSums] = []
+        for variable in beliefs.hidden:
+            first = 0 if variable in layout.states else 1
+            belief = outcome[variable]
+            shape = runs, steps + 1 - first, variable.dimension
+            mean = np.asarray(belief.mean).reshape(shape).swapaxes(0, 1)  # type: ignore[union-attr]
+            cov = np.asarray(belief.cov).reshape(*shape, shape[-1]).swapaxes(0, 1)  # type: ignore[union-attr]
+            places = np.arange(self._hidden)[positions(beliefs.hidden, (variable,))]
+            rest = mean, cov, judged[first:]
+            found.append(Sums((variable,), places, first, *rest, timed=True, plain=True))
+        for k, state in enumerate(outcome._regimes.hidden):
+            first = 0 if state in layout.states else 1
+            table = np.asarray(outcome[state].probabilities)  # type: ignore[union-attr]
+            shape = runs, steps + 1 - first, state.size
+            own = table.reshape(shape).swapaxes(0, 1)
+            found.append(StateSums(state, self._hidden + k, first, own, judged))
+        return found
+
+    def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:
+        """Make S = `count` draws for each run, from the answer's law or, if `defensive`, not."""
+        paths = self.law.drawn(count, rng, prior=defensive)
+        asked = Asked(count, mix=False, prune=True)
+        model = self.outcome.graph.model
+        chain = chain_of(model, self.bound, asked, TAYLOR, Filtering(), back=True)
+        followed = follow(chain, paths)
+        if followed.certain:
+            raise NumericalError(
+                "sensors without noise were read, by which hypotheses are certain, and no audit "
+                "weighs these: give the exact CPDs some noise"
+            )
+        values = followed.drawn(rng)
+        own = np.concatenate([values, self._states(paths)], axis=-1).swapaxes(1, 2)
+        target = followed.log_density.T
+        answer, alone = (self.law.log_probability(paths, prior=p).T for p in (False, True))
+        return Draws(target, answer, alone, list(own))
+
+    def _states(self, paths: Integers) -> Array:
+        """The states of hidden discrete variables along paths, (T+1, draws, runs, variables)."""
+        regimes = self.outcome._regimes
+        each = [regimes.states(v)[paths][..., None] for v in regimes.hidden]
+        return np.concatenate([np.zeros((*paths.shape, 0)), *each], axis=-1)

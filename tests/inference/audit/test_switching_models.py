@@ -1,0 +1,167 @@
+"""Audits of switching models, against the sum over all sequences of modes."""
+
+from itertools import product
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import pgm
+from pgm.beliefs.hypotheses.paths import PathLaw
+from pgm.beliefs.hypotheses.run import Asked, passes
+from pgm.schedules.options import Call
+from tests.beliefs.hypotheses import enumerated
+
+
+def drawn(seed, steps=6, **form):
+    rng = np.random.default_rng(seed)
+    found = enumerated.drawn(rng, **form)
+    return found, found.drawn(rng, steps)
+
+
+@pytest.mark.parametrize("belief", [None, pgm.Gaussians(mix=True), pgm.Gaussians(300)])
+@pytest.mark.parametrize("form", [{}, {"modes": 3, "zeros": True}], ids=["two", "three"])
+def test_an_audit_finds_what_enumeration_does(form, belief):
+    """Whatever was merged: the log-evidence, and moments and probabilities at all steps."""
+    model, values = drawn(3, steps=5, **form)
+    total, modes, mean, cov = model.enumerated(values)
+    posterior = pgm.smooth(model.model, {model.z: values}, belief=belief)
+    found = pgm.audit(posterior, samples=8000, rng=1)
+    assert found.trusted
+    assert not found.suspect
+    assert abs(found.log_evidence - total) < 5.0 * found.standard_error + 1e-6
+    assert_allclose(found.corrected[model.mode].probabilities, modes, atol=0.03)
+    std = np.sqrt(np.diagonal(cov, axis1=-2, axis2=-1))
+    assert (np.abs(found.corrected[model.x].mean - mean) < 0.06 * std).all()
+    own = found.corrected[model.x].std
+    assert_allclose(own, std, rtol=0.06)
+    assert found.effective_sample_size > 4000.0
+
+
+def test_an_answer_that_is_wrong_is_suspect():
+    """A single Gaussian for a mode that is told nats apart: log-evidence and beliefs are off."""
+    x, z = pgm.variables("x z")
+    mode = pgm.Discrete("mode", states=("left", "right"))
+    cases = {
+        name: pgm.LinearGaussianCPD(x, {x.previous: 1.0}, offset=off, cov=0.1)
+        for name, off in (("left", -3.0), ("right", 3.0))
+    }
+    even = pgm.TableCPD(mode, table=[0.5, 0.5])
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(x, 0.0, 0.1)],
+        [even, pgm.SwitchingCPD(x, mode, cases)],
+        [pgm.LinearGaussianCPD(z, {x: 1.0}, cov=0.1)],
+    )
+    given = {z: [[np.nan], [np.nan], [9.0]]}
+    right = pgm.audit(pgm.smooth(model, given, belief=pgm.Gaussians(8)), samples=500, rng=0)
+    wrong = pgm.audit(pgm.smooth(model, given), samples=500, rng=0)
+    assert right.trusted
+    assert not right.suspect
+    assert wrong.suspect
+    assert "SUSPECT" in repr(wrong)
+
+
+def test_a_filter_is_judged_by_its_last_step_and_runs_by_themselves():
+    model, _ = drawn(4)
+    rng = np.random.default_rng(4)
+    values = np.stack([model.drawn(rng, 6) for _ in range(3)])
+    values[1, 2] = np.nan
+    posterior = pgm.filter(model.model, {model.z: values})
+    found = pgm.audit(posterior, samples=2000, rng=1)
+    for run in range(3):
+        total, modes, mean, _ = model.enumerated(values[run])
+        assert abs(found.log_evidence[run] - total) < 5.0 * found.standard_error[run] + 1e-6
+        assert_allclose(found.corrected[model.mode].probabilities[run], modes, atol=0.06)
+        assert_allclose(found.corrected[model.x].mean[run], mean, atol=0.2)
+    assert not found.suspect.any()
+    assert "x[6]" in repr(found) or "mode[6]" in repr(found)
+
+
+def test_the_law_of_paths_has_the_probabilities_that_it_draws_by():
+    """Sums over all paths are one; draws are as frequent as they are probable; both laws."""
+    model, values = drawn(5, steps=3, modes=3, zeros=True)
+    graph = pgm.compile(model.model, 3)
+    bound = graph and pgm.smooth(model.model, {model.z: values})._outcome._asked[0]
+    call = Call(pgm.Smoothing())
+    _, backward = passes(graph, bound, call, Asked(None, mix=False))
+    law, rng = PathLaw(backward), np.random.default_rng(0)
+    every = np.array(list(product(range(3), repeat=4))).T[..., None]
+    for prior in (False, True):
+        share = np.exp(law.log_probability(every, prior=prior)[:, 0])
+        assert share.sum() == pytest.approx(1.0)
+        paths = law.drawn(20_000, rng, prior=prior)[..., 0]
+        number = np.ravel_multi_index(tuple(paths), (3,) * 4)
+        counts = np.bincount(number, minlength=81) / 20_000
+        assert_allclose(counts, share, atol=5.0 * np.sqrt(0.25 / 20_000))
+        assert not counts[share == 0.0].any()
+
+
+def test_controls_inputs_observed_modes_and_tables():
+    """The correction is that of an answer which keeps all sequences."""
+    m, w = pgm.Discrete("m", states=("a", "b")), pgm.Discrete("w", states=("p", "q"))
+    y = pgm.Discrete("y", states=("n", "o"))
+    x, z, u, h = pgm.variables("x z u h")
+    line = pgm.LinearGaussianCPD
+    moves = {
+        (i, j): line(x, {x.previous: 0.9, u: 1.0, h: 0.5}, cov=0.1 + i + 2 * j)
+        for i in range(2)
+        for j in range(2)
+    }
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.TableCPD(m, table=[0.4, 0.6]), pgm.GaussianCPD(x, 0.0, 1.0)],
+        [
+            pgm.TableCPD(m, m.previous, table=[[0.8, 0.2], [0.3, 0.7]]),
+            pgm.GaussianCPD(h, 0.0, 1.0),
+            pgm.SwitchingCPD(x, (m, w), moves),
+        ],
+        [line(z, {x: 1.0}, cov=0.3), pgm.TableCPD(y, m, table=[[0.9, 0.1], [0.3, 0.7]])],
+    )
+    given = {
+        u: np.linspace(-1.0, 1.0, 6)[:, None],
+        w: ["p", "q", "q", "p", "p", "q"],
+        z: np.array([0.0, 1.0, np.nan, -2.0, 0.5, 1.0])[:, None],
+        y: [0, 1, 1, 0, 0, 1],
+    }
+    due = pgm.smooth(model, given, belief=pgm.Gaussians(200))
+    found = pgm.audit(pgm.smooth(model, given), samples=4000, rng=2)
+    assert abs(found.log_evidence - due.log_evidence) < 5.0 * found.standard_error
+    for variable in (x, h):
+        assert_allclose(found.corrected[variable].mean, due[variable].mean, atol=0.1)
+    assert_allclose(found.corrected[m].probabilities, due[m].probabilities, atol=0.05)
+    assert found.moment_divergence[h].shape == (6,)
+    assert found.moment_divergence[m].shape == (7,)
+
+
+def test_what_is_not_audited():
+    model, values = drawn(6)
+    x, z = model.x, model.z
+    seen = pgm.NonlinearGaussianCPD(z, x, lambda x: np.sin(x[..., :1]), cov=0.1)
+    curved = model.model.replace(observation=[seen])
+    with pytest.raises(pgm.ModelError, match="is nonlinear: an audit of a switching model"):
+        pgm.audit(pgm.smooth(curved, {z: values}), rng=0)
+    fork = pgm.Discrete("fork", states=("l", "r"))
+    cases = {k: pgm.GaussianCPD(A, float(k), 0.0) for k in range(2)}
+    certain = pgm.DynamicBayesianNetwork(
+        [pgm.TableCPD(fork, table=[0.5, 0.5]), pgm.SwitchingCPD(A, fork, cases)],
+        [
+            pgm.TableCPD(fork, fork.previous, table=np.eye(2)),
+            pgm.LinearGaussianCPD(A, {A.previous: 1.0}, cov=0.0),
+        ],
+        [pgm.LinearGaussianCPD(C, {A: 1.0}, cov=0.0)],
+    )
+    with pytest.raises(pgm.NumericalError, match="sensors without noise were read"):
+        pgm.audit(pgm.smooth(certain, {C: [[1.0]]}), rng=0)
+    several = pgm.smooth(curved_alone(), {C: [[1.0]]}, belief=pgm.Gaussians(2, starts=4))
+    with pytest.raises(pgm.ModelError):
+        pgm.audit(several, rng=0)
+
+
+A, C = pgm.variables("a c")
+
+
+def curved_alone():
+    return pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(A, 0.1, 1.0)],
+        [pgm.LinearGaussianCPD(A, {A.previous: 1.0}, cov=0.1)],
+        [pgm.NonlinearGaussianCPD(C, A, lambda a: a**2, cov=0.1)],
+    )
