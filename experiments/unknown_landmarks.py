@@ -66,7 +66,7 @@ def run(
 
     ways: dict[str, tuple[Any, pgm.Gaussians | None]] = {
         "named": (named, None),
-        "the likeliest": (open_(gate=GATE), None),
+        "the likeliest": (open_(gate=GATE, association="likelihood"), None),
         "joint compatibility": (open_(gate=GATE, association="joint"), None),
         "summed, 1": (open_(gate=GATE, association="sum"), pgm.Gaussians(1)),
         "exclusive, 4": (open_(gate=GATE, association="joint"), pgm.Gaussians(4)),

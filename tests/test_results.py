@@ -38,7 +38,7 @@ def sighted():
     sees = pgm.LinearGaussianCPD(z, {M: 1.0}, cov=1.0)
     there = pgm.Variable("there")
     grown = pgm.GrowingMap().add(pgm.GaussianCPD(there, 0.0, 1.0))
-    return grown.add(sees, {z: 1.0, M: pgm.unknown([there])})
+    return grown.add(sees, {z: 1.0, M: pgm.unknown([there], association="likelihood")})
 
 
 # What the table of the module says, as calls.
@@ -46,7 +46,11 @@ CALLS = {
     "Association": lambda: sighted().associations[z],
     "Associations": lambda: pgm.filter(
         SEES,
-        {z: pgm.sightings([[1.0]], step=[1], given={M: pgm.unknown([[0.0], [5.0]])})},
+        {
+            z: pgm.sightings(
+                [[1.0]], step=[1], given={M: pgm.unknown([[0.0], [5.0]], association="likelihood")}
+            )
+        },
         steps=1,
     ).associations[z],
     "Audit": lambda: pgm.audit(pgm.smooth(squares, {z: [[4.0]]}), samples=20, rng=0),

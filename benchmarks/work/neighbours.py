@@ -88,7 +88,7 @@ def unknown_landmark(work: Robots) -> Robots:
     steps = work.steps
     drawn = robots.draw(1, steps, stay=-(-steps // CANDIDATES))
     candidates = np.unique(drawn.landmarks.reshape(-1, 2), axis=0)
-    which: dict[pgm.Variable, Any] = {landmark: pgm.unknown(candidates)}
+    which: dict[pgm.Variable, Any] = {landmark: pgm.unknown(candidates, association="likelihood")}
     seen = pgm.sightings(drawn.readings[0, :, 0], np.arange(1, steps + 1), which)
     return _sensed(drawn, drawn.network, {sighting: seen})
 

@@ -189,7 +189,7 @@ class OneOf(InCode, Immutable):
     log_shares: Array
     volume: float | None
     gate: float | None
-    association: str
+    association: str | None
 
     def __init__(
         self,
@@ -199,7 +199,7 @@ class OneOf(InCode, Immutable):
         new: float,
         volume: float | None,
         gate: float | None,
-        association: str,
+        association: str | None,
     ) -> None:
         shares = np.ones(count)
         if weights is not None:
@@ -228,7 +228,7 @@ class OneOf(InCode, Immutable):
             )
         if gate is not None and (not is_number(gate) or not 0.0 < gate < 1.0):
             raise EvidenceError(f"unknown: gate is a probability between 0 and 1, not {gate!r}")
-        if association not in (LIKELIHOOD, SUM, JOINT):
+        if association not in (None, LIKELIHOOD, SUM, JOINT):
             raise EvidenceError(
                 f'unknown: association is "{LIKELIHOOD}", "{JOINT}" or "{SUM}", not {association!r}'
             )
@@ -250,6 +250,11 @@ class OneOf(InCode, Immutable):
         )
 
     @property
+    def is_summed(self) -> bool:
+        """Whether candidates are summed over, as they are unless something else is said."""
+        return self.association in (None, SUM)
+
+    @property
     def log_outliers(self) -> Array:
         """The log-densities of spurious and of new sightings, each with its probability, (2,)."""
         volume = 1.0 if self.volume is None else self.volume
@@ -257,7 +262,8 @@ class OneOf(InCode, Immutable):
         return found
 
     def __repr__(self) -> str:
-        return f"unknown(one of {self.count:,}, by {self.association})"
+        how = "" if self.association is None else f", by {self.association}"
+        return f"unknown(one of {self.count:,}{how})"
 
 
 class Unknown(OneOf):
@@ -313,7 +319,7 @@ def unknown(
     new: float = 0.0,
     volume: float | None = None,
     gate: float | None = None,
-    association: str = LIKELIHOOD,
+    association: str | None = None,
 ) -> OneOf:
     r"""A sighting's parent that is not known: one of some candidates, or none.
 
@@ -322,10 +328,11 @@ def unknown(
 
     .. math:: \sum_k w_k (1 - s - n) \, p(z \mid x, m_k) + \frac{s + n}{V}
 
-    with ``association="sum"``, where what was seen is summed out; with ``"likelihood"`` it is the
-    largest of these terms. Beliefs of Gaussians that sum are mixtures of `Gaussians`, of one unless
-    ``belief=`` asks for more: each candidate is a hypothesis, tried sighting by sighting. With
-    ``"likelihood"``, at the predicted belief of each step, given also what of its measurements
+    with ``association="sum"``, the default, where what was seen is summed out; with
+    ``"likelihood"`` it is the largest of these terms. Beliefs of Gaussians that sum are mixtures of
+    `Gaussians`, of one unless ``belief=`` asks for more: each candidate is a hypothesis, tried
+    sighting by sighting. With ``"likelihood"``, which is faster, and too sure of itself where
+    candidates are close, at the predicted belief of each step, given also what of its measurements
     leaves nothing open, every sighting is given its likeliest candidate, of ln w_k + ln N(z; ẑ_k,
     S_k) with the innovation's covariance S_k, and the network is then inferred as if that had been
     known; sensors are taken in one after the other, in the order of the network. Two sightings of a
@@ -359,8 +366,9 @@ def unknown(
         to lie; of grids and particles that of the residual, at each point. A sighting without a
         candidate is spurious or new, whichever was likelier; where neither is declared Gaussian
         beliefs leave it out of the density, and to point masses it is impossible.
-    association : str
-        ``"likelihood"``, ``"joint"`` or ``"sum"``.
+    association : str, optional
+        ``"sum"``, ``"likelihood"`` or ``"joint"``. Without it a network over time sums, and a
+        `GrowingMap`, which does not, takes the likeliest.
 
     References
     ----------
@@ -371,7 +379,7 @@ def unknown(
     Examples
     --------
     >>> unknown([[0.0, 1.0], [5.0, 1.0]], spurious=0.1, volume=60.0, gate=0.999)
-    unknown(one of 2, by likelihood)
+    unknown(one of 2)
     """
     shares = weights, spurious, new, volume, gate, association
     if isinstance(candidates, Variable):

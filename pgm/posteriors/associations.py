@@ -19,7 +19,7 @@ from pgm.cpds.mixture import UnidentifiedCPD
 from pgm.display import Listing, Shown, Summary, number, places, whereabouts
 from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Reading, Unknown
-from pgm.evidence.values import JOINT, SUM, UnknownVariable, variables_left_open
+from pgm.evidence.values import JOINT, UnknownVariable, variables_left_open
 from pgm.immutable import Immutable
 from pgm.kernels import association
 from pgm.kernels.arrays import Array, Integers, Mask
@@ -141,7 +141,7 @@ def is_open(bound: BoundEvidence) -> bool:
 def is_summed(bound: BoundEvidence) -> bool:
     """Whether sightings are open among hidden variables, or are to be summed over candidates."""
     every = [reading.unknown[1] for reading in bound.readings if reading.unknown is not None]
-    return any(isinstance(own, UnknownVariable) or own.association == SUM for own in every)
+    return any(isinstance(own, UnknownVariable) or own.is_summed for own in every)
 
 
 def by_density(bound: BoundEvidence) -> BoundEvidence:
@@ -183,7 +183,7 @@ def unidentified(reading: Reading, parent: Variable, unknown: Unknown) -> Uniden
         unknown.log_shares[:-2],
         unknown.log_outliers,
         unknown.gate,
-        unknown.association == SUM,
+        unknown.is_summed,
     )
 
 

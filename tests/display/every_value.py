@@ -149,7 +149,7 @@ def filtered():
     online = pgm.OnlineFilter(model)
     lagged = pgm.OnlineFilter(model, lag=2)
     belief = online.predict(online.initial(), {U: [1.0, 0.1, 0.5]})
-    nameless = pgm.unknown([[30.0, 5.0], [0.0, 9.0]], gate=0.99)
+    nameless = pgm.unknown([[30.0, 5.0], [0.0, 9.0]], gate=0.99, association="likelihood")
     guess = pgm.sightings(drawn[Z], step=np.arange(STEPS + 1), given={M: nameless})
     guessed = pgm.filter(model, {U: asked[U], Z: guess})
     gated = pgm.filter(model, batch.evidence, gate=0.9)
@@ -158,7 +158,7 @@ def filtered():
     grown = pgm.GrowingMap().add(pgm.GaussianCPD(M, np.zeros(2), np.eye(2)))
     landmark = pgm.Variable("landmark", M.components)
     sees = pgm.LinearGaussianCPD(Z, {landmark: np.eye(2)}, cov=1.0)
-    sighted = grown.add(sees, {Z: [0.0, 1.0], landmark: pgm.unknown([M])})
+    sighted = grown.add(sees, {Z: [0.0, 1.0], landmark: pgm.unknown([M], association="likelihood")})
     return {
         "dynamic network": model,
         "sample": drawn,

@@ -17,14 +17,16 @@ rain = pgm.Discrete("rain", ("no", "yes"))
     ids=["list", "tuple", "array", "generator"],
 )
 def test_candidates_are_variables_in_order(several):
-    found = pgm.unknown(several, weights=[1.0, 3.0], spurious=0.2, volume=5.0, gate=0.99)
+    found = pgm.unknown(
+        several, weights=[1.0, 3.0], spurious=0.2, volume=5.0, gate=0.99, association="likelihood"
+    )
     assert found.candidates == (here, there)
     np.testing.assert_allclose(np.exp(found.log_shares), [0.2, 0.6, 0.2, 0.0])
     assert repr(found) == "unknown(one of 2, by likelihood)"
 
 
 def test_scalars_have_any_names():
-    assert pgm.unknown([x, z]).candidates == (x, z)
+    assert pgm.unknown([x, z], association="likelihood").candidates == (x, z)
 
 
 @pytest.mark.parametrize(
@@ -45,17 +47,17 @@ def test_scalars_have_any_names():
 )
 def test_what_is_no_list_of_candidates(several, error, words):
     with pytest.raises(error, match=words):
-        pgm.unknown(several)
+        pgm.unknown(several, association="likelihood")
 
 
 def test_shares_are_checked_as_of_values():
     with pytest.raises(pgm.EvidenceError, match="weights are 2 numbers"):
-        pgm.unknown([here, there], weights=[1.0])
+        pgm.unknown([here, there], weights=[1.0], association="likelihood")
     with pytest.raises(pgm.EvidenceError, match="give gate="):
         pgm.unknown([here, there], association="joint")
 
 
-OPEN = pgm.unknown([here, there])
+OPEN = pgm.unknown([here, there], association="likelihood")
 MODEL = pgm.DynamicBayesianNetwork(
     prior=[pgm.GaussianCPD(x, 0.0, 1.0)],
     transition=[pgm.LinearGaussianCPD(x, {x.previous: 1.0}, 1.0)],

@@ -166,7 +166,7 @@ def test_what_cannot_be_prepared_is_refused():
         pgm.prepare(pgm.compile(net), {})
     graph = pgm.compile(robot(), STEPS)
     given = evidence(0)
-    left = pgm.unknown([[7.0, 1.0], [4.0, 12.0]])
+    left = pgm.unknown([[7.0, 1.0], [4.0, 12.0]], association="likelihood")
     opened = given | {Z: pgm.sightings(given[Z].values, given[Z].step, {M: left})}
     with pytest.raises(pgm.EvidenceError, match="associated anew in each call"):
         pgm.prepare(graph, opened)

@@ -192,7 +192,7 @@ def wandered(jump, clutter, steps=60, seed=2):
 def test_sightings_that_are_of_no_candidate_tell_of_a_kidnapped_robot(options, gate):
     """They are left out, so that neither innovations nor gates say anything."""
     jumped, stayed = (wandered(np.array(way), 0.0) for way in ([7.0, -6.0], [0.0, 0.0]))
-    given = {SPOT: pgm.unknown(SPOTS, **options)}
+    given = {SPOT: pgm.unknown(SPOTS, **({"association": "likelihood"} | options))}
     both = pgm.sightings(np.stack([jumped[0], stayed[0]]), step=jumped[1], given=given)
     found = pgm.filter(wanderer(), {SEEN: both}, steps=60, gate=gate)
     (stretch,) = found.lost.stretches
@@ -212,12 +212,12 @@ def test_sightings_that_are_of_no_candidate_tell_of_a_kidnapped_robot(options, g
 def test_clutter_that_was_declared_makes_no_belief_lost():
     values, step = wandered(np.zeros(2), 0.6, steps=200)
     for share, lost in [(0.6, False), (0.05, True)]:
-        given = {SPOT: pgm.unknown(SPOTS, spurious=share, volume=1.44e4)}
+        given = {SPOT: pgm.unknown(SPOTS, spurious=share, volume=1.44e4, association="likelihood")}
         seen = pgm.sightings(values, step=step, given=given)
         found = pgm.filter(wanderer(), {SEEN: seen}, steps=200)
         assert bool(found.lost) is lost
     values, step = wandered(np.array([7.0, -6.0]), 0.6, steps=200)
-    given = {SPOT: pgm.unknown(SPOTS, spurious=0.6, volume=1.44e4)}
+    given = {SPOT: pgm.unknown(SPOTS, spurious=0.6, volume=1.44e4, association="likelihood")}
     found = pgm.filter(wanderer(), {SEEN: pgm.sightings(values, step=step, given=given)}, steps=200)
     assert found.lost.at[-1]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 from pgm.arguments import public
@@ -113,6 +113,11 @@ class Gaussians(BeliefFamily[Any]):
     )
     beliefs: ClassVar[str] = "mixtures of Gaussians"
     spare: ClassVar[str] = "is not for mixtures of Gaussians"
+    more: ClassVar[Mapping[str, str]] = dict.fromkeys(
+        ("keep", "executor", "start", "gate", "lag", "watch"),
+        ": leave it out; or, where sightings by pgm.unknown are summed over, decide what each is of, "
+        'by unknown(..., association="likelihood")',
+    )
 
     def __init__(
         self, count: int | None = None, mix: bool = False, starts: int = 0, draws: int = 0

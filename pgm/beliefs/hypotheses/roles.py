@@ -79,7 +79,8 @@ def roles_of(model: DynamicBayesianNetwork, bound: BoundEvidence) -> Roles:
             raise ModelError(
                 f"{case!r} has robust noise, and what hypotheses are weighed by are densities, of "
                 "which robust noise gives but a bound: make outliers a state of a discrete "
-                "variable, with a case of larger noise",
+                "variable, with a case of larger noise; or, of sightings by pgm.unknown, give "
+                'association="likelihood"',
                 variable=case.child,
                 cpd=case,
             )

@@ -139,7 +139,8 @@ def _require_once(call: Call, roles: Roles) -> None:
         raise ModelError(
             f"{schedule!r} linearises again at smoothed beliefs, and mixtures of Gaussians are "
             f"smoothed as the filter linearised them ({nonlinear[0]!r}): leave iterations out, or "
-            "give them to pgm.filter",
+            "give them to pgm.filter; or decide what sightings by pgm.unknown are of, "
+            'association="likelihood"',
             cpd=nonlinear[0],
         )
 

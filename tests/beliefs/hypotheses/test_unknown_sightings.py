@@ -307,7 +307,11 @@ def test_what_cannot_be_is_refused():
             {Z: pgm.sightings(READ[:1], given={MARK: pgm.unknown(MARKS, association="sum")})},
         )
     other = pgm.Variable("other", components=("e", "n"))
-    foreign = {Z: pgm.sightings(READ, step=STEPS, given={MARK: pgm.unknown([other, MARK])})}
+    foreign = {
+        Z: pgm.sightings(
+            READ, step=STEPS, given={MARK: pgm.unknown([other, MARK], association="likelihood")}
+        )
+    }
     with pytest.raises(pgm.EvidenceError, match="where they are hidden in a dynamic network"):
         pgm.filter(MODEL, foreign, steps=2)
     bent = pgm.Variable("bent", components=("e", "turn"), angles=("turn",))
@@ -316,10 +320,16 @@ def test_what_cannot_be_is_refused():
         [pgm.LinearGaussianCPD(bent, {bent.previous: 1.0}, cov=1.0), *MODEL.transition],
         MODEL.observation,
     )
-    wrong = {Z: pgm.sightings(READ, step=STEPS, given={MARK: pgm.unknown([bent])})}
+    wrong = {
+        Z: pgm.sightings(
+            READ, step=STEPS, given={MARK: pgm.unknown([bent], association="likelihood")}
+        )
+    }
     with pytest.raises(pgm.EvidenceError, match="which has components"):
         pgm.filter(model, wrong, steps=2)
-    particles = {Z: pgm.sightings(READ, step=STEPS, given={MARK: pgm.unknown([X])})}
+    particles = {
+        Z: pgm.sightings(READ, step=STEPS, given={MARK: pgm.unknown([X], association="likelihood")})
+    }
     with pytest.raises(pgm.EvidenceError, match="left open among variables"):
         pgm.filter(MODEL, particles, steps=2, belief=pgm.Particles(10, seed=0))
     many = pgm.unknown(np.zeros((70, 2)), gate=0.99, association="joint")

@@ -47,7 +47,13 @@ TRUTH = [0, 1, 2, 1]
 
 
 def open_(values=SEEN, step=STEP, **named):
-    return {z: pgm.sightings(values, step=step, given={m: pgm.unknown(MARKS, **named)})}
+    return {
+        z: pgm.sightings(
+            values,
+            step=step,
+            given={m: pgm.unknown(MARKS, **({"association": "likelihood"} | named))},
+        )
+    }
 
 
 def known(values=SEEN, step=STEP, which=TRUTH):
@@ -112,7 +118,9 @@ def test_errors_name_the_run_and_the_candidate(named, message, run):
         plain.prior, plain.transition, [pgm.NonlinearGaussianCPD(z, (x, m, dust), **given)]
     )
     values = np.broadcast_to(SEEN, (3, *SEEN.shape))
-    seen = pgm.sightings(values, step=STEP, given={m: pgm.unknown(MARKS), dust: rough})
+    seen = pgm.sightings(
+        values, step=STEP, given={m: pgm.unknown(MARKS, association="likelihood"), dust: rough}
+    )
     with pytest.raises(pgm.PgmError, match=f"at step 1, {message}") as refusal:
         pgm.filter(model, {z: seen}, steps=4, compiled=False)
     assert (refusal.value.step, refusal.value.run) == (1, run)
@@ -127,7 +135,10 @@ def test_equal_calls_have_equal_answers():
     np.testing.assert_array_equal(first.probability, later.probability)
     online = pgm.OnlineFilter(nonlinear(), compiled=False)
     first, later = (
-        online.update(online.initial(), {z: pgm.sightings(SEEN[:2], given={m: pgm.unknown(MARKS)})})
+        online.update(
+            online.initial(),
+            {z: pgm.sightings(SEEN[:2], given={m: pgm.unknown(MARKS, association="likelihood")})},
+        )
         for _ in range(2)
     )
     np.testing.assert_array_equal(
@@ -211,7 +222,9 @@ def test_online_is_offline():
         belief, taken = online.initial(), []
         for step in range(1, 4):
             belief = online.predict(belief)
-            given = {m: pgm.unknown(MARKS, gate=0.9999, new=0.1, volume=90.0)}
+            given = {
+                m: pgm.unknown(MARKS, gate=0.9999, new=0.1, volume=90.0, association="likelihood")
+            }
             read = pgm.sightings(SEEN[step == STEP], given=given)
             belief = online.update(belief, {z: read})
             taken += belief.associations[z].candidate.tolist()
@@ -267,7 +280,7 @@ def test_particles_online():
     online = pgm.OnlineFilter(robot(), belief=few)
     belief = online.initial()
     for step in range(1, 4):
-        given = {m: pgm.unknown(MARKS, **evidence)}
+        given = {m: pgm.unknown(MARKS, **({"association": "likelihood"} | evidence))}
         read = {z: pgm.sightings(SEEN[step == STEP], given=given)}
         belief = online.update(online.predict(belief), read)
         np.testing.assert_array_equal(belief[x].states, offline[x][step].states)
@@ -304,14 +317,16 @@ def test_grids_take_the_likeliest_by_cell_in_batches_and_online():
     online = pgm.OnlineFilter(robot(), belief=GRID)
     belief = online.initial()
     for step in range(1, 4):
-        read = pgm.sightings(SEEN[step == STEP], given={m: pgm.unknown(MARKS)})
+        read = pgm.sightings(
+            SEEN[step == STEP], given={m: pgm.unknown(MARKS, association="likelihood")}
+        )
         belief = online.update(online.predict(belief), {z: read})
     np.testing.assert_allclose(belief.log_evidence, both.log_evidence[0], atol=1e-9)
 
 
 def test_the_gate_of_points_is_of_residuals():
     """A particle two deviations away is within a gate of three, beyond one of one and a half."""
-    near = pgm.unknown([[0.0, 0.0]], gate=float(1.0 - np.exp(-4.5)))
+    near = pgm.unknown([[0.0, 0.0]], gate=float(1.0 - np.exp(-4.5)), association="likelihood")
     evidence = {z: pgm.sightings([[0.6, 0.0]], step=[0], given={m: near})}
     still = pgm.DynamicBayesianNetwork(
         [pgm.GaussianCPD(x, mean=[0.0, 0.0], cov=1e-12 * np.eye(2))],
@@ -321,7 +336,7 @@ def test_the_gate_of_points_is_of_residuals():
     found = pgm.filter(still, evidence, steps=0, belief=pgm.Particles(50))
     expected = norm.logpdf([0.6, 0.0], scale=0.3).sum()
     np.testing.assert_allclose(found.log_evidence, expected, atol=1e-4)
-    tight = pgm.unknown([[0.0, 0.0]], gate=float(1.0 - np.exp(-1.125)))
+    tight = pgm.unknown([[0.0, 0.0]], gate=float(1.0 - np.exp(-1.125)), association="likelihood")
     evidence = {z: pgm.sightings([[0.6, 0.0]], step=[0], given={m: tight})}
     with pytest.raises(pgm.EvidenceError, match="impossible"):
         pgm.filter(still, evidence, steps=0, belief=pgm.Particles(50))
@@ -349,10 +364,12 @@ def test_what_is_no_unknown(named, message):
 
 
 def test_what_cannot_be_left_open():
-    narrow = {z: pgm.sightings(SEEN, step=STEP, given={m: pgm.unknown([[1.0]])})}
+    narrow = {
+        z: pgm.sightings(SEEN, step=STEP, given={m: pgm.unknown([[1.0]], association="likelihood")})
+    }
     with pytest.raises(pgm.EvidenceError, match="candidates of 1 components"):
         pgm.filter(robot(), narrow, steps=3)
-    strange = {m: MARKS[TRUTH], fix: pgm.unknown(MARKS)}
+    strange = {m: MARKS[TRUTH], fix: pgm.unknown(MARKS, association="likelihood")}
     with pytest.raises(pgm.EvidenceError, match="no observed parent"):
         pgm.filter(robot(), {z: pgm.sightings(SEEN, step=STEP, given=strange)}, steps=3)
     sensor = pgm.LinearGaussianCPD(z, given={m: np.eye(2), x: -np.eye(2)}, cov=np.zeros((2, 2)))
@@ -382,4 +399,4 @@ def pgm_steps(evidence):
 
 def test_no_candidates_are_refused_by_their_shape():
     with pytest.raises(pgm.EvidenceError, match=r"found shape \(0, 2\)"):
-        pgm.unknown(np.zeros((0, 2)))
+        pgm.unknown(np.zeros((0, 2)), association="likelihood")

@@ -44,7 +44,7 @@ def drawn(runs, rng):
 @pytest.mark.parametrize("named", [{}, {"spurious": 0.2, "volume": 50.0, "gate": 0.95}])
 def test_every_step_is_associated_as_offline(sensors, runs, named):
     far, close, read = drawn(runs, np.random.default_rng(3))
-    given = {m: pgm.unknown(MARKS, **named)}
+    given = {m: pgm.unknown(MARKS, **({"association": "likelihood"} | named))}
 
     def at(step):
         """The measurements of one step, of the sensors in question."""
@@ -75,7 +75,7 @@ def test_every_step_is_associated_as_offline(sensors, runs, named):
 
 def test_a_sensor_that_is_known_decides_what_was_seen():
     """Between two marks by the prior; the coordinate that is read tells which."""
-    marks = pgm.unknown([[2.0, 0.0], [4.0, 0.0]])
+    marks = pgm.unknown([[2.0, 0.0], [4.0, 0.0]], association="likelihood")
     online = pgm.OnlineFilter(robot())
     for place, which in ((-0.9, 0), (0.9, 1)):
         belief = online.predict(online.initial())
@@ -85,14 +85,18 @@ def test_a_sensor_that_is_known_decides_what_was_seen():
 
 def test_no_sightings_are_no_associations():
     online = pgm.OnlineFilter(robot())
-    none = pgm.sightings(np.zeros((0, 2)), given={m: pgm.unknown(MARKS)})
+    none = pgm.sightings(np.zeros((0, 2)), given={m: pgm.unknown(MARKS, association="likelihood")})
     belief = online.update(online.initial(), {z: none, gps: 0.4})
     assert_allclose(belief[x].mean, online.update(online.initial(), {gps: 0.4})[x].mean)
 
 
 @pytest.mark.parametrize("belief", [None, pgm.Particles(100)])
 def test_no_sightings_offline(belief):
-    evidence = {z: pgm.sightings(np.zeros((0, 2)), step=[], given={m: pgm.unknown(MARKS)})}
+    evidence = {
+        z: pgm.sightings(
+            np.zeros((0, 2)), step=[], given={m: pgm.unknown(MARKS, association="likelihood")}
+        )
+    }
     found = pgm.filter(robot(), evidence, steps=2, belief=belief)
     assert found.associations[z].probability.shape == (0, 5)
     assert found.log_evidence == 0.0
@@ -100,7 +104,11 @@ def test_no_sightings_offline(belief):
 
 @pytest.mark.parametrize("keep", [None, [x]])
 def test_posteriors_with_associations_are_pickled(keep):
-    evidence = {z: pgm.sightings([[1.0, 1.0]], step=[1], given={m: pgm.unknown(MARKS)})}
+    evidence = {
+        z: pgm.sightings(
+            [[1.0, 1.0]], step=[1], given={m: pgm.unknown(MARKS, association="likelihood")}
+        )
+    }
     found = pgm.filter(robot(), evidence, steps=1, keep=keep)
     for again in (pickle.loads(pickle.dumps(found)), copy.deepcopy(found)):
         expected = found.associations[z].probability
@@ -109,6 +117,8 @@ def test_posteriors_with_associations_are_pickled(keep):
 
 def test_weights_of_any_size():
     """Their sum may be more than a float holds."""
-    wide = pgm.unknown(MARKS, weights=[1e308, 1e308, 1e-308])
+    wide = pgm.unknown(MARKS, weights=[1e308, 1e308, 1e-308], association="likelihood")
     assert_allclose(np.exp(wide.log_shares[:3]), [0.5, 0.5, 0.0])
-    assert_allclose(pgm.unknown(MARKS, weights=[5e-324, 0, 0]).log_shares[0], 0.0)
+    assert_allclose(
+        pgm.unknown(MARKS, weights=[5e-324, 0, 0], association="likelihood").log_shares[0], 0.0
+    )

@@ -73,7 +73,10 @@ MODEL = network()
 
 def evidence(runs=(), missing=False, seed=1, sensors=(z, y), **named):
     """What some robots see of landmarks that nobody named, some of it clutter."""
-    rng, unknown = np.random.default_rng(seed), pgm.unknown(MARKS, **named)
+    rng, unknown = (
+        np.random.default_rng(seed),
+        pgm.unknown(MARKS, **({"association": "likelihood"} | named)),
+    )
     here = [np.zeros((*runs, 3))]
     for control in CONTROLS:
         noise = rng.normal(size=(*runs, 3)) * [0.1, 0.1, 0.05]
@@ -179,7 +182,13 @@ MIRRORED = np.array([[3.0, 1.0], [3.0, -1.0], [9.0, 9.0]])
 
 def near(values, **named):
     step = np.arange(values.shape[-2])
-    return {w: pgm.sightings(values, step=step, given={m: pgm.unknown(MIRRORED, **named)})}
+    return {
+        w: pgm.sightings(
+            values,
+            step=step,
+            given={m: pgm.unknown(MIRRORED, **({"association": "likelihood"} | named))},
+        )
+    }
 
 
 def test_candidates_that_are_as_likely_are_left(monkeypatch):

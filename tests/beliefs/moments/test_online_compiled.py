@@ -314,7 +314,9 @@ def test_a_control_is_not_measured_at_step_0():
 
 
 def test_sightings_of_unknown_landmarks_are_associated(robots):
-    readings = {z: pgm.sightings([[5.0, 1.0]], given={m: pgm.unknown(LANDMARKS)})}
+    readings = {
+        z: pgm.sightings([[5.0, 1.0]], given={m: pgm.unknown(LANDMARKS, association="likelihood")})
+    }
     due, found = (robot.update(belief, readings) for robot, belief in robots)
     assert_equal(found, due)
     assert str(found.associations[z]) == str(due.associations[z])

@@ -366,7 +366,11 @@ def test_sightings_of_nobody_knows_what_are_associated_and_weighed():
     told = pgm.smooth(network, known, steps=T, iterations=20)
     guessed = pgm.smooth(
         network,
-        {Z: pgm.sightings(values, step=at, given={m: pgm.unknown(marks)})},
+        {
+            Z: pgm.sightings(
+                values, step=at, given={m: pgm.unknown(marks, association="likelihood")}
+            )
+        },
         steps=T,
         iterations=20,
     )

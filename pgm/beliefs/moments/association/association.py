@@ -48,7 +48,7 @@ from pgm.beliefs.moments.steps.vector import vector
 from pgm.compile import DynamicGraph
 from pgm.errors import EvidenceError, NumericalError, PgmError
 from pgm.evidence import BoundEvidence, Reading
-from pgm.evidence.values import JOINT, SUM
+from pgm.evidence.values import JOINT
 from pgm.kernels import association, joint_compatibility, moments
 from pgm.kernels.arrays import Array, Mask, quiet, vacant
 from pgm.linearisers import Lineariser
@@ -238,7 +238,7 @@ class _Pending:
         assert reading.unknown is not None
         self.reading, self.gate = reading, gate
         self.parent, self.unknown = reading.unknown
-        if self.unknown.association == SUM:
+        if self.unknown.is_summed:
             raise EvidenceError(
                 f"sightings of {reading.cpd.child!r} leave {self.parent!r} open, to be summed out: "
                 "which mixtures of Gaussians do, and other families; give "
