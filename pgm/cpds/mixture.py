@@ -38,8 +38,8 @@ class MixtureCPD(CPD):
 
     Outliers of a sensor, wheels that slip, a robot that may have been carried away. Over time, with
     Gaussian components, beliefs are mixtures of Gaussians (`Gaussians`), of one unless ``belief=``
-    asks for more; or any, with ``belief=pgm.Particles(...)`` or ``pgm.Grid(...)``. Networks without
-    time have it as a `SwitchingCPD` of a discrete variable.
+    asks for more; or any, with ``belief=pgm.Particles(...)`` or ``pgm.Grid(...)``. In networks
+    without time they are mixtures of all configurations, as of a `SwitchingCPD`.
 
     Parameters
     ----------

@@ -37,10 +37,10 @@ def family_of(
         return belief
     # B is Any here, as it is of every call without belief=: which one the network decides.
     found: BeliefFamily[Any] = TABLES if model.discrete else MOMENTS
+    several = model.mixed or any(isinstance(cpd, MixtureCPD) for cpd in model.cpds)
     if isinstance(model, DynamicBayesianNetwork):
-        several = model.mixed or any(isinstance(cpd, MixtureCPD) for cpd in model.cpds)
         return GAUSSIANS if several or (bound is not None and is_summed(bound)) else found
-    return MIXED if model.mixed else found
+    return MIXED if several else found
 
 
 def answered(family: BeliefFamily[B], outcome: Outcome[B]) -> Posterior[B]:

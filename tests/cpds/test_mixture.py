@@ -235,9 +235,21 @@ def test_a_sensor_without_noise_is_refused():
             pgm.filter(exact, GIVEN, belief=pgm.Grid({"x": (-9.0, 9.0, 90)}))
 
 
-def test_gaussian_beliefs_without_time_refuse_it():
-    with pytest.raises(pgm.ModelError, match="is no Gaussian CPD"):
-        pgm.infer(pgm.compile(model().unroll(2)), {})
+def test_a_network_without_time_is_a_mixture_of_all_configurations():
+    """Unrolled, it has the exact beliefs that a smoother with room for all has."""
+    seldom = pgm.MixtureCPD(
+        [Linear(z, {x: 1.0}, cov=0.1), pgm.GaussianCPD(z, 0.0, 9.0)], [0.9, 0.1]
+    )
+    network = model(observation=[seldom])
+    steps = 3
+    own = {variable: values[:steps] for variable, values in GIVEN.items()}
+    due = pgm.smooth(network, own, belief=pgm.Gaussians(128))
+    given = {v.at(t + 1): row for v, values in own.items() for t, row in enumerate(values)}
+    found = pgm.infer(pgm.compile(network.unroll(steps)), given)
+    assert found.log_evidence == pytest.approx(due.log_evidence, abs=1e-9)
+    for step in range(steps + 1):
+        assert_allclose(found[x.at(step)].mean, due[x.at(step)].mean, atol=1e-9)
+        assert_allclose(found[x.at(step)].cov, due[x.at(step)].cov, atol=1e-9)
 
 
 def test_a_static_network_is_drawn():

@@ -6,17 +6,16 @@ Sightings of one step are drawn apart, so that each has a sensor, and a cause, o
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from pgm.compile import DynamicGraph, compile
-from pgm.cpds import CPD, MixtureCPD, SwitchingCPD, TableCPD
+from pgm.cpds import CPD, MixtureCPD, TableCPD
+from pgm.cpds.caused import caused, unused
 from pgm.evidence import BoundEvidence, Reading
-from pgm.kernels.arrays import Array
 from pgm.networks import DynamicBayesianNetwork
-from pgm.variables import Discrete, Variable
 
 
 def is_caused(model: DynamicBayesianNetwork) -> bool:
@@ -43,7 +42,7 @@ def with_causes(graph: DynamicGraph, bound: BoundEvidence) -> tuple[DynamicGraph
     return compile(made.model, bound.steps, compiled=compiled), whole
 
 
-def caused(model: DynamicBayesianNetwork) -> DynamicBayesianNetwork:
+def network_with_causes(model: DynamicBayesianNetwork) -> DynamicBayesianNetwork:
     """A network with causes in the place of mixtures, of one sighting a step."""
     return _Caused(model, {}).model if is_caused(model) else model
 
@@ -81,11 +80,10 @@ class _Caused:
             for k in range(count):
                 child = cpd.child
                 if count > 1:
-                    child = replace(child, name=self._new(f"{child.name} {k + 1}"))
-                cause, chosen = self._chosen(cpd, child)
-                tables = TableCPD(cause, table=_weights(cpd))
-                prior.append(tables)
-                transition.append(tables)
+                    child = replace(child, name=unused(f"{child.name} {k + 1}", self._names))
+                table, chosen = caused(cpd, self._names, child)
+                prior.append(table)
+                transition.append(table)
                 observation.append(chosen)
                 self._sensors.setdefault(cpd, []).append(chosen)
         self.model = DynamicBayesianNetwork(prior, transition, observation)
@@ -113,39 +111,9 @@ class _Caused:
         """The CPD of a state or control, and its cause's; a prior's cause stays as it was drawn."""
         if not isinstance(cpd, MixtureCPD):
             return [cpd]
-        cause, chosen = self._chosen(cpd, cpd.child)
+        table, chosen = caused(cpd, self._names)
         if first:  # what it is later does not matter
+            cause = chosen.switches[0]
             transition.append(TableCPD(cause, table=np.eye(cause.size)[0]))
         self.of[chosen] = cpd
-        return [TableCPD(cause, table=_weights(cpd)), chosen]
-
-    def _chosen(self, cpd: MixtureCPD, child: Variable) -> tuple[Discrete, CPD]:
-        """The cause of a mixture, and the CPD that it chooses."""
-        parts = [part for part, _ in _flat(cpd)]
-        states = tuple(str(k) for k in range(len(parts)))
-        cause = Discrete(self._new(f"component of {child.name}"), states=states)
-
-        def moved(variable: Variable) -> Variable:
-            return child if variable == cpd.child else variable
-
-        cases = {k: part._copy(moved) for k, part in enumerate(parts)}
-        return cause, SwitchingCPD(child, cause, cases)
-
-    def _new(self, name: str) -> str:
-        while name in self._names:
-            name += "'"
-        self._names.add(name)
-        return name
-
-
-def _flat(cpd: MixtureCPD) -> Iterable[tuple[CPD, float]]:
-    """The components of a mixture of mixtures, with their weights."""
-    for part, weight in zip(cpd.parts, cpd.weights.tolist(), strict=True):
-        if isinstance(part, MixtureCPD):
-            yield from ((own, weight * share) for own, share in _flat(part))
-        else:
-            yield part, weight
-
-
-def _weights(cpd: MixtureCPD) -> Array:
-    return np.array([weight for _, weight in _flat(cpd)])
+        return [table, chosen]

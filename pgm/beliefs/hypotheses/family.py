@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
 
 from pgm.arguments import public
-from pgm.beliefs.hypotheses.causes import caused, with_causes
+from pgm.beliefs.hypotheses.causes import network_with_causes, with_causes
 from pgm.beliefs.hypotheses.expectations import expectations
 from pgm.beliefs.hypotheses.online import HypothesisSteps
 from pgm.beliefs.hypotheses.run import Asked, passes, run
@@ -115,8 +115,8 @@ class Gaussians(BeliefFamily[Any]):
     spare: ClassVar[str] = "is not for mixtures of Gaussians"
     more: ClassVar[Mapping[str, str]] = dict.fromkeys(
         ("keep", "executor", "start", "gate", "lag", "watch"),
-        ": leave it out; or, where sightings by pgm.unknown are summed over, decide what each is of, "
-        'by unknown(..., association="likelihood")',
+        ": leave it out; or, where sightings by pgm.unknown are summed over, decide what each is "
+        'of, by unknown(..., association="likelihood")',
     )
 
     def __init__(
@@ -212,7 +212,7 @@ class Gaussians(BeliefFamily[Any]):
                     variable=cpd.child,
                     cpd=cpd,
                 )
-        return HypothesisSteps(caused(model), asked, **options)
+        return HypothesisSteps(network_with_causes(model), asked, **options)
 
     def _require_no_draws(self) -> None:
         """Refuse draws of a filter."""

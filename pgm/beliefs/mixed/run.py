@@ -15,7 +15,8 @@ from pgm.beliefs.mixed.tabled import Tabled
 from pgm.beliefs.mixed.weighing import Asked, Weighed, weighed
 from pgm.clustergraph import ClusterGraph
 from pgm.compile.methods import JunctionTree
-from pgm.cpds import CPD, ConditionalGaussian, SwitchingCPD
+from pgm.cpds import CPD, ConditionalGaussian, MixtureCPD, SwitchingCPD
+from pgm.cpds.caused import caused
 from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.evidence import Evidence
 from pgm.evidence.rows import as_rows, no_evidence_for, require_finite
@@ -41,6 +42,7 @@ class _Split(NamedTuple):
 
 def run(graph: ClusterGraph, evidence: Evidence, call: Call) -> MixedOutcome:
     """The beliefs of a network of discrete and continuous variables, given its evidence."""
+    graph = graph.derived(_with_causes)
     split: _Split = graph.derived(_split)
     variables = frozenset(graph.network.variables)
     for variable in evidence:
@@ -79,6 +81,18 @@ def run(graph: ClusterGraph, evidence: Evidence, call: Call) -> MixedOutcome:
     outcome = MixedOutcome(graph, beliefs, found, tabled.choices, known, lead, total)
     outcome.status._warn()
     return outcome
+
+
+def _with_causes(graph: ClusterGraph) -> ClusterGraph:
+    """The graph of a network whose mixtures hidden discrete variables choose, if it has any."""
+    network = graph.network
+    if not any(isinstance(cpd, MixtureCPD) for cpd in network.cpds):
+        return graph
+    names = {v.name for v in network.variables}
+    cpds = list[CPD]()
+    for cpd in network.cpds:
+        cpds += caused(cpd, names) if isinstance(cpd, MixtureCPD) else [cpd]
+    return JunctionTree()(BayesianNetwork(cpds))
 
 
 def _split(graph: ClusterGraph) -> _Split:

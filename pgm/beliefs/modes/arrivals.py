@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -22,11 +22,25 @@ from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.semirings import log_sum
 from pgm.posteriors.status import Status
+from pgm.schedules.damping import LevenbergMarquardt
+from pgm.schedules.options import Call
+from pgm.schedules.schedule import Calibration, Smoothing
+
+Kind = TypeVar("Kind", Smoothing, Calibration)
 
 # Two fixed points are one mode if no component differs by more of its deviations.
 APART = 0.5
 # Linearisations from a start, unless a call asks for others.
 ITERATIONS = 50
+
+
+def patient(call: Call, kind: type[Kind]) -> Kind:
+    """The schedule from each start: of many iterations, whose steps lower the cost."""
+    asked = call.schedule
+    damping = getattr(asked, "damping", None) or LevenbergMarquardt()
+    if isinstance(asked, kind) and asked.iterations > 1:
+        return kind(asked.iterations, asked.tolerance, damping)
+    return kind(ITERATIONS, damping=damping)
 
 
 def arrived(infer: Callable[[Integers], Any], starts: int) -> list[Part]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from pgm.beliefs.modes.adapted import adapt, warn_of_few
-from pgm.beliefs.modes.arrivals import ITERATIONS, arrived, chosen, warn_of_unsettled
+from pgm.beliefs.modes.arrivals import arrived, chosen, patient, warn_of_unsettled
 from pgm.beliefs.modes.chain_laws import ModeBeliefs, Trajectories, laws_of
 from pgm.beliefs.modes.outcome import ChainModes, Found
 from pgm.beliefs.modes.points import white_points
@@ -24,7 +24,6 @@ from pgm.kernels import roots
 from pgm.kernels.arrays import Array, Integers
 from pgm.posteriors.belief_kind import SMOOTHED
 from pgm.schedules.convergence import is_iterated
-from pgm.schedules.damping import LevenbergMarquardt
 from pgm.schedules.options import Call
 from pgm.schedules.schedule import ONCE, Smoothing, kind_of
 from pgm.variables import Variable
@@ -47,7 +46,7 @@ def run(
             "starts= looks for modes of continuous variables, whose CPDs are nonlinear; discrete "
             "variables and open sightings have hypotheses already: leave starts out"
         )
-    schedule = _schedule(call)
+    schedule = patient(call, Smoothing)
     begun = _begun(graph, bound, call, starts)
     asked = call._replace(schedule=schedule)
 
@@ -88,15 +87,6 @@ def _adapted(
     warn_of_few(adapted.effective, draws)
     beliefs = ModeBeliefs.make(adapted.laws, graph.layout, bound.lead)
     return found.with_draws(adapted.laws.weights, adapted.log_evidence, adapted.effective, beliefs)
-
-
-def _schedule(call: Call) -> Smoothing:
-    """The smoother from each start: of many iterations, whose steps lower the cost."""
-    asked = call.schedule
-    damping = getattr(asked, "damping", None) or LevenbergMarquardt()
-    if isinstance(asked, Smoothing) and asked.iterations > 1:
-        return Smoothing(asked.iterations, asked.tolerance, damping)
-    return Smoothing(ITERATIONS, damping=damping)
 
 
 def _begun(graph: DynamicGraph, bound: BoundEvidence, call: Call, starts: int) -> Array:

@@ -13,7 +13,7 @@ from pgm.beliefs import gaussian
 from pgm.beliefs.gaussian.model import Model
 from pgm.beliefs.gaussian.outcome import GaussianOutcome
 from pgm.beliefs.modes.adapted import Laws, adapt, warn_of_few, without_density
-from pgm.beliefs.modes.arrivals import ITERATIONS, arrived, chosen, warn_of_unsettled
+from pgm.beliefs.modes.arrivals import arrived, chosen, patient, warn_of_unsettled
 from pgm.beliefs.modes.network_density import NetworkDensity
 from pgm.beliefs.modes.outcome import Found, NetworkModes
 from pgm.beliefs.modes.points import white_points
@@ -29,7 +29,6 @@ from pgm.factors.scope import Scope, angle_mask, as_scope
 from pgm.kernels.arrays import Array, Index, Integers
 from pgm.kernels.moments import Conditional
 from pgm.schedules.convergence import is_iterated
-from pgm.schedules.damping import LevenbergMarquardt
 from pgm.schedules.options import Call
 from pgm.schedules.schedule import Calibration, Loopy
 from pgm.variables import Variable
@@ -54,7 +53,7 @@ def run(
             "starts= are runs beside the evidence's own, and a CPD of this network differs by run: "
             "give one run a call"
         )
-    schedule = _schedule(call)
+    schedule = patient(call, Calibration)
     if not evidence:
         raise EvidenceError(
             "starts= looks for modes that evidence leaves, and there is none: give some, or leave "
@@ -82,15 +81,6 @@ def run(
     if not is_iterated(call.schedule):  # which warns itself
         warn_of_unsettled(found, schedule.iterations)
     return NetworkModes(graph, _adapted(graph, found, model, draws) if draws else found)
-
-
-def _schedule(call: Call) -> Calibration:
-    """The calibration from each start: of many iterations, whose steps lower the cost."""
-    asked = call.schedule
-    damping = getattr(asked, "damping", None) or LevenbergMarquardt()
-    if isinstance(asked, Calibration) and asked.iterations > 1:
-        return Calibration(asked.iterations, asked.tolerance, damping)
-    return Calibration(ITERATIONS, damping=damping)
 
 
 def _repeated(bound: BoundValues, count: int) -> dict[Variable, Array]:
