@@ -11,13 +11,13 @@ import numpy as np
 from pgm.cpds import CPD
 from pgm.errors import EvidenceError
 from pgm.evidence import Reading
-from pgm.factors import Gaussian
+from pgm.factors import Gaussian, GaussianMixture
 from pgm.factors.scope import Scope
 from pgm.kernels.arrays import Array, Integers
 from pgm.variables import Discrete, Variable
 
-# Draws at each step that a page shows of beliefs that are not Gaussian.
-_DRAWS = 60
+# Draws at each step that a page shows of beliefs that are not Gaussian, and the most Gaussians.
+_DRAWS, _GAUSSIANS = 60, 8
 
 
 class Room(NamedTuple):
@@ -52,6 +52,7 @@ class ShownSlices(ABC):
     words: Why something is not shown, in words, by what it is: ``messages``, ``back`` messages,
         ``singular`` factors, or what is too ``large``.
     sensors: The measurements, by the sensor's CPD.
+    discrete: Variables whose probabilities are shown beside moments, as arrays ``states.0``, ....
     """
 
     reading: ClassVar[str]
@@ -59,6 +60,7 @@ class ShownSlices(ABC):
     hidden: Scope
     words: dict[str, str]
     sensors: Mapping[CPD, Sighted]
+    discrete: tuple[Discrete, ...] = ()
 
     @abstractmethod
     def arrays(self, run: tuple[int, ...]) -> dict[str, Array]:
@@ -88,8 +90,9 @@ def held(span: range) -> range:
 class ShownMarginals(ShownSlices):
     """The moments of marginals at some steps, and draws of beliefs that are not Gaussian.
 
-    A variable without moments is left out: a hidden control, one that was not kept, or one of a
-    family's own form.
+    Of mixtures the heaviest Gaussians are shown, too, with their weights; and of discrete variables
+    the probabilities of their states. A variable without moments is left out: a hidden control, one
+    that was not kept, or one of a family's own form.
     """
 
     reading: ClassVar[str] = "moments"
@@ -99,23 +102,30 @@ class ShownMarginals(ShownSlices):
         self.first, self.words = span[0], {"messages": outcome.silent}
         self.sensors = sensors_of(outcome.readings)
         self.beliefs: dict[Variable, Any] = {}
+        self.tables: dict[Discrete, Any] = {}
         for variable in outcome.graph.layout.slice:
             try:
                 belief = outcome._moments(variable)
             except EvidenceError:
                 continue
-            if not isinstance(variable, Discrete):
+            if isinstance(variable, Discrete):
+                self.tables[variable] = belief
+            else:
                 self.beliefs[variable] = belief
-        self.hidden = tuple(self.beliefs)
+        self.hidden, self.discrete = tuple(self.beliefs), tuple(self.tables)
 
     def exact(self, name: str) -> bool:
         """Whether other numbers are computed from an array: of marginals none are."""
         return False
 
     def arrays(self, run: tuple[int, ...]) -> dict[str, Array]:
-        """The moments of all variables together, and ``draws`` of the first one."""
+        """The moments of all variables together, and ``draws`` of the first one.
+
+        Of mixtures also the ``weights`` and moments, ``gaussian.0.mean`` and so on, of each
+        Gaussian; and the probabilities of discrete variables.
+        """
         own = {v: self._of_run(belief, v, run) for v, belief in self.beliefs.items()}
-        found = self._stacked(own)
+        found = self._stacked(own) | self._mixture(own) | self._states(run)
         draws = self._drawn(next(iter(own.values()), None))
         return found if draws is None else found | {"draws": draws}
 
@@ -134,6 +144,38 @@ class ShownMarginals(ShownSlices):
             cov[:late, own, own] = np.nan
             mean[late:, own], cov[late:, own, own] = belief.mean, belief.cov
         return {"mean": mean, "cov": cov}
+
+    def _mixture(self, beliefs: Mapping[Variable, Any]) -> dict[str, Array]:
+        """The Gaussians of a mixture, the heaviest ones of all steps; empty of other beliefs."""
+        every = list(beliefs.values())
+        if not every or not all(isinstance(each, GaussianMixture) for each in every):
+            return {}
+        count = {each.weights.shape[-1] for each in every}
+        if count == {1} or len(count) > 1:
+            return {}
+        weights = max((each.weights for each in every), key=len)
+        order = np.argsort(-weights.sum(axis=0), kind="stable")[:_GAUSSIANS]
+        found = {"weights": np.full((len(self.span), len(order)), np.nan)}
+        found["weights"][len(self.span) - len(weights) :] = weights[:, order]
+        for k, place in enumerate(order.tolist()):
+            parts = {
+                v: Gaussian._make(
+                    (v,), each.components.mean[:, place], each.components.cov[:, place]
+                )
+                for v, each in beliefs.items()
+            }
+            found |= {f"gaussian.{k}.{name}": own for name, own in self._stacked(parts).items()}
+        return found
+
+    def _states(self, run: tuple[int, ...]) -> dict[str, Array]:
+        """The probabilities of the states of discrete variables; NaN where one has none."""
+        found = {}
+        for k, (variable, table) in enumerate(self.tables.items()):
+            values = self._of_run(table.probabilities, variable, run)
+            whole = np.full((len(self.span), variable.size), np.nan)
+            whole[len(self.span) - len(values) :] = values
+            found[f"states.{k}"] = whole
+        return found
 
     def _drawn(self, belief: Any) -> Array | None:
         """Draws of a belief at each step, (steps, draws * components); None of Gaussians."""

@@ -54,6 +54,7 @@ def page(
         "about": str(outcome.kind),
         "steps": {"first": span[0], "last": span[-1], "end": graph.steps, "base": shown.first},
         "variables": [variable(v) | {"state": v in states} for v in shown.hidden],
+        "discrete": [variable(v) for v in shown.discrete],
         "prior": [cpd(each) for each in model.prior],
         "transition": [cpd(each) for each in model.transition],
         "inputs": [v.name for v in model.inputs],

@@ -267,3 +267,64 @@ def test_what_was_entered_in_a_network_without_time():
     assert over_time.entered(0) == {}
     for cluster in over_time.graph.clusters:
         assert over_time.scope(cluster) == over_time.belief(cluster).scope
+
+
+def switching():
+    """A drift that is calm or wild, its control, and readings that may be of nothing."""
+    mode = pgm.Discrete("mode", states=("calm", "wild"))
+    x, h, z = pgm.variables("x h z")
+    cases = {
+        k: pgm.LinearGaussianCPD(x, {x.previous: 1.0, h: 0.5}, cov=cov)
+        for k, cov in enumerate((0.1, 4.0))
+    }
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.TableCPD(mode, table=[0.5, 0.5]), pgm.GaussianCPD(x, 0.0, 1.0)],
+        [
+            pgm.TableCPD(mode, mode.previous, table=[[0.9, 0.1], [0.3, 0.7]]),
+            pgm.GaussianCPD(h, 0.0, 1.0),
+            pgm.SwitchingCPD(x, mode, cases),
+        ],
+        [pgm.LinearGaussianCPD(z, {x: 1.0}, cov=0.3)],
+    )
+    return model, mode, x, h, z
+
+
+def test_a_mixture_has_its_gaussians_and_the_tables_of_its_modes(tmp_path):
+    model, mode, x, _h, z = switching()
+    values = np.array([[[0.1], [3.0], [3.2]], [[0.0], [0.5], [-2.0]]])
+    posterior = pgm.smooth(model, {z: values}, belief=pgm.Gaussians(3))
+    page = written(posterior, tmp_path)
+    data, numbers = data_of(page), numbers_of(page)
+    assert [each["name"] for each in data["discrete"]] == ["mode"]
+    assert data["discrete"][0]["states"] == ["calm", "wild"]
+    for run, row in enumerate(data["runs"]):
+
+        def of(name, row=row):
+            ref = row["arrays"][name]
+            own = numbers[ref["at"] : ref["at"] + ref["rows"] * ref["columns"]]
+            return own.reshape(ref["columns"], ref["rows"]).T
+
+        np.testing.assert_allclose(of("states.0"), posterior[mode].probabilities[run], atol=1e-8)
+        weights = of("weights")
+        own = posterior[x].weights[run]
+        np.testing.assert_allclose(np.sort(weights), np.sort(own), atol=1e-8)
+        assert (np.diff(weights.sum(axis=0)) <= 1e-8).all()  # the heaviest first
+        place = [v["name"] for v in data["variables"]].index("x")
+        mean = sum(weights[:, [k]] * of(f"gaussian.{k}.mean") for k in range(3))
+        np.testing.assert_allclose(mean[:, place], posterior[x].mean[run][:, 0], atol=1e-8)
+        assert np.isnan(of("gaussian.0.mean")[0, 1 - place])  # a control begins at step 1
+    whole = written(posterior, tmp_path, run=1, steps=(2, 3))
+    assert data_of(whole)["runs"][0]["arrays"]["states.0"]["rows"] == 2
+
+
+def test_a_single_gaussian_has_no_weights(tmp_path):
+    model, _, _, _, z = switching()
+    still = model.replace(
+        transition=[
+            pgm.TableCPD(model.transition[0].child, table=[0.9, 0.1]),
+            *model.transition[1:],
+        ]
+    )
+    data = data_of(written(pgm.filter(still, {z: [[0.1]]}), tmp_path))
+    assert "weights" not in data["runs"][0]["arrays"]
+    assert "states.0" in data["runs"][0]["arrays"]

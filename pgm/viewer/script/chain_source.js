@@ -180,6 +180,33 @@ class ChainSource {
     return gaussian(this.scope(step), { moments, canonical, why: canonical ? null : this.data.words.singular });
   }
 
+  // The Gaussians of a mixture at a step, by weight.
+  gaussians(step) {
+    const row = step - this.base;
+    const found = [];
+    const kept = this.at(this.hidden, step).filter((variable) => variable.components);
+    for (let k = 0; this.arrays[`gaussian.${k}.mean`]; k++) {
+      const weight = this.arrays.weights.at(row, k);
+      if (!(weight > 1e-6)) continue;
+      const mean = this.arrays[`gaussian.${k}.mean`].row(row);
+      const cov = fromLower(this.arrays[`gaussian.${k}.cov`].row(row), mean.length);
+      const why = "moments alone: it is one of a mixture's Gaussians";
+      found.push({ weight, factor: gaussian(kept, { moments: { mean, cov }, why }) });
+    }
+    return found.sort((a, b) => b.weight - a.weight);
+  }
+
+  // The tables of discrete variables that stand beside moments, at a step.
+  tables(step) {
+    const found = [];
+    for (const [k, variable] of (this.data.discrete ?? []).entries()) {
+      const values = this.arrays[`states.${k}`].row(step - this.base);
+      if (Number.isNaN(values[0])) continue;
+      found.push(table(this.at([variable], step), values, 0));
+    }
+    return found;
+  }
+
   // The states before a step as its cluster's belief knows them: after smoothing as the one before.
   before(step, columns) {
     if (this.arrays["before.mean"]) {

@@ -11,7 +11,7 @@ class Inspector {
     this.source = source;
     this.choose = choose;
     this.axes = {};
-    this.open = { belief: true, potential: false, message: false };
+    this.open = { belief: true, states: true, potential: false, message: false };
   }
 
   show(selection) {
@@ -28,6 +28,11 @@ class Inspector {
     const about = source.about(id);
     const senders = source.senders(id);
     const entries = [{ role: "belief", title: "belief", key: "belief", factor: source.belief(id) }];
+    (source.gaussians?.(id) ?? []).forEach(({ weight, factor }, k) => {
+      entries.push({ role: "third", title: `Gaussian of weight ${short(weight)}`, key: `gaussian-${k}`, factor });
+    });
+    const tables = (source.tables?.(id) ?? []).map((factor) => (
+      { role: "belief", title: `belief of ${factor.variables[0].name}`, key: `states-${factor.variables[0].name}`, factor }));
     senders.forEach((k) => {
       entries.push({
         role: LINES[lineOf(source, k, id)], title: `message ${k} → ${id}`, key: `message-${k}-${id}`, factor: source.message(k, id), from: k,
@@ -48,6 +53,7 @@ class Inspector {
     return [
       el("h2", {}, `Cluster ${id}`), about.role ? el("p", { class: "role" }, about.role) : null, chips, cpds, others, this.picture(entries),
       ...entries.map((entry) => this.section(entry)),
+      ...tables.flatMap((entry) => [this.picture([entry]), this.section(entry)]),
     ].filter(Boolean);
   }
 
