@@ -141,14 +141,14 @@ class SliceLayout:
         return {"model": self.model, "compiled": self.compiled}
 
     @cached_property
-    def _places(self) -> dict[CPD, Place]:
+    def _places(self) -> dict[tuple[CPD, Scope], Place]:
         return {}
 
     def place(self, cpd: CPD, scope: Scope) -> Place:
         """The place of a CPD in the vector of the scope that it belongs to, found once."""
-        found = self._places.get(cpd)
+        found = self._places.get((cpd, scope))
         if found is None:
-            found = self._places[cpd] = self._find(cpd, scope)
+            found = self._places[cpd, scope] = self._find(cpd, scope)
         return found
 
     def _find(self, cpd: CPD, scope: Scope) -> Place:

@@ -18,7 +18,7 @@ from pgm.inference import Smoothing
 from pgm.inference.dynamic import over_time
 from pgm.kernels.arrays import Array
 from pgm.learning.gaussian import GaussianStep
-from pgm.learning.places import ROLES, Place, by_place, place_of, replaced
+from pgm.learning.places import Place, by_place, place_of, replaced
 from pgm.learning.steps import ParameterStep, TableStep
 from pgm.learning.values import (
     PARTS,
@@ -33,7 +33,7 @@ from pgm.learning.values import (
 )
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
-from pgm.posteriors.expectations import Expectations, Learnable
+from pgm.posteriors.expectations import PRIOR, ROLES, Expectations, Learnable
 from pgm.posteriors.posterior import Posterior
 from pgm.schedules.binding import bind_chain
 from pgm.schedules.options import Call
@@ -127,9 +127,8 @@ class Learner:
 
     def _declare(self, model: DynamicBayesianNetwork, variable: Any, learnt: Any) -> None:
         """Declare what is learnt by a variable: a parameter, or parts of its CPD."""
-        if not isinstance(learnt, Mapping) and Parameter in map(
-            type, (parts := _parts(variable, learnt))
-        ):
+        parts = () if isinstance(learnt, Mapping) else _parts(variable, learnt)
+        if Parameter in map(type, parts):
             self._declare_parameter(model, variable, parts)
             return
         place = place_of(model, variable)
@@ -252,7 +251,7 @@ class Learner:
         for block, part in zip(self.blocks, learnable, strict=True):
             cpd: Any = part.own
             if isinstance(block, TableStep):
-                counts = np.sum([each.counts[cpd] for each in every], axis=0)
+                counts = np.sum([each.counts[part] for each in every], axis=0)
                 slopes.append(block.gradient(cpd, counts))
                 new.append(block.maximised(cpd, counts))
                 continue
@@ -314,7 +313,7 @@ class Learner:
         named: dict[Variable, Any] = dict(point.parameters)
         for place, part in zip(self.places, self._learnable(point), strict=True):
             child = part.cpd.child
-            named[child.at(0) if place.role == "prior" else child] = part.cpd
+            named[child.at(0) if place.role == PRIOR else child] = part.cpd
         return named
 
 

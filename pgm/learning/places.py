@@ -10,10 +10,8 @@ from pgm.cpds.switching import Case
 from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.networks import DynamicBayesianNetwork
-from pgm.posteriors.expectations import Learnable
+from pgm.posteriors.expectations import OBSERVATION, PRIOR, ROLES, TRANSITION, Learnable
 from pgm.variables import Variable
-
-ROLES = ("prior", "transition", "observation")
 
 
 class Place(NamedTuple):
@@ -25,7 +23,7 @@ class Place(NamedTuple):
 
     def of(self, model: DynamicBayesianNetwork) -> Learnable:
         """The CPD that stands here."""
-        return Learnable(getattr(model, self.role)[self.number], self.case)
+        return Learnable(getattr(model, self.role)[self.number], self.role, self.case)
 
 
 def replaced(
@@ -47,12 +45,9 @@ def place_of(model: DynamicBayesianNetwork, variable: Any) -> Place:
     if isinstance(variable, Variable):
         first = variable.step == 0 and not variable.lag
         roles: Mapping[str, Any] = (
-            {"prior": model.prior}
+            {PRIOR: model.prior}
             if first
-            else {
-                "transition": model.transition,
-                "observation": model.observation,
-            }
+            else {TRANSITION: model.transition, OBSERVATION: model.observation}
         )
         for role, cpds in roles.items():
             for number, cpd in enumerate(cpds):
@@ -67,10 +62,19 @@ def place_of(model: DynamicBayesianNetwork, variable: Any) -> Place:
 def by_place(place: Place, cpd: CPD, learnt: Any) -> list[tuple[Place, Any]]:
     """What is learnt of a CPD, or of each case of one that discrete variables choose.
 
-    Of the latter `learnt` is of all cases, or maps states to what is learnt in these.
+    Of the latter `learnt` is of all cases, or maps states to what is learnt in these, each named
+    once.
     """
     if not isinstance(cpd, SwitchingCPD):
         return [(place, learnt)]
     if not isinstance(learnt, Mapping):
         return [(place._replace(case=case), learnt) for case in cpd.cases]
-    return [(place._replace(case=cpd.case_of(states)), each) for states, each in learnt.items()]
+    found = [(place._replace(case=cpd.case_of(states)), each) for states, each in learnt.items()]
+    if not found or len({each for each, _ in found}) < len(found):
+        raise ModelError(
+            f"learn of {cpd!r}: maps one state or several, each once, to what is learnt in it; "
+            f"found {list(learnt)!r}",
+            variable=cpd.child,
+            cpd=cpd,
+        )
+    return found

@@ -14,11 +14,17 @@ from pgm.cpds.switching import Case
 from pgm.kernels.arrays import Array, Mask
 from pgm.linearisation.family import Family
 
+PRIOR, TRANSITION, OBSERVATION = ROLES = "prior", "transition", "observation"
+
 
 class Learnable(NamedTuple):
-    """A CPD of which something is learnt; of a `SwitchingCPD` its CPD of one `case`."""
+    """A CPD of which something is learnt, in its role; of a `SwitchingCPD` that of one `case`.
+
+    A prior and a transition may be one object.
+    """
 
     cpd: CPD
+    role: str
     case: Case | None = None
 
     @property
@@ -52,5 +58,5 @@ class FamilyBelief(NamedTuple):
 class Expectations(NamedTuple):
     """Expected counts of the states of tables' families, and the beliefs of other families."""
 
-    counts: Mapping[CPD, Array]
+    counts: Mapping[Learnable, Array]
     families: Mapping[Learnable, FamilyBelief]

@@ -10,6 +10,7 @@ components.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from pgm.beliefs.hypotheses.chain import HypothesisChain
 from pgm.beliefs.hypotheses.records import Stage
 from pgm.beliefs.moments.steps.readings import Moments
 from pgm.kernels.arrays import Array, components_last
-from pgm.kernels.merging import joined, split
+from pgm.kernels.merging import joined, normalised, split
 from pgm.kernels.moments import pushed_with
 from pgm.kernels.semirings import log_sum
 
@@ -47,6 +48,18 @@ class TwoSlices(NamedTuple):
         """The moments of the earlier slice."""
         size = self.mean.shape[-1] // 2
         return self.mean[..., :size], self.cov[..., :size, :size]
+
+
+class Visited(NamedTuple):
+    """A step on the way back: its components, its last members, and its pairs with the step before.
+
+    `two` is None at step 0.
+    """
+
+    step: int
+    flow: Flow
+    opened: Flow
+    two: TwoSlices | None
 
 
 class BackwardChain:
@@ -107,6 +120,26 @@ class BackwardChain:
         """The log-probabilities of regimes, by the members of a step's last stage, (S, runs)."""
         stage = self.chain.kept[step].stages[-1]
         return self.chain.by_regime(opened.logs, stage.members)
+
+    def walk(self, steps: int) -> Iterator[Visited]:
+        """All steps from the last one back, given all evidence."""
+        flow = self.last(steps)
+        for step in range(steps, -1, -1):
+            opened = self.opened(step, flow)
+            two = self.two(step, opened) if step else None
+            yield Visited(step, flow, opened, two)
+            if two is not None:
+                flow = self.before(step, two)
+
+    def by_memory(self, step: int, two: TwoSlices) -> Array:
+        """Ln p(memory before a step, regime at it), (memories, S, runs), by pairs."""
+        regimes, logs = self.chain.regimes, self.unmixed(step, two).logs
+        found = np.full((regimes.memories, *logs.shape[1:]), -np.inf)
+        each = np.arange(logs.shape[-1])
+        for own, weights in zip(self.chain.kept[step - 1].known.memory, logs, strict=True):
+            found[own, :, each] = np.logaddexp(found[own, :, each], weights.T)
+        flat = found.reshape(-1, logs.shape[-1])
+        return normalised(flat)[0].reshape(found.shape)
 
     def _split(self, stage: Stage, flow: Flow) -> Flow:
         """The members of a stage, by its components."""

@@ -127,12 +127,7 @@ class HypothesisChain:
     def predict(self, step: int, belief: State) -> State:
         """The pairs of a step: each component predicted by the motion of each regime."""
         assert isinstance(belief, Belief)
-        onward = self.regimes.onward(step)
-        if onward.shape[-1] == 1:
-            logs = np.moveaxis(onward[belief.memory][..., 0], -1, 1)
-        else:
-            logs = np.moveaxis(onward[belief.memory, :, np.arange(self.runs)], -1, 1)
-        logs = belief.logs[:, None] + logs
+        logs = belief.logs[:, None] + self.regimes.given(step, belief.memory)
         counts = belief.counts
         if isinstance(counts, np.ndarray):
             counts = np.broadcast_to(counts[:, None], logs.shape)

@@ -179,7 +179,7 @@ def _onward(chain: HypothesisChain, steps: int) -> Array:
     """Ln p(regime | memory before it), (T or 1, runs or 1, memories · regimes)."""
     regimes = chain.regimes
     some = range(1, 1 + (min(steps, 1) if regimes.is_constant else steps))
-    found = [regimes.onward(step) for step in some] or [regimes.onward(1)] * 0
+    found = [regimes.onward(step) for step in some]
     if not found:
         return np.zeros((1, 1, regimes.memories * regimes.size))
     return _by_run([each.reshape(-1, each.shape[-1]) for each in found])

@@ -18,13 +18,19 @@ from pgm.beliefs.hypotheses.records import Members
 from pgm.beliefs.markov.counts import Tally
 from pgm.beliefs.moments.steps.plan import ChainPlan, Link
 from pgm.compile import DynamicGraph, compile
-from pgm.cpds import SwitchingCPD, TableCPD
+from pgm.cpds import SwitchingCPD
 from pgm.evidence import Reading
 from pgm.evidence.dynamic import Inputs
 from pgm.kernels import merging
 from pgm.kernels.arrays import Array, Integers, Mask, block
 from pgm.networks import DynamicBayesianNetwork
-from pgm.posteriors.expectations import Expectations, FamilyBelief, Learnable
+from pgm.posteriors.expectations import (
+    PRIOR,
+    TRANSITION,
+    Expectations,
+    FamilyBelief,
+    Learnable,
+)
 from pgm.variables import Discrete
 
 
@@ -50,61 +56,44 @@ class _Expected:
     def found(self) -> Expectations:
         """The expectations."""
         regimes, steps = self.regimes, self.bound.steps
-        tables = [part.cpd for part in self.parts if isinstance(part.cpd, TableCPD)]
-        tally = Tally(self.model, self.bound, tables)
+        tally = Tally(self.model, self.bound, self.parts)
         now = {v: k for k, v in enumerate(regimes.variables) if v in regimes.hidden}
         remembered = regimes.remembered
         both = {v.previous: k for k, v in enumerate(remembered)}
         both |= {v: len(remembered) + k for v, k in now.items()}
-        flow = self.backward.last(steps)
-        for step in range(steps, -1, -1):
-            opened = self.backward.opened(step, flow)
+        for step, _, opened, two in self.backward.walk(steps):
             self.members.append(opened)
             shares = _shares(self.backward.regimes(step, opened))
             belief = np.moveaxis(shares, -1, 0).reshape(-1, *regimes.shape)
             tally.add_readings(step, belief, now)
-            if not step:
+            if two is None:
                 tally.add_prior(belief, now)
-                break
-            two = self.backward.two(step, opened)
+                continue
             self.pairs.append(two)
-            before = self.backward.unmixed(step, two)
             if tally.moving:
-                tally.add_motion(step, self._by_memory(step, before.logs), both)
-            flow = self.backward.before(step, two)
+                joint = np.moveaxis(np.exp(self.backward.by_memory(step, two)), -1, 0)
+                sizes = [v.size for v in remembered]
+                tally.add_motion(step, joint.reshape(-1, *sizes, *regimes.shape), both)
         self.members.reverse()
         self.pairs.reverse()
-        parts = [part for part in self.parts if part.cpd not in tally.counts]
+        parts = [part for part in self.parts if part not in tally.counts]
         return Expectations(
             tally.counts, {part: self._belief(part) for part in parts if self._has_rows(part)}
         )
 
     def _has_rows(self, part: Learnable) -> bool:
         """Whether there is a step or a measurement that tells of a CPD."""
-        if part.cpd in self.model.transition:
+        if part.role == TRANSITION:
             return self.bound.steps > 0
-        return part.cpd in self.model.prior or any(
+        return part.role == PRIOR or any(
             each.cpd is part.cpd and each.step.size for each in self.bound.readings
         )
 
-    def _by_memory(self, step: int, logs: Array) -> Array:
-        """The probabilities of memories before a step and regimes at it, (runs, sizes...)."""
-        regimes, memory = self.regimes, self.chain.kept[step - 1].known.memory
-        count, runs = logs.shape[1:]
-        found = np.zeros((regimes.memories, count, runs))
-        each = np.arange(runs)
-        for own, shares in zip(
-            memory, _shares(logs.reshape(-1, runs)).reshape(logs.shape), strict=True
-        ):
-            found[own, :, each] += shares.T
-        sizes = [v.size for v in regimes.remembered]
-        return np.moveaxis(found, -1, 0).reshape(runs, *sizes, *regimes.shape)
-
     def _belief(self, part: Learnable) -> FamilyBelief:
         """The belief of a CPD's family, with its weights."""
-        if part.cpd in self.model.prior:
+        if part.role == PRIOR:
             return self._of_prior(part)
-        if part.cpd in self.model.transition:
+        if part.role == TRANSITION:
             return self._of_motion(part)
         return self._of_sensor(part)
 

@@ -95,7 +95,7 @@ class PathLaw:
         chain = backward.chain
         self._regimes, self._steps = chain.regimes, chain.given.bound.steps
         self._runs = chain.runs
-        self._smoothed, self._pairs = _smoothed(backward)
+        self._smoothed, self._pairs = _smoothed(backward, self._steps)
 
     def drawn(self, count: int, rng: np.random.Generator, *, prior: bool) -> Integers:
         """So many paths of each run, of the smoothed beliefs, or of the model alone."""
@@ -105,7 +105,7 @@ class PathLaw:
             start = np.broadcast_to(regimes.prior(), (regimes.size, self._runs))
             found[0] = _picked(np.broadcast_to(start[None], (count, *start.shape)), rng)
             for step in range(1, self._steps + 1):
-                found[step] = _picked(self._onward(step, found[step - 1]), rng)
+                found[step] = _picked(self._given(step, found[step - 1]), rng)
             return found
         for step in steps:
             logs = self._smoothed[step]
@@ -122,7 +122,7 @@ class PathLaw:
             start = np.broadcast_to(self._regimes.prior(), (self._regimes.size, self._runs))
             total = _of(np.broadcast_to(start[None], (len(paths[0]), *start.shape)), paths[0])
             for step in range(1, self._steps + 1):
-                total = total + _of(self._onward(step, paths[step - 1]), paths[step])
+                total = total + _of(self._given(step, paths[step - 1]), paths[step])
             return total
         last = self._smoothed[-1]
         total = _of(np.broadcast_to(last[None], (len(paths[0]), *last.shape)), paths[-1])
@@ -130,13 +130,9 @@ class PathLaw:
             total = total + _of(self._before(step, paths[step + 1]), paths[step])
         return total
 
-    def _onward(self, step: int, before: Integers) -> Array:
+    def _given(self, step: int, before: Integers) -> Array:
         """Ln p(regime | that of the step before), (draws, S, runs)."""
-        onward = self._regimes.onward(step)
-        memory = self._regimes.memory[before]
-        if onward.shape[-1] == 1:
-            return np.moveaxis(onward[memory][..., 0], -1, 1)
-        return np.moveaxis(onward[memory, :, np.arange(self._runs)], -1, 1)
+        return self._regimes.given(step, self._regimes.memory[before])
 
     def _before(self, step: int, after: Integers) -> Array:
         """Ln q(regime | that of the step after), (draws, S, runs)."""
@@ -151,25 +147,13 @@ class PathLaw:
         return found
 
 
-def _smoothed(backward: BackwardChain) -> tuple[list[Array], list[Array]]:
+def _smoothed(backward: BackwardChain, steps: int) -> tuple[list[Array], list[Array]]:
     """By step ln p(regime), (S, runs), and of pairs of steps ln p(memory, regime after)."""
-    chain = backward.chain
-    steps, regimes, runs = chain.given.bound.steps, chain.regimes, chain.runs
     alone, pairs = list[Array](), list[Array]()
-    flow = backward.last(steps)
-    for step in range(steps, -1, -1):
-        opened = backward.opened(step, flow)
+    for step, _, opened, two in backward.walk(steps):
         alone.append(merging.normalised(backward.regimes(step, opened))[0])
-        if step:
-            two = backward.two(step, opened)
-            logs = backward.unmixed(step, two).logs
-            memory = chain.kept[step - 1].known.memory
-            joint = np.full((regimes.memories, regimes.size, runs), -np.inf)
-            each = np.arange(runs)
-            for own, weights in zip(memory, logs, strict=True):
-                joint[own, :, each] = np.logaddexp(joint[own, :, each], weights.T)
-            pairs.append(joint)
-            flow = backward.before(step, two)
+        if two is not None:
+            pairs.append(backward.by_memory(step, two))
     return alone[::-1], pairs[::-1]
 
 

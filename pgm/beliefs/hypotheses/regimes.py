@@ -124,6 +124,16 @@ class Regimes:
             logs = logs + np.where(own, math.log(variable.size), -np.inf)
         return logs
 
+    def given(self, step: int, memory: Integers) -> Array:
+        """Ln p(regime at a step | memories before it), (hypotheses, size, runs).
+
+        `memory` is (hypotheses, runs).
+        """
+        onward = self.onward(step)
+        if onward.shape[-1] == 1:
+            return np.moveaxis(onward[memory][..., 0], -1, 1)
+        return np.moveaxis(onward[memory, :, np.arange(memory.shape[-1])], -1, 1)
+
     @property
     def is_constant(self) -> bool:
         """Whether `onward` is the same at all steps."""

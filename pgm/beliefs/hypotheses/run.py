@@ -220,12 +220,8 @@ def _smoothed(chain: HypothesisChain, backward: BackwardChain, kind: Kind, steps
     """The beliefs that know the measurements up to a lag later, or all."""
     found: list[tuple[Flow, Array]] = []
     if kind == SMOOTHED:
-        flow = backward.last(steps)
-        for step in counted(range(steps, -1, -1), "back"):
-            opened = backward.opened(step, flow)
+        for step, flow, opened, _ in counted(backward.walk(steps), "back", steps + 1):
             found.append((flow, backward.regimes(step, opened)))
-            if step:
-                flow = backward.back(step - 1, opened)
         return _told(chain, kind, found[::-1])
     for step in counted(range(steps + 1), "back"):
         last = kind.last(step, steps)

@@ -6,7 +6,7 @@ values. A belief is (*states, [runs]): an axis for each hidden variable of a ste
 then one of runs, which is there only if the user gave axes of runs.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,14 @@ from pgm.kernels.arrays import Array, Integers
 from pgm.linearisation.family import Family
 from pgm.linearisers import Lineariser
 from pgm.networks import DynamicBayesianNetwork
-from pgm.posteriors.expectations import Expectations, FamilyBelief, Learnable
+from pgm.posteriors.expectations import (
+    OBSERVATION,
+    PRIOR,
+    TRANSITION,
+    Expectations,
+    FamilyBelief,
+    Learnable,
+)
 
 
 def expectations(
@@ -31,7 +38,7 @@ def expectations(
     parts: CPDs of the posterior's model, or cases of them; tables are arrays, not functions.
     """
     chain, plan, bound = posterior._chain, posterior._plan, posterior._slices.bound
-    tally = Tally(posterior.graph.model, bound, [part.cpd for part in parts])
+    tally = Tally(posterior.graph.model, bound, parts)
     places = {v: k for k, v in enumerate(plan.slice)}
     axes = {v.previous: k for k, v in enumerate(plan.states)}
     axes |= {v: len(axes) + k for k, v in enumerate(plan.slice)}
@@ -47,7 +54,7 @@ def expectations(
     beliefs = {}
     for part in parts:
         reading = next((each for each in bound.readings if each.cpd is part.cpd), None)
-        if part.cpd in tally.counts or reading is None:
+        if part in tally.counts or reading is None:
             continue
         weights = np.ones((reading.step.size, bound.runs))
         if part.case is not None:
@@ -84,17 +91,18 @@ class Tally:
     """
 
     def __init__(
-        self, model: DynamicBayesianNetwork, bound: BoundEvidence, cpds: Iterable[CPD]
+        self, model: DynamicBayesianNetwork, bound: BoundEvidence, parts: Sequence[Learnable]
     ) -> None:
-        wanted = set(cpds)
-        self.counts: dict[CPD, Array] = {
-            cpd: np.zeros(cpd.table.shape) for cpd in wanted if isinstance(cpd, TableCPD)
+        self.counts: dict[Learnable, Array] = {
+            part: np.zeros(part.cpd.table.shape) for part in parts if isinstance(part.cpd, TableCPD)
         }
-        self._prior = [cpd for cpd in model.prior if cpd in self.counts]
+        self._prior = [part for part in self.counts if part.role == PRIOR]
         # Not those of an online update, which has no inputs.
-        pairs = zip(model.transition, bound.transition, strict=False)
-        self._motions = [(cpd, inputs) for cpd, inputs in pairs if cpd in self.counts]
-        self._readings = [each for each in bound.readings if each.cpd in wanted]
+        known = dict(zip(model.transition, bound.transition, strict=False))
+        moving = (part for part in self.counts if part.role == TRANSITION)
+        self._motions = [(part, known[part.cpd]) for part in moving if part.cpd in known]
+        seen = {part.cpd for part in parts if part.role == OBSERVATION}
+        self._readings = [each for each in bound.readings if each.cpd in seen]
         self.shares: dict[CPD, Array] = {
             each.cpd: np.zeros((each.step.size, bound.runs, *sizes(each.cpd.switches)))
             for each in self._readings
@@ -110,20 +118,21 @@ class Tally:
 
     def add_prior(self, belief: Array, axes: dict[Any, int]) -> None:
         """Add the belief of step 0."""
-        for cpd in self._prior:
-            _moved(self.counts[cpd], cpd, {}, 0, belief, axes)
+        for part in self._prior:
+            _moved(self.counts[part], part.cpd, {}, 0, belief, axes)
 
     def add_motion(self, step: int, belief: Array, axes: dict[Any, int]) -> None:
         """Add the belief of a step and the one before."""
-        for cpd, inputs in self._motions:
-            _moved(self.counts[cpd], cpd, inputs, step - 1, belief, axes)
+        for part, inputs in self._motions:
+            _moved(self.counts[part], part.cpd, inputs, step - 1, belief, axes)
 
     def add_readings(self, step: int, belief: Array, axes: dict[Any, int]) -> None:
         """Add the belief of a step to the counts of its measurements."""
         for each, end in zip(self._readings, self._ends, strict=True):
             for row in range(end[step], end[step + 1]):
-                if each.cpd in self.counts:
-                    _read(self.counts[each.cpd], each, row, belief, axes)
+                counts = self.counts.get(Learnable(each.cpd, OBSERVATION))
+                if counts is not None:
+                    _read(counts, each, row, belief, axes)
                 elif each.cpd in self.shares:
                     _chosen(self.shares[each.cpd][row], each, row, belief, axes)
 

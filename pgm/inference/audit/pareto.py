@@ -12,6 +12,8 @@ EQUAL = 1e-9
 FEWEST = 25
 # The smallest share of the largest weight that the quartile of a tail to be fitted has.
 STEEP = 1e-12
+# The part of the sum of weights below which the largest one is no tail's.
+_SMALL = 0.01
 # The prior of the shape: this many draws' worth of ½.
 PRIOR = 10
 
@@ -25,6 +27,9 @@ def pareto_shape(log_weights: Array) -> Array:
 
     Draws of discrete variables have equal weights: where a quarter of the M weights are equal to
     the (M + 1)-th but for rounding, excesses are counted from the next smaller weight, or from 0.
+
+    The largest of S weights whose tail has the shape k is some S^(k − 1) of their sum: where it is
+    less than a hundredth, k is ½ at the most, whatever the fit says of small excesses.
 
     k is NaN for fewer than 25 draws, −∞ where the largest weights are all equal, and ∞ where a few
     weights dwarf the rest: the lower quartile of the excesses is below 10⁻¹² of the largest.
@@ -59,4 +64,6 @@ def pareto_shape(log_weights: Array) -> Array:
     ratio = (ratios * share).sum(axis=0) / share.sum(axis=0)
     shape = np.log1p(-ratio[:, None] * excess).mean(axis=-1)
     shape = (size * shape + 0.5 * PRIOR) / (size + PRIOR)
-    return np.where(equal, -np.inf, np.where(steep, np.inf, shape))
+    shape = np.where(equal, -np.inf, np.where(steep, np.inf, shape))
+    largest = 1.0 / np.exp(log_weights - top[:, -1:]).sum(axis=-1)
+    return np.where(largest < _SMALL, np.minimum(shape, 0.5), shape)

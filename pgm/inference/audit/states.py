@@ -12,6 +12,9 @@ from pgm.inference.audit.mixture import Mixture
 from pgm.kernels.arrays import Array, Integers, Mask, frozen
 from pgm.variables import Discrete
 
+# The smallest probability that is told from none.
+_TINY = 1e-300
+
 
 @dataclass(frozen=True, eq=False)
 class ComparedStates:
@@ -99,10 +102,8 @@ class StateSums:
     def compared(self, mixture: Mixture) -> ComparedStates:
         """The exact probabilities, from all draws, beside the answer's."""
         found = self._sums / self._sums.sum(axis=-1, keepdims=True)
-        own = self.probabilities
-        with np.errstate(divide="ignore", invalid="ignore"):
-            terms = np.where(found > 0.0, found * np.log(found / own), 0.0)
+        # A state that the answer excludes may have a probability that float64 cannot hold.
+        known, own = np.maximum(found, _TINY), np.maximum(self.probabilities, _TINY)
+        terms = found * (np.log(known) - np.log(own))
         steps = np.arange(self.first, self.first + len(own))
-        return ComparedStates(
-            (self.variable,), steps, found, terms.sum(axis=-1), self.judged[self.first :]
-        )
+        return ComparedStates((self.variable,), steps, found, terms.sum(axis=-1), self.judged)

@@ -14,6 +14,7 @@ import numpy as np
 
 from pgm.beliefs.hypotheses.outcome import HypothesisOutcome
 from pgm.beliefs.hypotheses.paths import PathLaw, follow
+from pgm.beliefs.hypotheses.roles import roles_of
 from pgm.beliefs.hypotheses.run import Asked, chain_of, passes
 from pgm.cpds import AffineCPD
 from pgm.errors import ModelError, NumericalError
@@ -50,16 +51,22 @@ class SwitchingDraws:
     def make(cls, outcome: HypothesisOutcome) -> SwitchingDraws:
         """Prepare to draw; nonlinear CPDs, and open sightings, are a ModelError."""
         bound, call, asked = outcome._asked
-        smoothing = call._replace(schedule=Smoothing())
-        chain = chain_of(outcome.graph.model, bound, asked, call.lineariser, Filtering())
-        curved = [case for case in chain.roles.cases if not isinstance(case, AffineCPD)]
-        if curved or chain.roles.open:
-            told = f"{curved[0]!r} is nonlinear" if curved else "sightings leave open what was seen"
+        roles = roles_of(outcome.graph.model, bound)
+        curved = [case for case in roles.cases if not isinstance(case, AffineCPD)]
+        if roles.open:
             raise ModelError(
-                f"{told}: an audit of a switching model draws its discrete variables, and takes "
-                "linear CPDs, whose sightings leave nothing open, for exact given these"
+                f"{roles.open[0].cpd!r} has sightings of which each may be of several things, which "
+                "no audit draws from: audit a posterior for which it was decided, "
+                'pgm.unknown(..., association="likelihood")'
             )
-        _, backward = passes(outcome.graph, bound, smoothing, asked)
+        if curved:
+            raise ModelError(
+                f"{curved[0]!r} is nonlinear: an audit of a switching model draws its discrete "
+                "variables, given which its CPDs are to be linear, and its answer exact"
+            )
+        smoothing = call._replace(schedule=Smoothing())
+        whole = Asked(asked.count, asked.mix)  # of which the prior is not cut into pieces
+        _, backward = passes(outcome.graph, bound, smoothing, whole)
         assert backward is not None
         return cls(outcome, bound, PathLaw(backward), Modes.none(bound.runs))
 
@@ -97,7 +104,7 @@ class SwitchingDraws:
             table = np.asarray(outcome[state].probabilities)  # type: ignore[union-attr]
             shape = runs, steps + 1 - first, state.size
             own = table.reshape(shape).swapaxes(0, 1)
-            found.append(StateSums(state, self._hidden + k, first, own, judged))
+            found.append(StateSums(state, self._hidden + k, first, own, judged[first:]))
         return found
 
     def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:

@@ -15,7 +15,14 @@ from pgm.beliefs.moments.passes import backward
 from pgm.beliefs.moments.passes.backward import Beliefs
 from pgm.kernels.arrays import Index, block, quiet
 from pgm.linearisation.family import Family
-from pgm.posteriors.expectations import Expectations, FamilyBelief, Learnable
+from pgm.posteriors.expectations import (
+    OBSERVATION,
+    PRIOR,
+    TRANSITION,
+    Expectations,
+    FamilyBelief,
+    Learnable,
+)
 
 
 @quiet()
@@ -25,14 +32,14 @@ def family_beliefs(posterior: ChainOutcome) -> Expectations:
     layout, places = plan.layout, plan.layout.state_places
     found: dict[Learnable, FamilyBelief] = {}
     first = Beliefs(beliefs.mean[:1][..., places], block(beliefs.cov[:1], places, places))
-    groups = [(plan.prior, first)]
+    groups = [(PRIOR, plan.prior, first)]
     if plan.steps:
-        groups.append((plan.transition, _pairs(posterior)))
-    for links, moments in groups:
+        groups.append((TRANSITION, plan.transition, _pairs(posterior)))
+    for role, links, moments in groups:
         everywhere = np.arange(moments.mean.shape[-1])
         for link in links:
             chosen = np.concatenate([everywhere[link.parents], everywhere[link.child]])
-            found[Learnable(link.family.cpd)] = _belief(link.family, moments, chosen)
+            found[Learnable(link.family.cpd, role)] = _belief(link.family, moments, chosen)
     everywhere = np.arange(layout.slice_size)
     for sensor in plan.sensors:
         if not sensor.family.step.size:
@@ -40,7 +47,9 @@ def family_beliefs(posterior: ChainOutcome) -> Expectations:
         rows = sensor.family.step - plan.first
         at = Beliefs(beliefs.mean[rows], beliefs.cov[rows])
         own = _belief(sensor.family, at, everywhere[sensor.parents])
-        found[Learnable(sensor.family.cpd)] = own._replace(values=sensor.values, taken=sensor.taken)
+        found[Learnable(sensor.family.cpd, OBSERVATION)] = own._replace(
+            values=sensor.values, taken=sensor.taken
+        )
     return Expectations({}, found)
 
 
