@@ -331,12 +331,16 @@ def unknown(
     with ``association="sum"``, the default, where what was seen is summed out; with
     ``"likelihood"`` it is the largest of these terms. Beliefs of Gaussians that sum are mixtures of
     `Gaussians`, of one unless ``belief=`` asks for more: each candidate is a hypothesis, tried
-    sighting by sighting. With ``"likelihood"``, which is faster, and too sure of itself where
-    candidates are close, at the predicted belief of each step, given also what of its measurements
-    leaves nothing open, every sighting is given its likeliest candidate, of ln w_k + ln N(z; ẑ_k,
-    S_k) with the innovation's covariance S_k, and the network is then inferred as if that had been
-    known; sensors are taken in one after the other, in the order of the network. Two sightings of a
-    step may be given the same candidate. ``posterior.associations`` tells what each was taken for.
+    sighting by sighting. ``posterior.associations`` tells how probable each is.
+
+    ``"likelihood"`` gives each sighting its likeliest candidate, by ln w_k + ln N(z; ẑ_k, S_k) at
+    the predicted belief of the step, given also what of its measurements leaves nothing open; S_k
+    is the innovation's covariance. The network is then inferred as if that had been known; sensors
+    are taken in one after the other, in the order of the network, and two sightings of a step may
+    have the same candidate. It is faster, and too sure of itself where candidates are close.
+
+    An `OnlineFilter` does not know of open sightings beforehand: give it
+    ``belief=pgm.Gaussians(1)`` to sum, or an `association` to decide.
 
     With ``"joint"``, and mixtures of `Gaussians`, the sum is over assignments of a sensor's
     sightings at a step that give no candidate twice, and the log-evidence is that of the readings
@@ -367,8 +371,8 @@ def unknown(
         candidate is spurious or new, whichever was likelier; where neither is declared Gaussian
         beliefs leave it out of the density, and to point masses it is impossible.
     association : str, optional
-        ``"sum"``, ``"likelihood"`` or ``"joint"``. Without it a network over time sums, and a
-        `GrowingMap`, which does not, takes the likeliest.
+        ``"sum"``, ``"likelihood"`` or ``"joint"``. Without it filters, smoothers, grids and
+        particles sum; a `GrowingMap`, which does not, takes the likeliest.
 
     References
     ----------

@@ -104,7 +104,9 @@ def filter(
     executor : concurrent.futures.Executor, optional
         A pool of processes or threads that works on parts of the runs; see `infer`.
     belief : BeliefFamily, optional
-        Beliefs on a `Grid`, by `Particles`, or of a family of your own, in place of Gaussians.
+        Beliefs on a `Grid`, by `Particles`, or of a family of your own, in place of Gaussians; or
+        how many Gaussians a mixture has, ``pgm.Gaussians(8)``, which is what switching models,
+        mixtures of CPDs and sightings that leave open what was seen have.
     progress : bool or callable
         Whether bars show how far the work is, or a function that is told; see `infer`.
     impossible : str
@@ -118,8 +120,9 @@ def filter(
     Posterior
         ``posterior[x]`` is a `Gaussian` with means (..., T+1, d) of a state, (..., T, d) of a
         hidden control; with ``keep``, of what was kept. Of a network of tables it is a `Table` of
-        probabilities (..., T+1, size); with ``belief`` a `GridBelief`, a `ParticleBelief`, or what
-        a family of your own shows.
+        probabilities (..., T+1, size), and so it is of a discrete state beside continuous ones,
+        which have `GaussianMixture`; with ``belief`` a `GridBelief`, a `ParticleBelief`, or what a
+        family of your own shows.
 
     Warns
     -----

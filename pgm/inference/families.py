@@ -12,7 +12,7 @@ from pgm.beliefs.markov.family import TABLES
 from pgm.beliefs.mixed import MIXED
 from pgm.beliefs.moments.family import MOMENTS
 from pgm.beliefs.own.family import BeliefFamily, require_family
-from pgm.cpds import MixtureCPD
+from pgm.cpds.caused import has_mixtures
 from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.evidence import BoundEvidence
@@ -37,7 +37,7 @@ def family_of(
         return belief
     # B is Any here, as it is of every call without belief=: which one the network decides.
     found: BeliefFamily[Any] = TABLES if model.discrete else MOMENTS
-    several = model.mixed or any(isinstance(cpd, MixtureCPD) for cpd in model.cpds)
+    several = model.mixed or has_mixtures(model.cpds)
     if isinstance(model, DynamicBayesianNetwork):
         return GAUSSIANS if several or (bound is not None and is_summed(bound)) else found
     return MIXED if several else found

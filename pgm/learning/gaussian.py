@@ -29,8 +29,8 @@ _STILL = 2.0**-44
 class Weighted:
     """Sums that rows enter by the inverses of their own noises.
 
-    The normal equations of the free entries; by recording E[r rᵀ], E[r gᵀ], E[g gᵀ] and the inverse
-    noise of each row; the sum of the noises' ranks.
+    The normal equations of the free entries; by recording E[r rᵀ], E[r gᵀ], E[g gᵀ] of each row,
+    times its weight if it has one, and its inverse noise; the sum of the noises' ranks, so weighed.
     """
 
     normal: Array

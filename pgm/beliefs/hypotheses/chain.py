@@ -172,7 +172,7 @@ class HypothesisChain:
     def take(self, step: int, pairs: State) -> tuple[State, Array]:
         """The components given the measurements of a step, and their log-density, (runs,)."""
         assert isinstance(pairs, Pairs)
-        stages, members, total = self._informed(step, pairs)
+        stages, members, total = self._all_taken(step, pairs)
         shares = leading(members.logs, members.counts, 0)
         self.regime_logs.append(self.by_regime(shares, members))
         if self._in_pieces(step, members):
@@ -186,7 +186,7 @@ class HypothesisChain:
 
     def observe(self, step: int, pairs: Pairs) -> tuple[Pairs, Array]:
         """The pairs given some measurements of a step, to which others may be added."""
-        _, members, total = self._informed(step, pairs)
+        _, members, total = self._all_taken(step, pairs)
         count = self.regimes.size
         if not self._open:
             shape = -1, count, self.runs
@@ -232,7 +232,7 @@ class HypothesisChain:
         """How many components are kept between the open sightings of a step, at the most."""
         return max(self.settings.count, self.regimes.size, _BETWEEN)
 
-    def _informed(self, step: int, pairs: Pairs) -> tuple[list[Stage], Members, Array]:
+    def _all_taken(self, step: int, pairs: Pairs) -> tuple[list[Stage], Members, Array]:
         """The stages of a step but the last one, whose members are given all measurements.
 
         And the log-density of the measurements, (runs,).

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from pgm.beliefs.hypotheses.cases import seen
 from pgm.beliefs.hypotheses.chain import HypothesisChain
-from pgm.beliefs.hypotheses.records import Pairs
+from pgm.beliefs.hypotheses.records import Pairs, Swept
 from pgm.beliefs.moments.compiled import sweep
 from pgm.beliefs.moments.compiled.groups import groups_of
 from pgm.beliefs.moments.compiled.named_table import NamedTable
@@ -28,8 +27,7 @@ from pgm.kernels.arrays import Array, address, components_last
 from pgm.kernels.machine.sweeps import chain as sweeps
 from pgm.kernels.machine.sweeps import told
 
-# About so many numbers of evidence are repeated for the hypotheses at the most, and so many pairs
-# are swept, of so many regimes.
+# The most numbers of evidence that are repeated for the hypotheses, and the most regimes.
 _EVIDENCE, _REGIMES = 2**24, 32
 # A step of the passes by NumPy takes so many times that of a filter of one Gaussian.
 _TIMES = 6
@@ -39,16 +37,6 @@ _OTHER = (
     "machine code filters mixtures of one Gaussian for each joint state of the remembered "
     "variables, of affine CPDs without angles, whose noise is no function"
 )
-
-
-class Swept(NamedTuple):
-    """The beliefs of a filter by step: as of `outcome.Beliefs`, and log-densities (T+1, runs)."""
-
-    logs: Array
-    mean: Array
-    cov: Array
-    regimes: Array
-    density: Array
 
 
 def forward(chain: HypothesisChain, choice: Choice) -> tuple[Swept | None, str]:

@@ -9,14 +9,15 @@ from pgm.arguments import public
 from pgm.beliefs.hypotheses.causes import network_with_causes, with_causes
 from pgm.beliefs.hypotheses.expectations import expectations
 from pgm.beliefs.hypotheses.online import HypothesisSteps
-from pgm.beliefs.hypotheses.run import Asked, passes, run
+from pgm.beliefs.hypotheses.records import Asked
+from pgm.beliefs.hypotheses.run import passes, run
 from pgm.beliefs.mixed.family import MIXED
 from pgm.beliefs.modes import chain, network
 from pgm.beliefs.own.family import BeliefFamily
 from pgm.boundary import is_whole
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
-from pgm.cpds import MixtureCPD
+from pgm.cpds.caused import has_mixtures
 from pgm.errors import ModelError
 from pgm.evidence import BoundEvidence, Evidence
 from pgm.networks import DynamicBayesianNetwork
@@ -28,9 +29,10 @@ from pgm.schedules.schedule import Filtering
 
 @public
 class Gaussians(BeliefFamily[Any]):
-    r"""Beliefs of a chain with discrete variables: a mixture of `count` Gaussians at each step.
+    r"""Mixtures of `count` Gaussians: of chains with discrete variables, or sightings left open.
 
-    And, with `starts`, the several modes of a nonlinear posterior, over time or not.
+    Open are sightings whose candidates are summed over (`unknown`), and those of a `MixtureCPD`.
+    With `starts` they are the several modes of a nonlinear posterior, over time or not.
 
     .. math:: p(x_t, s_t \mid z) \approx \sum_k w_k \, N(x_t; \mu_k, P_k) \, p_k(s_t)
 
@@ -54,8 +56,8 @@ class Gaussians(BeliefFamily[Any]):
     Parameters
     ----------
     count : int, optional
-        How many Gaussians in all are kept at each step; of a smoother with `starts` how many modes
-        at the most.
+        How many Gaussians in all are kept at each step; with `starts`, of a smoother or a network
+        without time, how many modes at the most.
     mix : bool
         Whether they are mixed before they are predicted.
     starts : int
@@ -161,10 +163,10 @@ class Gaussians(BeliefFamily[Any]):
 
     def infer(self, graph: DynamicGraph, bound: BoundEvidence, call: Call) -> Outcome[Any]:
         """The outcome of a call's schedule on a dynamic network's graph, given its evidence."""
-        graph, bound = with_causes(graph, bound)
         if self.starts and not isinstance(call.schedule, Filtering):
             assert self.count is not None
             return chain.run(graph, bound, call, self.count, self.starts, self.draws)
+        graph, bound = with_causes(graph, bound)
         self._require_no_draws()
         return run(graph, bound, call, Asked(self.count, self.mix, max(self.starts, 1)))
 
@@ -172,10 +174,11 @@ class Gaussians(BeliefFamily[Any]):
         """The modes of a network without time; of one with discrete variables all its mixtures."""
         if graph.network.discrete:
             raise ModelError("a network of tables is exact: leave belief= out")
-        if self.starts and not graph.network.mixed:
+        several = graph.network.mixed or has_mixtures(graph.network.cpds)
+        if self.starts and not several:
             assert self.count is not None
             return network.run(graph, evidence, call, self.count, self.starts, self.draws)
-        if not graph.network.mixed or self.starts:
+        if not several or self.starts:
             raise ModelError(
                 f"{self!r}: a network without time has Gaussian beliefs, several of them where "
                 "starts= looks for modes of nonlinear CPDs, or where discrete variables choose, of "
@@ -201,17 +204,10 @@ class Gaussians(BeliefFamily[Any]):
         """The steps of an online filter."""
         self._require_no_draws()
         if options.pop("compiled", None):
-            raise self.refusal("compiled", model)
+            raise ModelError(
+                "compiled=True: an online filter of mixtures is made by NumPy alone; leave it out"
+            )
         asked = Asked(self.count, self.mix, max(self.starts, 1))
-        for cpd in model.observation:
-            if isinstance(cpd, MixtureCPD):
-                raise ModelError(
-                    f"{cpd!r}: each sighting of a mixture has a component of its own, and how many "
-                    "a step will have is not known online: make a fault a state of a discrete "
-                    "variable, with a pgm.SwitchingCPD, or give belief=pgm.Particles(...)",
-                    variable=cpd.child,
-                    cpd=cpd,
-                )
         return HypothesisSteps(network_with_causes(model), asked, **options)
 
     def _require_no_draws(self) -> None:

@@ -7,10 +7,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from pgm.beliefs.hypotheses.records import Asked
 from pgm.beliefs.hypotheses.regimes import Regimes
 from pgm.compile import DynamicGraph, SliceLayout
 from pgm.display import Summary
 from pgm.errors import EvidenceError
+from pgm.evidence import BoundEvidence
 from pgm.factors import Gaussian, GaussianMixture, Table
 from pgm.factors.axes import discrete
 from pgm.factors.scope import Scope, as_scope, listed, positions
@@ -21,6 +23,7 @@ from pgm.posteriors.hidden import located
 from pgm.posteriors.outcome import SWITCHING, Outcome
 from pgm.posteriors.status import Status
 from pgm.posteriors.summaries import over_time
+from pgm.schedules.options import Call
 from pgm.variables import Discrete, Variable
 
 
@@ -153,7 +156,7 @@ class HypothesisOutcome(Outcome[Any]):
     _regimes: Regimes
     associations: Found
     # What was asked, by which it may be asked again.
-    _asked: Any
+    _asked: tuple[BoundEvidence, Call, Asked]
     # The forward pass of a smoother; None of a filter, which is one.
     _forward: HypothesisOutcome | None = None
 

@@ -124,6 +124,21 @@ class Kept(NamedTuple):
     known: Belief
 
 
+class Swept(NamedTuple):
+    """A forward pass by step, T+1 in all.
+
+    The log-weights of the K Gaussians, (T+1, K, runs), their means (T+1, K, runs, n) and
+    covariances, the log-probabilities of the regimes, (T+1, S, runs), and the log-densities of the
+    measurements, (T+1, runs).
+    """
+
+    logs: Array
+    mean: Array
+    cov: Array
+    regimes: Array
+    density: Array
+
+
 @dataclass(frozen=True)
 class Settings:
     """How many Gaussians are kept, whether they are mixed before a prediction, and for what.
@@ -135,5 +150,19 @@ class Settings:
     count: int
     mix: bool
     back: bool
+    pieces: int = 1
+    prune: bool = False
+
+
+@dataclass(frozen=True)
+class Asked:
+    """How many Gaussians are kept, None for as many as memories; and whether they are mixed.
+
+    `pieces` is the number of Gaussians that the prior is cut into; with `prune` the likeliest are
+    kept and others left out, none are merged.
+    """
+
+    count: int | None
+    mix: bool
     pieces: int = 1
     prune: bool = False

@@ -12,8 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pgm.beliefs.hypotheses.causes import opened
 from pgm.beliefs.hypotheses.regimes import is_plain, is_regime_sensor
-from pgm.cpds import CPD, SwitchingCPD
+from pgm.cpds import CPD, MixtureCPD, SwitchingCPD
+from pgm.cpds.caused import flat
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.evidence.dynamic import Inputs
@@ -38,10 +40,13 @@ class Roles(NamedTuple):
 
     @property
     def cases(self) -> Iterator[CPD]:
-        """The CPDs that nothing chooses, and all cases of the others."""
+        """The CPDs that nothing chooses, and all cases, or components, of the others."""
         unknown = (reading.cpd for reading in self.open)
         for cpd in (*self.prior, *self.transition, *self.observation, *unknown):
-            yield from cpd.cases.values() if isinstance(cpd, SwitchingCPD) else (cpd,)
+            if isinstance(cpd, MixtureCPD):
+                yield from (part for part, _ in flat(cpd))
+            else:
+                yield from cpd.cases.values() if isinstance(cpd, SwitchingCPD) else (cpd,)
 
 
 def roles_of(model: DynamicBayesianNetwork, bound: BoundEvidence) -> Roles:
@@ -50,13 +55,14 @@ def roles_of(model: DynamicBayesianNetwork, bound: BoundEvidence) -> Roles:
     known = bound.transition or ({},) * len(model.transition)
     pairs = zip(model.transition, known, strict=True)
     moved = [(cpd, inputs) for cpd, inputs in pairs if not cpd.discrete]
+    every = [opened(each) for each in bound.readings]
     readings = [
         part
-        for each in bound.readings
+        for each in every
         if each.unknown is None and not is_regime_sensor(model, each.cpd)
         for part in _by_observed(each)
     ]
-    unknown = [each for each in bound.readings if each.unknown is not None]
+    unknown = [each for each in every if each.unknown is not None]
     for each in unknown:
         if isinstance(each.cpd, SwitchingCPD):
             raise EvidenceError(

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from pgm.beliefs.hypotheses import compiled
 from pgm.beliefs.hypotheses.back import BackwardChain, Flow
 from pgm.beliefs.hypotheses.cases import Given
+from pgm.beliefs.hypotheses.causes import Components
 from pgm.beliefs.hypotheses.chain import HypothesisChain
-from pgm.beliefs.hypotheses.compiled import Swept
 from pgm.beliefs.hypotheses.outcome import Beliefs, HypothesisOutcome
-from pgm.beliefs.hypotheses.records import Belief, Settings, State
+from pgm.beliefs.hypotheses.records import Asked, Belief, Settings, State, Swept
 from pgm.beliefs.hypotheses.regimes import Regimes
 from pgm.beliefs.hypotheses.roles import Roles, roles_of
 from pgm.compile import DynamicGraph
@@ -32,20 +31,6 @@ from pgm.resources import require_memory
 from pgm.schedules import sweep
 from pgm.schedules.options import Call
 from pgm.schedules.schedule import Filtering, kind_of
-
-
-@dataclass(frozen=True)
-class Asked:
-    """How many Gaussians are kept, None for as many as memories; and whether they are mixed.
-
-    `pieces` is the number of Gaussians that the prior is cut into; with `prune` the likeliest are
-    kept and others left out, none are merged.
-    """
-
-    count: int | None
-    mix: bool
-    pieces: int = 1
-    prune: bool = False
 
 
 def run(graph: DynamicGraph, bound: BoundEvidence, call: Call, asked: Asked) -> HypothesisOutcome:
@@ -175,6 +160,7 @@ def associations_of(chain: HypothesisChain) -> Found:
     return dict(
         collected(sensor.reading, sensor.probabilities(rows), sensor.unknown.count, lead)
         for sensor, rows in chain.associations.items()
+        if not isinstance(sensor.unknown, Components)
     )
 
 

@@ -1,9 +1,10 @@
 """Sightings that leave open what was seen, by `pgm.unknown`: each candidate is a hypothesis.
 
 An open sighting is of one of k *candidates*, values or hidden variables that stand for a parent of
-its sensor, or of none of them: the *alternatives* are the candidates, and then that it is spurious
-or new, which no belief learns from. Arrays have the hypotheses that alternatives are tried on, the
-alternatives, and the user's runs: (sources, k + 1, runs).
+its sensor, or components of a mixture that is its sensor's CPD, or of none of them: the
+*alternatives* are the candidates, and then that it is spurious or new, which no belief learns from.
+Arrays have the hypotheses that alternatives are tried on, the alternatives, and the user's runs:
+(sources, k + 1, runs).
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ from typing import NamedTuple, NoReturn
 
 import numpy as np
 
-from pgm.beliefs.hypotheses.cases import Batch, Given
+from pgm.beliefs.hypotheses.cases import Batch, Given, seen
+from pgm.beliefs.hypotheses.causes import Components
 from pgm.beliefs.hypotheses.counts import Counts
 from pgm.beliefs.moments.steps.chain import MomentChain
 from pgm.beliefs.moments.steps.readings import Moments
@@ -161,8 +163,9 @@ class OpenSensor:
             best = logs.argmax(axis=1)[:, None] == np.arange(count + 1)[:, None]
             logs = np.where(best, logs, -np.inf)
         # A sighting that nothing explains, where nothing else was declared, is left out.
-        lost = (logs == -np.inf).all(axis=(0, 1))
-        logs[:, -1] = np.where(lost, 0.0, logs[:, -1])
+        if not isinstance(self.unknown, Components):
+            lost = (logs == -np.inf).all(axis=(0, 1))
+            logs[:, -1] = np.where(lost, 0.0, logs[:, -1])
         return Tried(logs, counts if counts.any() else 0, mean, cov)
 
     def _read(
@@ -203,25 +206,32 @@ class OpenSensor:
     def _alike(self) -> list[tuple[Integers, list[CPD]]]:
         """Candidates by number whose CPDs differ in numbers alone, with the CPD of each."""
         cpd, unknown = self.reading.cpd, self.unknown
-        if not isinstance(unknown, UnknownVariable):
+        if isinstance(unknown, Components):
+            own = list(unknown.parts)
+        elif isinstance(unknown, UnknownVariable):
+            own = [self._with(candidate) for candidate in unknown.candidates]
+        else:
             return [(np.arange(unknown.count), [cpd])]
         groups: dict[object, list[tuple[int, CPD]]] = {}
-        for k, candidate in enumerate(unknown.candidates):
-
-            def moved(variable: Variable, candidate: Variable = candidate) -> Variable:
-                return candidate if variable == self.parent else variable
-
-            own = cpd._copy(moved)
-            groups.setdefault(kind_of(own), []).append((k, own))
+        for k, each in enumerate(own):
+            groups.setdefault(kind_of(each), []).append((k, each))
         return [
             (np.array([k for k, _ in group]), [own for _, own in group])
             for group in groups.values()
         ]
 
+    def _with(self, candidate: Variable) -> CPD:
+        """The sensor's CPD with a candidate in the place of its parent."""
+
+        def moved(variable: Variable) -> Variable:
+            return candidate if variable == self.parent else variable
+
+        return self.reading.cpd._copy(moved)
+
     def _batch(self, which: Integers, cpds: list[CPD], copies: int) -> Batch:
         given, runs = self._given, self._given.bound.runs
         values: dict[Variable, Array] = {}
-        if isinstance(self.unknown, UnknownVariable):
+        if isinstance(self.unknown, UnknownVariable | Components):
             affine = [cpd for cpd in cpds if isinstance(cpd, AffineCPD)]
             number = np.tile(np.repeat(np.arange(which.size), runs), copies)
             cpd = cpds[0] if len(cpds) == 1 else stacked(affine, number)
@@ -230,5 +240,6 @@ class OpenSensor:
             own = np.repeat(self.unknown.candidates, runs, axis=0)  # type: ignore[attr-defined]
             values[self.parent] = np.tile(own, (copies, 1))
         graph = compile(given.network(observation=[cpd]), given.bound.steps, compiled=False)
-        reading = replace(self.reading, cpd=cpd, unknown=None)
+        inputs = seen(cpd, self.reading.inputs)
+        reading = replace(self.reading, cpd=cpd, inputs=inputs, unknown=None)
         return Batch(given, which, copies, graph, (), [reading], values=values)

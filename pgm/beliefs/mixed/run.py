@@ -16,7 +16,7 @@ from pgm.beliefs.mixed.weighing import Asked, Weighed, weighed
 from pgm.clustergraph import ClusterGraph
 from pgm.compile.methods import JunctionTree
 from pgm.cpds import CPD, ConditionalGaussian, MixtureCPD, SwitchingCPD
-from pgm.cpds.caused import caused
+from pgm.cpds.caused import caused, has_mixtures
 from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.evidence import Evidence
 from pgm.evidence.rows import as_rows, no_evidence_for, require_finite
@@ -86,7 +86,7 @@ def run(graph: ClusterGraph, evidence: Evidence, call: Call) -> MixedOutcome:
 def _with_causes(graph: ClusterGraph) -> ClusterGraph:
     """The graph of a network whose mixtures hidden discrete variables choose, if it has any."""
     network = graph.network
-    if not any(isinstance(cpd, MixtureCPD) for cpd in network.cpds):
+    if not has_mixtures(network.cpds):
         return graph
     names = {v.name for v in network.variables}
     cpds = list[CPD]()

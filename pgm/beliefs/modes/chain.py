@@ -18,6 +18,7 @@ from pgm.beliefs.moments.steps.chain import MomentChain
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.readings import Moments
 from pgm.compile import DynamicGraph
+from pgm.cpds.caused import has_mixtures
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence
 from pgm.kernels import roots
@@ -41,10 +42,12 @@ def run(
             "starts= of a smoother finds modes of a whole record, and a fixed lag sees a part of "
             "it: leave lag= out, or use pgm.filter, whose prior is cut into pieces"
         )
-    if graph.model.mixed or any(reading.unknown is not None for reading in bound.readings):
+    several = graph.model.mixed or has_mixtures(graph.model.cpds)
+    if several or any(reading.unknown is not None for reading in bound.readings):
         raise ModelError(
             "starts= looks for modes of continuous variables, whose CPDs are nonlinear; discrete "
-            "variables and open sightings have hypotheses already: leave starts out"
+            "variables, mixtures of CPDs and open sightings have hypotheses already: leave starts "
+            "out"
         )
     schedule = patient(call, Smoothing)
     begun = _begun(graph, bound, call, starts)

@@ -75,7 +75,9 @@ class Audit(Shown, Immutable):
 
     S draws x_s from the Gaussian answer q have the weights w_s = p(x_s, z) / q(x_s), with the
     density p of the model and the measurements z. As many draws come from a defensive density d of
-    wider tails, and all 2S draws are weighed by the mixture r = (q + d)/2: p(x_s, z) / r(x_s).
+    wider tails, and all 2S draws are weighed by the mixture r = (q + d)/2: p(x_s, z) / r(x_s). Of a
+    switching model x_s are paths of its discrete variables, and q is a Markov chain that has the
+    answer's probabilities of each two successive steps.
 
     Attributes
     ----------
@@ -132,7 +134,8 @@ class Audit(Shown, Immutable):
     log_weights : ndarray
         (..., S): ln w of the Gaussian's own draws.
     innovations : mapping of Variable to InnovationCheck
-        For each sensor that a chain has read, whether its innovations fit the model. All other
+        For each sensor that a chain has read, whether its innovations fit the model; empty of
+        switching models and of networks without time. All other
         numbers take the model as declared, and do not tell whether it is wrong.
 
     References

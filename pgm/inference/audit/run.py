@@ -9,7 +9,6 @@ import numpy as np
 from pgm.arguments import public
 from pgm.boundary import as_generator, is_whole
 from pgm.errors import ModelError
-from pgm.factors import Gaussian
 from pgm.inference.audit.batches import estimate
 from pgm.inference.audit.chain import ChainDraws
 from pgm.inference.audit.innovation_checks import checks
@@ -40,7 +39,7 @@ _DRAWS: dict[str, Any] = {
 
 @public
 def audit(
-    posterior: Posterior[Gaussian],
+    posterior: Posterior[Any],
     *,
     samples: int = 1000,
     rng: np.random.Generator | int,
@@ -111,13 +110,15 @@ def audit(
     Raises
     ------
     ModelError
-        If the posterior is of another kind, the prior of a chain has an infinite variance, or
-        another argument is of a wrong kind or out of its range.
+        If the posterior is of another kind, the prior of a chain has an infinite variance, a
+        switching model has nonlinear cases or sightings that leave open what was seen, or another
+        argument is of a wrong kind or out of its range.
     GraphError
         If the graph has loops, or the weights of all runs would not fit.
     NumericalError
-        If nothing can be drawn: a nonlinear sensor with singular noise was read, or nonlinear CPDs
-        with singular noise stand beside linear sensors with it.
+        If nothing can be drawn: a nonlinear sensor with singular noise was read, nonlinear CPDs
+        with singular noise stand beside linear sensors with it, or paths of a switching model make
+        measurements certain.
     LinearisationError
         If a function is NaN or infinite at a draw of q; defensive draws at which it is are counted
         in `undefined`.
@@ -158,6 +159,12 @@ def _advice(posterior: Any) -> str:
         return f"{posterior._title} is of a discrete network; of a tree its log-evidence is exact"
     if isinstance(posterior, Posterior) and posterior._outcome.form == MIXTURES:
         return f"{posterior._title} is of a mixed network, which no audit draws from"
+    if isinstance(posterior, Posterior) and posterior.log_evidence_kind in ("modes", "draws"):
+        return (
+            f"{posterior._title} has several modes, which no audit draws from: draws= of "
+            "pgm.Gaussians(count, starts=..., draws=...) weighs them itself, and "
+            "status.effective tells how well"
+        )
     if isinstance(posterior, Posterior):
         return (
             f"{posterior._title} has kept marginals alone; leave keep= out, and belief=, to have "

@@ -14,8 +14,9 @@ import numpy as np
 
 from pgm.beliefs.hypotheses.outcome import HypothesisOutcome
 from pgm.beliefs.hypotheses.paths import PathLaw, follow
+from pgm.beliefs.hypotheses.records import Asked
 from pgm.beliefs.hypotheses.roles import roles_of
-from pgm.beliefs.hypotheses.run import Asked, chain_of, passes
+from pgm.beliefs.hypotheses.run import chain_of, passes
 from pgm.cpds import AffineCPD
 from pgm.errors import ModelError, NumericalError
 from pgm.evidence import BoundEvidence
@@ -55,8 +56,8 @@ class SwitchingDraws:
         curved = [case for case in roles.cases if not isinstance(case, AffineCPD)]
         if roles.open:
             raise ModelError(
-                f"{roles.open[0].cpd!r} has sightings of which each may be of several things, which "
-                "no audit draws from: audit a posterior for which it was decided, "
+                f"{roles.open[0].cpd!r} has sightings of which each may be of several candidates, "
+                "or components, which no audit draws; of candidates it can be decided beforehand, "
                 'pgm.unknown(..., association="likelihood")'
             )
         if curved:

@@ -260,8 +260,9 @@ def most_probable(
         )
     if isinstance(graph, DynamicGraph) or not graph.network.discrete:
         raise GraphError(
-            "most_probable is for discrete networks; of continuous variables that are Gaussian the "
-            "most probable values are the means of pgm.infer(...)"
+            "most_probable is for discrete networks, and for discrete variables over time; of "
+            "continuous variables that are Gaussian the most probable values are the means of "
+            "pgm.infer(...), and mixtures have posterior[x].modes()"
         )
     if not graph.is_tree:
         raise GraphError(

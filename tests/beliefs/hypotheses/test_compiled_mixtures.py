@@ -169,7 +169,7 @@ def test_what_is_left_to_numpy_is_told():
     certain = {k: line(sharp.z, {sharp.x: sharp.h[k]}, 0.0, sharp.c[k]) for k in range(2)}
     exact = sharp.model.replace(observation=[pgm.SwitchingCPD(sharp.z, sharp.mode, certain)])
     assert "singular noise" in compilation(pgm.filter, {sharp.z: values}, exact)
-    with pytest.raises(pgm.ModelError, match="compiled= is not for mixtures"):
+    with pytest.raises(pgm.ModelError, match="an online filter of mixtures is made by NumPy"):
         pgm.OnlineFilter(drawn.model, compiled=True)
 
 

@@ -94,9 +94,12 @@ def test_one_gaussian_unless_more_are_asked_for_and_mixtures_of_mixtures():
     network = model(PRIOR[0], line(X, {X.previous: 1.0}, 0.1), sensor)
     found = pgm.filter(network, {Z: [[-1.0], [4.0]]})
     assert len(found[X].weights[0]) == 1
-    cause = pgm.Discrete("component of z", states=("0", "1", "2"))
-    assert found[cause.at(2)].probabilities[1] > 0.5
-    assert_allclose(found[cause.at(1)].probabilities.sum(), 1.0)
+    moving = model(mixed(*PRIOR), mixed(*MOTION), SENSOR[0])
+    tables = pgm.filter(moving, {U: [[0.0]], Z: [[-1.0]]})
+    for name, at in (("component of x", 0), ("component of x'", 1)):
+        cause = pgm.Discrete(name, states=("0", "1"))
+        assert_allclose(tables[cause.at(at)].probabilities.sum(), 1.0)
+    assert not found.associations
 
 
 def test_runs_and_online_motions():
@@ -116,8 +119,57 @@ def test_runs_and_online_motions():
             belief = online.update(belief, {Z: own[Z][t]})
         assert_allclose(belief[X].mean, alone[X.at(4)].mean, atol=1e-12)
         assert_allclose(belief.log_evidence, alone.log_evidence, rtol=1e-12)
-    with pytest.raises(pgm.ModelError, match="each sighting of a mixture has a component"):
-        pgm.OnlineFilter(model(PRIOR[0], MOTION[0], mixed(*SENSOR)))
+
+
+def test_sightings_online_and_many_of_them():
+    """Several in an update are those of the filter; twenty at a step are tried one by one."""
+    network = model(PRIOR[0], line(X, {X.previous: 1.0}, 0.1), mixed(*SENSOR))
+    rng = np.random.default_rng(0)
+    values, steps = rng.standard_normal((24, 1)) - 1.0, [0, 1, 1, 1, *[2] * 20]
+    found = pgm.filter(network, {Z: pgm.sightings(values, step=steps)}, steps=2)
+    online = pgm.OnlineFilter(network)
+    belief = online.update(online.initial(), {Z: pgm.sightings(values[:1])})
+    belief = online.update(online.predict(belief), {Z: pgm.sightings(values[1:4])})
+    belief = online.update(online.predict(belief), {Z: pgm.sightings(values[4:])})
+    assert_allclose(belief.log_evidence, found.log_evidence, rtol=1e-9)
+    assert_allclose(belief[X].mean, found[X.at(2)].mean, rtol=1e-9)
+
+
+def test_components_with_inputs_of_their_own_and_missing_readings():
+    """Against a switching sensor of one sighting a step, whose cause is a variable."""
+    parts = line(Z, {X: 1.0, U: 0.5}, 0.2), line(Z, {U: -1.0}, 3.0)
+    motion = line(X, {X.previous: 0.9}, 0.2)
+    given = {U: [[0.5], [-0.3], [0.1]], Z: VALUES}
+    found = pgm.smooth(model(PRIOR[0], motion, mixed(*parts)), given, belief=ALL)
+    table = pgm.TableCPD(C, table=[0.7, 0.3])
+    chosen = pgm.SwitchingCPD(Z, C, dict(enumerate(parts)))
+    same = pgm.DynamicBayesianNetwork([PRIOR[0]], [table, motion], [chosen])
+    due = pgm.smooth(same, given, belief=ALL)
+    assert_allclose(found.log_evidence, due.log_evidence, rtol=1e-12)
+    assert_allclose(found[X].mean, due[X].mean, atol=1e-12)
+
+
+def test_what_is_refused():
+    network = model(PRIOR[0], line(X, {X.previous: 1.0}, 0.1), mixed(*SENSOR))
+    given = {Z: [[0.0]]}
+    with pytest.raises(pgm.ModelError, match="mixtures of CPDs and open sightings have hypotheses"):
+        pgm.smooth(network, given, belief=pgm.Gaussians(2, starts=4))
+    with pytest.raises(pgm.ModelError, match="or components, which no audit draws"):
+        pgm.audit(pgm.smooth(network, given), rng=0)
+    with pytest.raises(pgm.GraphError, match="mixtures have posterior"):
+        pgm.most_probable(pgm.compile(network, 1), given)
+    still = pgm.BayesianNetwork([PRIOR[0], mixed(*SENSOR)])
+    with pytest.raises(pgm.ModelError, match="leave belief= out"):
+        pgm.infer(pgm.compile(still), {Z: [0.0]}, belief=pgm.Gaussians(2, starts=4))
+    mark = pgm.Variable("mark")
+    seen = mixed(line(Z, {X: 1.0, mark: 1.0}, 0.2), SENSOR[1])
+    both = pgm.sightings([[0.0]], step=[1], given={mark: pgm.unknown([[0.0], [1.0]])})
+    with pytest.raises(pgm.EvidenceError, match="is a mixture, and its sightings leave"):
+        pgm.filter(model(PRIOR[0], line(X, {X.previous: 1.0}, 0.1), seen), {Z: both}, steps=1)
+    exact = mixed(line(Z, {X: 1.0}, 0.0), pgm.GaussianCPD(Z, 5.0, 0.0))
+    certain = model(pgm.GaussianCPD(X, 0.0, 0.0), line(X, {X.previous: 1.0}, 0.0), exact)
+    with pytest.raises(pgm.NumericalError, match="have probability zero"):
+        pgm.filter(certain, {Z: [[1.0]]})
 
 
 def test_components_that_are_not_gaussian_are_refused():

@@ -8,7 +8,8 @@ from numpy.testing import assert_allclose
 
 import pgm
 from pgm.beliefs.hypotheses.paths import PathLaw
-from pgm.beliefs.hypotheses.run import Asked, passes
+from pgm.beliefs.hypotheses.records import Asked
+from pgm.beliefs.hypotheses.run import passes
 from pgm.schedules.options import Call
 from tests.beliefs.hypotheses import enumerated
 

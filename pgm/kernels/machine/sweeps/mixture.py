@@ -64,9 +64,12 @@ class _Mixture:
 
     def _at(self, array: Array, number: Whole | int | None, row: Whole | None = None) -> Memory:
         """The cells of an array, of a hypothesis of the user's run; None for the run's own."""
-        w = self._w
-        w.run = self._run if number is None else self._run + self._own * number
-        return w.at(array, row)
+        self._stand_at(number)
+        return self._w.at(array, row)
+
+    def _stand_at(self, number: Whole | int | None) -> None:
+        """Go to a hypothesis of the user's run, of which the writer's arrays then are."""
+        self._w.run = self._run if number is None else self._run + self._own * number
 
     def _doubt(self, sure: Number) -> None:
         self._sure.set(self._sure.get() & sure)
@@ -99,7 +102,7 @@ class _Mixture:
                 mean, cov = w.column(chain.ahead.begin[0]), w.symmetric(chain.ahead.begin[1])
             else:
                 log_weight = self._at(chain.logs, k, at - 1).load(0) + self._onward(at, pair)
-                self._at(chain.mean, k)
+                self._stand_at(k)
                 mean, cov = w.column(chain.mean, at - 1), w.symmetric(chain.cov, at - 1)
             cells = self._at(chain.pairs, pair)
             moved = predicted(w, chain.ahead, at - 1, mean, cov)
