@@ -72,8 +72,8 @@ def estimate(
         with quiet():  # a residual too large to be squared has no weight
             drawn = drawing.draw(part.stop - part.start, rng, defensive=defensive)
             logs, share = weigh(drawn)
+            log_ratio[:, part] = drawn.target - drawn.gaussian
         log_weights[:, part], control[:, part] = logs, share
-        log_ratio[:, part] = drawn.target - drawn.gaussian
         lost += np.isnan(drawn.target).sum(axis=-1)
         before, peak = peak, np.maximum(peak, logs.max(axis=-1))
         level = np.where(np.isfinite(peak), peak, 0.0)

@@ -230,14 +230,15 @@ def _slope(values: Array, control: Array) -> Array:
     """The slope of the regression of values on a control, (runs,); both are (runs, 2S).
 
     In each stratum both are taken less their means over it. The slope is zero where the control
-    does not vary.
+    does not vary but for rounding.
     """
     halves = (len(values), 2, -1)
     y, v = values.reshape(halves), control.reshape(halves)
     about = v - v.mean(axis=-1, keepdims=True)
     spread = (about * about).sum(axis=(1, 2))
-    found: Array = (about * y).sum(axis=(1, 2)) / np.where(spread > 0.0, spread, 1.0)
-    return found
+    some = spread > EQUAL**2 * (v * v).sum(axis=(1, 2))
+    found = (about * y).sum(axis=(1, 2)) / np.where(some, spread, 1.0)
+    return np.where(some, found, 0.0)
 
 
 def _error(values: Array) -> Array:

@@ -166,3 +166,32 @@ def curved_alone():
         [pgm.LinearGaussianCPD(A, {A.previous: 1.0}, cov=0.1)],
         [pgm.NonlinearGaussianCPD(C, A, lambda a: a**2, cov=0.1)],
     )
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_modes_of_which_the_readings_say_nothing(seed):
+    """All weights are equal but for rounding: the estimate is the answer, without an error."""
+    x, z = pgm.variables("x z")
+    fault = pgm.Discrete("fault", states=("no", "yes"))
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(x, 0.0, 1.0)],
+        [pgm.TableCPD(fault, table=[0.3, 0.7]), pgm.LinearGaussianCPD(x, {x.previous: 0.9}, cov=0.1)],
+        [pgm.LinearGaussianCPD(z, {x: 1.0}, cov=0.3)],
+    )
+    readings = 3.0 * np.random.default_rng(seed).standard_normal((3, 1))
+    posterior = pgm.smooth(model, {z: readings})
+    found = pgm.audit(posterior, samples=2000, rng=seed)
+    assert found.trusted
+    assert found.log_evidence == pytest.approx(posterior.log_evidence, abs=1e-9)
+    assert found.standard_error < 1e-9
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_trusted_of_exact_answers(seed):
+    """Where nothing was merged, no seed of the draws makes an audit doubt the answer."""
+    model, values = drawn(seed, steps=5)
+    posterior = pgm.smooth(model.model, {model.z: values}, belief=pgm.Gaussians(100))
+    found = pgm.audit(posterior, samples=1000, rng=seed)
+    assert found.trusted
+    assert not found.suspect
+    assert abs(found.log_evidence - posterior.log_evidence) < 5.0 * found.standard_error + 1e-9
