@@ -297,12 +297,7 @@ def _states(
         return tuple(state for state in continuous if state in (truth or ())) or continuous
     chosen = as_scope(states, "states=")
     for state in chosen:
-        if isinstance(state, Discrete):
-            raise ModelError(
-                f"states=: {state!r} is discrete, and beliefs are compared by means and "
-                f"covariances; those of continuous states are of {listed(continuous)}",
-                variable=state,
-            )
+        _require_continuous("states=", state, model.states)
         if state not in model.states:
             raise ModelError(
                 f"states=: {state!r} is no state of the network; those are {listed(model.states)}",
@@ -313,12 +308,23 @@ def _states(
     return chosen
 
 
+def _require_continuous(role: str, state: Variable, states: Sequence[Variable]) -> None:
+    if isinstance(state, Discrete):
+        continuous = tuple(other for other in states if not isinstance(other, Discrete))
+        raise ModelError(
+            f"{role}: {state!r} is discrete, and beliefs are compared by means and covariances; "
+            f"continuous states are {listed(continuous)}",
+            variable=state,
+        )
+
+
 def _truths(
     truth: Truth, compared: Compared, model: DynamicBayesianNetwork
 ) -> dict[Variable, Array]:
     found = {}
     shape = (*compared.lead, compared.graph.steps + 1)
     for state, values in truth.items():
+        _require_continuous("truth=", state, model.states)
         if state not in model.states:
             raise ModelError(
                 f"a truth is given of {state!r}, which is no state of the network; those are "

@@ -239,11 +239,18 @@ def split(
               \ln \int = -\tfrac12 \ln D + (\mu^2 (p - 1) + 2 \mu m - m^2 (1 - w)) / (2 D).
 
     Nothing is divided by but D, so that evidence may make a component certain, w = 0, or say
-    nothing of it, w = 1. No evidence widens a Gaussian's belief; where that of a component, which
-    stands for several, came back wider, w is taken as 1: the ratio exp(μ y − μ² / 2) passes the
-    mean on alone, and a member that is wider than the component, p > 1, is moved by μ, not by p μ.
-    As a density's the ratio would have no integral for members that are wider than w / (w − 1), and
-    carry others away step by step. A component's only member takes its belief as it is.
+    nothing of it, w = 1.
+
+    The component may come back wider, w > 1, as what comes later may have several modes. Means and
+    weights are then those of w = 1, whose ratio is exp(μ y − μ² / 2): by the densities' ratio, a
+    member far from the component's mean would soon outweigh all others. The covariance grows by
+
+    .. math:: P \mathrel{+}= P u u^\top P \, (w - 1) / D,
+
+    so that a member with the component's own moments takes its belief. A member that is wider than
+    the component, p > 1, for which D may be zero, is moved, weighed and widened as far as the
+    component is: P u and p are then divided by p. A component's only member takes its belief as
+    it is.
 
     `later` are b (components, *batch, n) and W, `known` a and V; `owner`, `logs` (members, *batch)
     and `members`, m and P, are of the members, their angles on the component's branch.
@@ -264,10 +271,11 @@ def split(
     p = symmetric(sandwich(turned, members[1]))
     gained = np.zeros(logs.shape)
     for k in range(size):
-        w, mu = np.minimum(spread[..., k], 1.0)[at], middle[..., k][at]
+        whole, mu = spread[..., k][at], middle[..., k][at]
+        w, excess = np.minimum(whole, 1.0), np.maximum(whole - 1.0, 0.0)
         column, variance, place = p[..., :, k], p[..., k, k], m[..., k]
-        # Where only the mean is passed on, a member goes no further than its component did.
-        reach = np.where(w < 1.0, 1.0, np.maximum(variance, 1.0))
+        # Where the component came back wider, a member goes no further than it did.
+        reach = np.where(whole < 1.0, 1.0, np.maximum(variance, 1.0))
         column, variance = column / reach[..., None], variance / reach
         scale = variance * (1.0 - w) + w
         scale = np.where(scale > 0.0, scale, 1.0)
@@ -279,8 +287,8 @@ def split(
         gain = column * ((1.0 - w) / scale)[..., None]
         m = m + column * (off / scale)[..., None]
         keep = np.eye(size) - gain[..., :, None] * np.eye(size)[k]
-        noise = ((1.0 - w) * w / scale**2)[..., None, None]
-        p = sandwich(keep, p) + noise * column[..., :, None] * column[..., None, :]
+        noise = (1.0 - w) * w / scale**2 + excess / (1.0 + excess * (1.0 - variance))
+        p = sandwich(keep, p) + noise[..., None, None] * column[..., :, None] * column[..., None, :]
         p = symmetric(p)
     back = (out @ axes)[at]
     found = mean[at] + apply(back, m), symmetric(sandwich(back, p))

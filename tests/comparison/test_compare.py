@@ -497,5 +497,7 @@ def test_mixtures_are_compared_by_their_moments():
     linear = pgm.compare(model, drawn.evidence, truth={s: drawn[s]})
     default = pgm.smooth(model, drawn.evidence)
     assert linear["Taylor", "smoother"].log_evidence == default.log_evidence
-    with pytest.raises(ModelError, match="mode is discrete"):
+    with pytest.raises(ModelError, match="truth=: mode is discrete"):
+        pgm.compare(model, drawn.evidence, truth={mode: drawn[mode]})
+    with pytest.raises(ModelError, match="states=: mode is discrete"):
         pgm.compare(model, drawn.evidence, truth={s: drawn[s]}, states=[mode])

@@ -61,6 +61,10 @@ def run(
         )
     model, bound = gaussian.linearised(graph, evidence, schedule, call.lineariser)
     hidden, lead = model.layout.hidden, model.lead
+    if not hidden:
+        raise EvidenceError(
+            "starts= looks for modes of hidden variables, and all are observed: leave starts out"
+        )
     begun = NetworkDensity.make(model, relative=False).drawn(
         white_points(starts, model.layout.size)
     )

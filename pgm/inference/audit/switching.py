@@ -17,7 +17,7 @@ from pgm.beliefs.hypotheses.paths import PathLaw, follow
 from pgm.beliefs.hypotheses.records import Asked
 from pgm.beliefs.hypotheses.roles import roles_of
 from pgm.beliefs.hypotheses.run import chain_of, passes
-from pgm.cpds import AffineCPD
+from pgm.cpds import AffineCPD, MixtureCPD
 from pgm.errors import ModelError, NumericalError
 from pgm.evidence import BoundEvidence
 from pgm.factors.scope import positions
@@ -55,10 +55,15 @@ class SwitchingDraws:
         roles = roles_of(outcome.graph.model, bound)
         curved = [case for case in roles.cases if not isinstance(case, AffineCPD)]
         if roles.open:
+            cpd = roles.open[0].cpd
+            if isinstance(cpd, MixtureCPD):
+                raise ModelError(
+                    f"{cpd!r} is a sensor of several components, which no audit draws; a "
+                    "pgm.SwitchingCPD of a discrete variable is audited, and says the same"
+                )
             raise ModelError(
-                f"{roles.open[0].cpd!r} has sightings of which each may be of several candidates, "
-                "or components, which no audit draws; of candidates it can be decided beforehand, "
-                'pgm.unknown(..., association="likelihood")'
+                f"{cpd!r} has sightings of which each may be of several candidates, which no audit "
+                'draws; it can be decided beforehand, pgm.unknown(..., association="likelihood")'
             )
         if curved:
             raise ModelError(

@@ -154,7 +154,7 @@ def test_what_is_refused():
     given = {Z: [[0.0]]}
     with pytest.raises(pgm.ModelError, match="mixtures of CPDs and open sightings have hypotheses"):
         pgm.smooth(network, given, belief=pgm.Gaussians(2, starts=4))
-    with pytest.raises(pgm.ModelError, match="or components, which no audit draws"):
+    with pytest.raises(pgm.ModelError, match="sensor of several components, which no audit"):
         pgm.audit(pgm.smooth(network, given), rng=0)
     with pytest.raises(pgm.GraphError, match="mixtures have posterior"):
         pgm.most_probable(pgm.compile(network, 1), given)

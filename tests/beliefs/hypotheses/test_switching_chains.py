@@ -625,3 +625,31 @@ def test_a_sensor_of_readings_that_no_hidden_variable_has_the_kind_of_is_refused
             transition=[pgm.TableCPD(MODE, given=MODE.previous, table=TABLE)],
             observation=[pgm.GaussianCPD(Z, 0.0, 1.0)],
         )
+
+
+@pytest.mark.parametrize("count", [3, 4, 8])
+def test_merging_of_equal_gaussians_loses_nothing(count):
+    """Steps left and right in either order lead to one place: its two pasts have equal moments.
+
+    Three Gaussians then hold what four do, and the later reading makes the merged one wider.
+    """
+    x, z = pgm.variables("x z")
+    side = pgm.Discrete("side", states=("left", "right"))
+    moves = {
+        name: pgm.LinearGaussianCPD(x, {x.previous: 1.0}, offset=off, cov=0.01)
+        for name, off in (("left", -2.0), ("right", 2.0))
+    }
+    even = pgm.TableCPD(side, table=[0.5, 0.5])
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(x, 0.0, 1.0)],
+        [even, pgm.SwitchingCPD(x, side, moves)],
+        [pgm.LinearGaussianCPD(z, {x: 1.0}, cov=0.01)],
+    )
+    posterior = pgm.smooth(model, {z: [[np.nan], [np.nan], [0.0]]}, belief=pgm.Gaussians(count))
+    # The start given the path's sum of moves s: N(−s κ, 1 − κ), where κ = 1 / 1.04.
+    moved = np.array([-6.0, -2.0, 2.0, 6.0])
+    weight = np.array([1.0, 3.0, 3.0, 1.0]) * np.exp(-0.5 * moved**2 / 1.04)
+    weight /= weight.sum()
+    var = weight @ (moved / 1.04) ** 2 + 1.0 - 1.0 / 1.04
+    np.testing.assert_allclose(posterior[x].cov[0, 0, 0], var, rtol=1e-10)
+    np.testing.assert_allclose(posterior[x].mean[0], 0.0, atol=1e-12)

@@ -175,7 +175,10 @@ def test_modes_of_which_the_readings_say_nothing(seed):
     fault = pgm.Discrete("fault", states=("no", "yes"))
     model = pgm.DynamicBayesianNetwork(
         [pgm.GaussianCPD(x, 0.0, 1.0)],
-        [pgm.TableCPD(fault, table=[0.3, 0.7]), pgm.LinearGaussianCPD(x, {x.previous: 0.9}, cov=0.1)],
+        [
+            pgm.TableCPD(fault, table=[0.3, 0.7]),
+            pgm.LinearGaussianCPD(x, {x.previous: 0.9}, cov=0.1),
+        ],
         [pgm.LinearGaussianCPD(z, {x: 1.0}, cov=0.3)],
     )
     readings = 3.0 * np.random.default_rng(seed).standard_normal((3, 1))
