@@ -10,7 +10,7 @@ import numpy as np
 
 from pgm.cpds import AffineCPD, ConditionalGaussian, GaussianCPD, LinearGaussianCPD, Noise
 from pgm.errors import ModelError
-from pgm.factors.scope import Scope, listed, namesake
+from pgm.factors.scope import Scope, labels, listed, namesake
 from pgm.kernels.arrays import Array, Mask, transpose
 from pgm.learning.residuals import Known, Residuals, residuals
 from pgm.learning.steps import CovarianceStep
@@ -87,6 +87,7 @@ class GaussianStep:
                 self._free_matrices(cpd, part)
             else:
                 self._free_offset(cpd, part)
+        self._require_noise(cpd)
         self.same = bool((self.free == self.free[0]).all())
 
     def _free_matrices(self, cpd: ConditionalGaussian, part: Coefficients) -> None:
@@ -122,6 +123,22 @@ class GaussianStep:
             )
         due = (cpd.child.dimension,)
         self.free[:, -1] = _mask(cpd, "the mask of the offset", part.free, due)
+
+    def _require_noise(self, cpd: ConditionalGaussian) -> None:
+        """Refuse free entries of a row without noise: beliefs agree with any value they have."""
+        if isinstance(cpd.cov, Noise):
+            return
+        certain = self.free.any(axis=1) & ~np.diagonal(cpd.cov, axis1=-2, axis2=-1).any(
+            axis=tuple(range(cpd.cov.ndim - 2))
+        )
+        if certain.any():
+            names = np.array(labels((cpd.child,)))[certain]
+            raise ModelError(
+                f"{cpd!r}: {', '.join(names)} has no noise, so that every belief fits the "
+                "coefficients and the offset as they are, and no step moves them; give it some "
+                "noise, or free those of other components alone, by a mask",
+                cpd=cpd,
+            )
 
     def expected(self, beliefs: Sequence[FamilyBelief], known: Known) -> Expected:
         """The sums over all recordings that M step and gradient need."""

@@ -58,6 +58,24 @@ def test_noise_that_cannot_be_learnt(given, told):
         pgm.fit(model(**given), READINGS | {K: np.ones((3, 1))}, learn={X: Covariance()})
 
 
+@pytest.mark.parametrize("learn", [Offset(), Coefficients()])
+def test_means_of_components_without_noise(learn):
+    """An EM step would leave them where they are, and call that an optimum."""
+    with pytest.raises(pgm.ModelError, match="x has no noise"):
+        pgm.fit(model(move=0.0), READINGS, learn={X: learn})
+    pair = pgm.Variable("pair", ("place", "speed"))
+    moved = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(pair, [0.0, 1.0], 1.0)],
+        [pgm.LinearGaussianCPD(pair, {pair.previous: [[1, 1], [0, 0.9]]}, cov=np.diag([0.0, 0.1]))],
+        [pgm.LinearGaussianCPD(Z, {pair: [[1.0, 0.0]]}, cov=0.1)],
+    )
+    with pytest.raises(pgm.ModelError, match="place has no noise"):
+        pgm.fit(moved, READINGS, learn={pair: learn})
+    other = Coefficients({pair.previous: [[False, False], [False, True]]})
+    found = pgm.fit(moved, READINGS, learn={pair: other})
+    assert found.log_evidence[-1] > pgm.smooth(moved, READINGS).log_evidence
+
+
 def test_a_prior_that_differs_by_run_or_is_flat():
     for cov in (np.ones((2, 1, 1)), np.inf):
         with pytest.raises(pgm.ModelError, match="differs by run or is infinite"):
