@@ -77,6 +77,7 @@ def _is_plain(chain: HypothesisChain) -> bool:
         and not roles.open
         and not chain.angles.size
         and not chain.by_memory
+        and roles.robust is None
         and all(isinstance(case, AffineCPD) for case in roles.cases)
         and all(len(choices.alike) == 1 for choices in chain.choices)
         and repeated * regimes.memories * regimes.size <= _EVIDENCE

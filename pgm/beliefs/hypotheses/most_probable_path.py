@@ -30,7 +30,7 @@ class Path(NamedTuple):
     """The path of each hidden discrete variable, (runs, T+1), its states by index.
 
     log_probability: ln p(path, measurements), (runs,).
-    exact: Whether no other path was left out, nor any CPD linearised, (runs,).
+    exact: Whether no other path was left out, no CPD linearised and no noise robust, (runs,).
     """
 
     states: dict[Discrete, Integers]
@@ -61,8 +61,9 @@ def most_probable_path(model: DynamicBayesianNetwork, bound: BoundEvidence, coun
         variable: np.ascontiguousarray(chain.regimes.states(variable)[path].T)
         for variable in chain.regimes.hidden
     }
-    affine = all(isinstance(case, AffineCPD) for case in chain.roles.cases)
-    return Path(found, total, ~chain.left_out & affine)
+    roles = chain.roles
+    exact = roles.robust is None and all(isinstance(case, AffineCPD) for case in roles.cases)
+    return Path(found, total, ~chain.left_out & exact)
 
 
 class _Record:

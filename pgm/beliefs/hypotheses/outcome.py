@@ -141,7 +141,8 @@ class HypothesisOutcome(Outcome[Any]):
     """The beliefs of a chain of discrete and continuous variables; leading axes are runs.
 
     ``posterior[v]`` is a `Table` of a discrete variable, with the user's axes of runs, then one of
-    steps; and a `GaussianMixture` of a continuous one, with the same axes.
+    steps; and a `GaussianMixture` of a continuous one, with the same axes. The kind of log-evidence
+    is ``merged``, exact but for what was merged and linearised, or ``bound`` with robust noise.
     """
 
     beliefs: ClassVar[str] = "mixtures of a mixed chain"
@@ -152,6 +153,7 @@ class HypothesisOutcome(Outcome[Any]):
     graph: DynamicGraph
     status: Status
     log_evidence: Array
+    log_evidence_kind: str
     _beliefs: Beliefs
     _regimes: Regimes
     associations: Found
@@ -164,11 +166,6 @@ class HypothesisOutcome(Outcome[Any]):
     def kind(self) -> Kind:
         """Which measurements the beliefs know."""
         return self._beliefs.kind
-
-    @property
-    def log_evidence_kind(self) -> str:
-        """``merged``: exact but for what was merged and linearised."""
-        return "merged"
 
     @property
     def filtered(self) -> HypothesisOutcome:

@@ -48,6 +48,11 @@ class Roles(NamedTuple):
             else:
                 yield from cpd.cases.values() if isinstance(cpd, SwitchingCPD) else (cpd,)
 
+    @property
+    def robust(self) -> CPD | None:
+        """A CPD of robust noise, if there is any; hypotheses are not weighed then."""
+        return next((case for case in self.cases if not is_plain(case)), None)
+
 
 def roles_of(model: DynamicBayesianNetwork, bound: BoundEvidence) -> Roles:
     """The CPDs of continuous variables; one that has no Gaussian beliefs is a ModelError."""
@@ -81,19 +86,24 @@ def roles_of(model: DynamicBayesianNetwork, bound: BoundEvidence) -> Roles:
     )
     for case in found.cases:
         require_gaussian([case], "the Gaussian beliefs of a mixed network")
-        if not is_plain(case):
-            raise ModelError(
-                f"{case!r} has robust noise, and what hypotheses are weighed by are densities, of "
-                "which robust noise gives but a bound: make outliers a state of a discrete "
-                "variable, with a case of larger noise; or, of sightings by pgm.unknown, give "
-                'association="likelihood"',
-                variable=case.child,
-                cpd=case,
-            )
         case.require_proper(
             "hypotheses are weighed by densities, and a belief of infinite variance has none"
         )
     return found
+
+
+def require_densities(roles: Roles) -> None:
+    """Refuse robust noise, whose bound of a density does not weigh hypotheses."""
+    case = roles.robust
+    if case is not None:
+        raise ModelError(
+            f"{case!r} has robust noise, and what hypotheses are weighed by are densities, of "
+            "which robust noise gives but a bound: make outliers a state of a discrete "
+            "variable, with a case of larger noise; or, of sightings by pgm.unknown, give "
+            'association="likelihood"',
+            variable=case.child,
+            cpd=case,
+        )
 
 
 def _by_observed(reading: Reading) -> list[Reading]:

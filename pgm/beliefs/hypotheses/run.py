@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from pgm.beliefs.hypotheses.chain import HypothesisChain
 from pgm.beliefs.hypotheses.outcome import Beliefs, HypothesisOutcome
 from pgm.beliefs.hypotheses.records import Asked, Belief, Settings, State, Swept
 from pgm.beliefs.hypotheses.regimes import Regimes
-from pgm.beliefs.hypotheses.roles import Roles, roles_of
+from pgm.beliefs.hypotheses.roles import Roles, require_densities, roles_of
 from pgm.compile import DynamicGraph
 from pgm.cpds import AffineCPD
 from pgm.errors import GraphError, ModelError
@@ -67,13 +68,13 @@ def passes(
     beliefs = Beliefs.of(FILTERED, hidden, done.logs, done.mean, done.cov, done.regimes)
     found = associations_of(chain)
     again = bound, call, asked
-    filtered = HypothesisOutcome(graph, status, total, beliefs, regimes, found, again)
+    evidence = "merged" if roles.robust is None else "bound"
+    filtered = HypothesisOutcome(graph, status, total, evidence, beliefs, regimes, found, again)
     if kind == FILTERED:
         return filtered, None
     backward = BackwardChain(chain)
     beliefs = _smoothed(chain, backward, kind, bound.steps)
-    smoothed = HypothesisOutcome(graph, status, total, beliefs, regimes, found, again, filtered)
-    return smoothed, backward
+    return replace(filtered, _beliefs=beliefs, _forward=filtered), backward
 
 
 def chain_of(
@@ -92,6 +93,8 @@ def chain_of(
     hidden = tuple(cpd.child for cpd in model.transition if not cpd.discrete)
     given = Given(bound, hidden, frozenset(model.states), lineariser, schedule, first)
     roles = roles_of(model, bound)
+    if regimes.size > 1 or roles.open or asked.pieces > 1:
+        require_densities(roles)
     _require_room(given, regimes, roles, settings)
     return HypothesisChain(given, regimes, roles, settings)
 
@@ -116,11 +119,20 @@ def _settings(asked: Asked, regimes: Regimes, *, back: bool) -> Settings:
 
 
 def _require_once(call: Call, roles: Roles) -> None:
-    """Refuse a smoother that would linearise again, which is not what is done here."""
+    """Refuse a smoother that would linearise or weigh again, which is not what is done here."""
     schedule = call.schedule
-    again = getattr(schedule, "iterations", 1) > 1 and not isinstance(schedule, Filtering)
+    if getattr(schedule, "iterations", 1) == 1 or isinstance(schedule, Filtering):
+        return
+    robust = roles.robust
+    if robust is not None:
+        raise ModelError(
+            f"{schedule!r} weighs the readings of robust noise again at smoothed beliefs, and "
+            f"mixtures of Gaussians are smoothed as the filter weighed them ({robust!r}): leave "
+            "iterations out",
+            cpd=robust,
+        )
     nonlinear = [case for case in roles.cases if not isinstance(case, AffineCPD)]
-    if again and nonlinear:
+    if nonlinear:
         raise ModelError(
             f"{schedule!r} linearises again at smoothed beliefs, and mixtures of Gaussians are "
             f"smoothed as the filter linearised them ({nonlinear[0]!r}): leave iterations out, or "

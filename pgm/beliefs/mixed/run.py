@@ -15,9 +15,9 @@ from pgm.beliefs.mixed.tabled import Tabled
 from pgm.beliefs.mixed.weighing import Asked, Weighed, weighed
 from pgm.clustergraph import ClusterGraph
 from pgm.compile.methods import JunctionTree
-from pgm.cpds import CPD, ConditionalGaussian, MixtureCPD, SwitchingCPD
+from pgm.cpds import CPD, MixtureCPD, SwitchingCPD
 from pgm.cpds.caused import caused, has_mixtures
-from pgm.errors import EvidenceError, ModelError, NumericalError
+from pgm.errors import EvidenceError, NumericalError
 from pgm.evidence import Evidence
 from pgm.evidence.rows import as_rows, no_evidence_for, require_finite
 from pgm.evidence.static import BoundValues, bind_discrete, bind_values
@@ -102,15 +102,6 @@ def _split(graph: ClusterGraph) -> _Split:
     for cpd in continuous:
         own = cpd.cases.values() if isinstance(cpd, SwitchingCPD) else (cpd,)
         require_gaussian(own, "the Gaussian beliefs of a mixed network")
-        for case in own:
-            if isinstance(case, ConditionalGaussian) and case.noise is not None:
-                raise ModelError(
-                    f"{case!r} has robust noise, {case.noise!r}, and what a network with discrete "
-                    "variables weighs them by are densities, which robust noise gives but a bound "
-                    "of: make outliers a state of a discrete variable, with a case of larger noise",
-                    variable=case.child,
-                    cpd=case,
-                )
     noise = (v for cpd in continuous for v in cpd.noise_given)
     needed = tuple(dict.fromkeys([*graph.network.inputs, *noise]))
     return _Split(tables, continuous, JunctionTree()(BayesianNetwork(tables)), needed)

@@ -20,9 +20,9 @@ from pgm.beliefs.gaussian.run import run
 from pgm.beliefs.mixed.configurations import Cases
 from pgm.beliefs.mixed.parts import Part
 from pgm.compile.methods import JunctionTree
-from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, Noise
+from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, Noise, SwitchingCPD
 from pgm.cpds.conditional import evaluate
-from pgm.errors import GraphError, NumericalError
+from pgm.errors import GraphError, ModelError, NumericalError
 from pgm.factors.scope import listed
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, Integers, independent, variances
@@ -120,6 +120,8 @@ def weighed(part: Part, configurations: Integers, asked: Asked) -> Weighed:
     if not part.hidden and cases.proper:
         log = _likelihoods(cases, asked)
         return Weighed(part, configurations, log, _certain(part, cases, asked, log), ())
+    if len(configurations) > 1:
+        _require_densities(part)
     log = np.full((len(configurations), asked.runs), -np.inf)
     beliefs: list[tuple[Integers, Integers, GaussianOutcome]] = []
     refused: Contradiction | None = None
@@ -141,6 +143,21 @@ def weighed(part: Part, configurations: Integers, asked: Asked) -> Weighed:
     if refused is not None and not np.isfinite(log).any(axis=0).all():
         raise refused  # whatever the discrete variables are
     return Weighed(part, configurations, log, _certain(part, cases, asked, log), beliefs)
+
+
+def _require_densities(part: Part) -> None:
+    """Refuse robust noise, whose bound of a density does not weigh configurations."""
+    for cpd in part.cpds:
+        for case in cpd.cases.values() if isinstance(cpd, SwitchingCPD) else (cpd,):
+            if isinstance(case, ConditionalGaussian) and case.noise is not None:
+                raise ModelError(
+                    f"{case!r} has robust noise, {case.noise!r}, and what configurations of "
+                    f"({listed(part.boundary)}) are weighed by are densities, which robust noise "
+                    "gives but a bound of: make outliers a state of a discrete variable, with a "
+                    "case of larger noise",
+                    variable=case.child,
+                    cpd=case,
+                )
 
 
 def _likelihoods(cases: Cases, asked: Asked) -> Array:

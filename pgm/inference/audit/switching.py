@@ -65,6 +65,11 @@ class SwitchingDraws:
                 f"{cpd!r} has sightings of which each may be of several candidates, which no audit "
                 'draws; it can be decided beforehand, pgm.unknown(..., association="likelihood")'
             )
+        if roles.robust is not None:
+            raise ModelError(
+                f"{roles.robust!r} has robust noise: an audit of a switching model takes the "
+                "answer as exact where its discrete variables are known, and this is a bound"
+            )
         if curved:
             raise ModelError(
                 f"{curved[0]!r} is nonlinear: an audit of a switching model draws its discrete "
