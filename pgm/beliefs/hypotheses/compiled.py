@@ -33,22 +33,17 @@ _EVIDENCE, _REGIMES = 2**24, 32
 _TIMES = 6
 
 
-_OTHER = (
-    "machine code filters mixtures of one Gaussian for each joint state of the remembered "
-    "variables, of affine CPDs without angles, whose noise is no function"
-)
-
-
 def forward(chain: HypothesisChain, choice: Choice) -> tuple[Swept | None, str]:
     """The filter in machine code, None where it is left to NumPy; and the account, in words.
 
     `choice` is what was asked of machine code.
     """
-    if choice is False or (choice is None and not _is_plain(chain)):
+    if choice is False:
         return None, ""
-    plan = _plan(chain, choice) if _is_plain(chain) else None
-    if plan is None:
-        return None, f"not compiled: {_OTHER}"
+    other = _other(chain)
+    if other is not None:
+        return None, "" if choice is None else f"not compiled: {other}"
+    plan = _plan(chain, choice)
     runs = chain.runs
     if not sweep.is_used(plan, _TIMES):
         return None, plan.account.words(runs)
@@ -64,24 +59,37 @@ def forward(chain: HypothesisChain, choice: Choice) -> tuple[Swept | None, str]:
     return found, plan.account.words(runs)
 
 
-def _is_plain(chain: HypothesisChain) -> bool:
-    """Whether a chain is of a kind that is swept in machine code."""
+def _other(chain: HypothesisChain) -> str | None:
+    """Why a chain is of a kind that is left to NumPy, in words; None if it is of no such kind."""
     settings, regimes, roles = chain.settings, chain.regimes, chain.roles
     evidence = [each.values for each in roles.readings]
     evidence += [values for inputs in roles.inputs for values in inputs.values()]
     repeated = sum(each.size for each in evidence if each.shape[1] > 1)
-    return (
-        settings.count == regimes.memories
-        and not (settings.back or settings.prune or settings.pieces > 1)
-        and regimes.size <= _REGIMES
-        and not roles.open
-        and not chain.angles.size
-        and not chain.by_memory
-        and roles.robust is None
-        and all(isinstance(case, AffineCPD) for case in roles.cases)
-        and all(len(choices.alike) == 1 for choices in chain.choices)
-        and repeated * regimes.memories * regimes.size <= _EVIDENCE
-    )
+    curved = next((case for case in roles.cases if not isinstance(case, AffineCPD)), None)
+    if settings.back:
+        return "machine code filters mixtures, and these are smoothed"
+    if settings.prune or settings.pieces > 1 or settings.count != regimes.memories:
+        return (
+            "machine code keeps one Gaussian for each joint state of the remembered variables, "
+            f"{regimes.memories}, and others were asked for"
+        )
+    if roles.open:
+        return f"{roles.open[0].cpd!r} has open sightings, or several components"
+    if curved is not None:
+        return f"{curved!r} is not affine"
+    if roles.robust is not None:
+        return f"{roles.robust!r} has robust noise"
+    if chain.angles.size:
+        return "some component is an angle"
+    if chain.by_memory:
+        return "motions are chosen by states of the step before"
+    if any(len(choices.alike) != 1 for choices in chain.choices):
+        return "cases differ in more than their numbers: in their parents, or functions of noise"
+    if regimes.size > _REGIMES:
+        return f"there are {regimes.size} joint states, and machine code takes {_REGIMES}"
+    if repeated * regimes.memories * regimes.size > _EVIDENCE:
+        return "the evidence, repeated for all hypotheses, is too large"
+    return None
 
 
 def _plan(chain: HypothesisChain, choice: Choice) -> ChainPlan:
