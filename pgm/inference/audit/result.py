@@ -258,7 +258,7 @@ class Audit(Shown, Immutable):
         return Summary(
             self._title,
             [
-                "The Gaussian answer against the exact posterior of the same model:",
+                "The answer against the exact posterior of the same model:",
                 *self._verdict(),
                 Listing(("", ""), rows),
                 f"Pareto shape {k:.2g} (to be below {UNTRUSTED}){trust}",
