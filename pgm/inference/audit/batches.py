@@ -11,10 +11,11 @@ from typing import Protocol
 
 import numpy as np
 
-from pgm.inference.audit.corrected import Compared, Sums
+from pgm.inference.audit.compared import Compared
+from pgm.inference.audit.corrected import Sums
 from pgm.inference.audit.draws import Draws
 from pgm.inference.audit.mixture import Mixture, weigh
-from pgm.inference.audit.states import ComparedStates, StateSums
+from pgm.inference.audit.states import StateSums
 from pgm.kernels.arrays import quiet
 from pgm.progress import counted
 
@@ -53,7 +54,7 @@ class Drawing(Protocol):
 
 def estimate(
     drawing: Drawing, runs: int, samples: int, rng: np.random.Generator
-) -> tuple[Mixture, list[Compared | ComparedStates]]:
+) -> tuple[Mixture, list[Compared]]:
     """Make S = `samples` draws from q and S from d for each run, and the estimates from them.
 
     The first result has the estimates of the evidence and of divergences. The second has, for each

@@ -9,101 +9,47 @@ answer's mean. A *scope* is the variables of one belief; n is the number of thei
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import log, sqrt
 
 import numpy as np
 
 from pgm.factors import Gaussian
+from pgm.inference.audit.compared import Compared
 from pgm.inference.audit.mixture import Mixture
 from pgm.kernels import roots, solving
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import (
     Array,
     Index,
-    Integers,
     Mask,
-    frozen,
     symmetric,
     transpose,
 )
 from pgm.variables import Variable
 
 
-@dataclass(frozen=True, eq=False)
-class Compared:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ComparedMoments(Compared):
     """Exact moments of a belief, estimated, beside the Gaussian answer's.
 
-    scope: The variables of the belief.
-    steps: The steps of a chain at which it is compared; None in a network without time, whose
-        arrays have a single step.
     mean, cov: The estimated exact moments, (steps, runs, n) and (steps, runs, n, n).
-    divergence: KL(N(mean, cov) ‖ the Gaussian answer's belief of the scope) in nats, (steps, runs);
-        infinite where `cov` is not positive definite.
-    judged: Marks the steps at which the posterior's belief is given all measurements, as q is,
-        (steps,).
+
+    The divergence is KL(N(mean, cov) ‖ the Gaussian answer's belief of the scope), infinite where
+    `cov` is not positive definite.
     """
 
-    scope: tuple[Variable, ...]
-    steps: Integers | None
     mean: Array
     cov: Array
-    divergence: Array
-    judged: Mask
-
-    def excess(self, draws: Array) -> Array:
-        """The largest divergence of a judged belief, less what chance explains, (runs,), in nats.
-
-        Moments estimated from N effective draws, `draws` (runs,), are off by about χ²_f / 2N nats.
-        The degrees of freedom are f = n (n + 3)/2, the numbers in n means and a covariance. With m
-        judged steps, the largest of m such errors is bounded by
-
-            (f/2 + √(f ln m) + ln m) / N
-
-        (Laurent & Massart, 2000, lemma 1). So much is explained by chance.
-        """
-        size = self.mean.shape[-1]
-        freedom, spread = 0.5 * size * (size + 3), log(max(int(self.judged.sum()), 1))
-        chance = (0.5 * freedom + sqrt(freedom * spread) + spread) / draws
-        return np.asarray(self._known.max(axis=0, initial=0.0) - chance)
 
     @property
-    def _known(self) -> Array:
-        """Divergences (steps, runs) of judged beliefs with finite moments; zero elsewhere."""
-        known = self.judged[:, None] & np.isfinite(self.divergence)
-        return np.where(known, self.divergence, 0.0)
-
-    def furthest(self, lead: tuple[int, ...]) -> tuple[float, str]:
-        """The largest divergence of a judged belief, and this belief's variables and run in words.
-
-        `lead` is the shape of the runs. The words list the variables, and end in " of run 2" if
-        there is a `lead`. With no run, or no step, the divergence is zero and the words are empty.
-        """
-        found = self._known
-        if not found.size:
-            return 0.0, ""
-        step, run = np.unravel_index(int(found.argmax()), found.shape)
-        scope = self.scope
-        if self.steps is not None:
-            scope = tuple(each.at(int(self.steps[step])) for each in scope)
-        where = ", ".join(str(k) for k in np.unravel_index(run, lead))
-        of = f" of run {where}" if lead else ""
-        return float(found[step, run]), f"{', '.join(map(repr, scope))}{of}"
+    def freedom(self) -> float:
+        """The f = n (n + 3)/2 numbers in n means and a covariance."""
+        size = int(self.mean.shape[-1])
+        return 0.5 * size * (size + 3)
 
     def belief(self, lead: tuple[int, ...]) -> Gaussian:
         """The exact moments as a Gaussian, its leading axes the runs, `lead`, then steps if any."""
         mean, cov = self._stacked(self.mean, lead), self._stacked(self.cov, lead)
         return Gaussian._make(self.scope, mean, cov, self.steps)
-
-    def divergences(self, lead: tuple[int, ...]) -> Array:
-        """The divergence, (*lead, steps), or (*lead) in a network without time."""
-        return frozen(self._stacked(self.divergence, lead))
-
-    def _stacked(self, values: Array, lead: tuple[int, ...]) -> Array:
-        """Reshape (steps, runs, ...) to (*lead, steps, ...); without time to (*lead, ...)."""
-        tail = values.shape[2:]
-        if self.steps is None:
-            return np.asarray(values[0].reshape((*lead, *tail)))
-        return np.asarray(values.swapaxes(0, 1).reshape((*lead, len(values), *tail)))
 
 
 @dataclass(eq=False)
@@ -166,7 +112,7 @@ class Sums:
                 self._offsets[kind, row] += weighted.sum(axis=-1)
                 self._squares[kind, row] += weighted @ off
 
-    def compared(self, mixture: Mixture) -> Compared:
+    def compared(self, mixture: Mixture) -> ComparedMoments:
         """The exact moments, from all draws, beside the Gaussian's.
 
         `mixture` has the weights of all draws, and from them the estimate Ẑ of p(z), and the slope
@@ -199,8 +145,14 @@ class Sums:
             cov = np.where(lost[..., None, None], plain[1], cov)
             divergence = np.where(lost, _from_gaussian(lower, *plain), divergence)
         steps = np.arange(self.first, self.first + len(cov)) if self.timed else None
-        mean = self.mean + offset
-        return Compared(self.scope, steps, mean, cov, divergence, self.judged)
+        return ComparedMoments(
+            scope=self.scope,
+            steps=steps,
+            divergence=divergence,
+            judged=self.judged,
+            mean=self.mean + offset,
+            cov=cov,
+        )
 
 
 def _moments(offsets: Array, squares: Array) -> tuple[Array, Array]:

@@ -10,11 +10,10 @@ import numpy as np
 from pgm.display import Listing, Shown, Summary, number
 from pgm.factors import Gaussian, Table
 from pgm.immutable import Immutable
-from pgm.inference.audit.corrected import Compared
+from pgm.inference.audit.compared import Compared
 from pgm.inference.audit.innovation_checks import InnovationCheck
 from pgm.inference.audit.mixture import Mixture
 from pgm.inference.audit.modes import Modes
-from pgm.inference.audit.states import ComparedStates
 from pgm.kernels.arrays import Array, Integers, Mask, frozen
 from pgm.posteriors.summaries import spread
 from pgm.variables import Variable
@@ -46,7 +45,7 @@ def _is_trusted(mixture: Mixture, modes: Modes) -> Mask:
 
 def _is_suspect(
     mixture: Mixture,
-    compared: Sequence[Compared | ComparedStates],
+    compared: Sequence[Compared],
     correction: Array,
     trusted: Mask,
 ) -> Mask:
@@ -181,7 +180,7 @@ class Audit(Shown, Immutable):
         self,
         mixture: Mixture,
         gaussian_log_evidence: Array,
-        compared: Sequence[Compared | ComparedStates] = (),
+        compared: Sequence[Compared] = (),
         innovations: Mapping[Variable, InnovationCheck] = MappingProxyType({}),
         modes: Modes | None = None,
     ) -> None:
