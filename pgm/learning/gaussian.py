@@ -11,7 +11,7 @@ import numpy as np
 from pgm.cpds import AffineCPD, ConditionalGaussian, GaussianCPD, LinearGaussianCPD, Noise
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope, labels, listed, namesake
-from pgm.kernels.arrays import Array, Mask, transpose
+from pgm.kernels.arrays import Array, Mask, deviation, transpose, variances
 from pgm.learning.residuals import Known, Residuals, residuals
 from pgm.learning.steps import CovarianceStep
 from pgm.learning.values import Coefficients, Covariance, Offset
@@ -21,6 +21,8 @@ from pgm.posteriors.expectations import FamilyBelief
 _ROUNDS = 200
 _SETTLED = 1e-13
 _LEAST = 1e-300
+# A component is in the range of a covariance if its projection is as long as itself, but for this.
+_REACHED = 1e-6
 # The part of a mean that sums of many rows may be off by.
 _STILL = 2.0**-44
 
@@ -125,18 +127,24 @@ class GaussianStep:
         self.free[:, -1] = _mask(cpd, "the mask of the offset", part.free, due)
 
     def _require_noise(self, cpd: ConditionalGaussian) -> None:
-        """Refuse free entries of a row without noise: beliefs agree with any value they have."""
-        if isinstance(cpd.cov, Noise):
+        """Refuse free entries of a row that noise does not reach, e_i outside of its range.
+
+        Beliefs agree with any value that these have, and no step would move them.
+        """
+        if isinstance(cpd.cov, Noise) or not np.isfinite(cpd.cov).all():
             return
-        certain = self.free.any(axis=1) & ~np.diagonal(cpd.cov, axis1=-2, axis2=-1).any(
-            axis=tuple(range(cpd.cov.ndim - 2))
-        )
+        unit = deviation(cpd.cov)
+        unit = np.where(unit > 0.0, unit, 1.0)
+        scaled = cpd.cov / unit[..., :, None] / unit[..., None, :]
+        reached = variances(scaled @ np.linalg.pinv(scaled, hermitian=True))
+        least = reached.reshape(-1, len(self.free)).max(axis=0)
+        certain = self.free.any(axis=1) & (least < 1.0 - _REACHED)
         if certain.any():
             names = np.array(labels((cpd.child,)))[certain]
             raise ModelError(
-                f"{cpd!r}: {', '.join(names)} has no noise, so that every belief fits the "
-                "coefficients and the offset as they are, and no step moves them; give it some "
-                "noise, or free those of other components alone, by a mask",
+                f"{cpd!r}: {', '.join(names)} has no noise of its own, so that beliefs fit the "
+                "coefficients and the offset as they are, and no step moves them; give it some, or "
+                "free those of other components alone, by a mask",
                 cpd=cpd,
             )
 
@@ -173,6 +181,12 @@ class GaussianStep:
             for k, (i, a) in enumerate(zip(rows, columns, strict=True)):
                 normal[k] += np.sum(weight[:, i, rows] * gram[:, a, columns], axis=0)
             said += (weight @ cross).sum(axis=0)[rows, columns]
+        if count and normal.size and not np.diagonal(normal).any():
+            raise ModelError(
+                f"{cpd!r}: its noise is zero wherever it was told of, so that beliefs fit the "
+                "coefficients and the offset as they are, and no step moves them; give it some",
+                cpd=cpd,
+            )
         zero = np.zeros((0, 0))
         weighted = Weighted(normal, said, moments, ranks)
         return Expected(cpd, zero, zero, zero, count, reference, weighted)

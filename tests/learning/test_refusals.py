@@ -58,19 +58,30 @@ def test_noise_that_cannot_be_learnt(given, told):
         pgm.fit(model(**given), READINGS | {K: np.ones((3, 1))}, learn={X: Covariance()})
 
 
+def _pushed(pair, cov):
+    """A place and its speed, moved with a noise."""
+    return pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(pair, [0.0, 1.0], 1.0)],
+        [pgm.LinearGaussianCPD(pair, {pair.previous: [[1, 1], [0, 0.9]]}, cov=cov)],
+        [pgm.LinearGaussianCPD(Z, {pair: [[1.0, 0.0]]}, cov=0.1)],
+    )
+
+
 @pytest.mark.parametrize("learn", [Offset(), Coefficients()])
 def test_means_of_components_without_noise(learn):
     """An EM step would leave them where they are, and call that an optimum."""
     with pytest.raises(pgm.ModelError, match="x has no noise"):
         pgm.fit(model(move=0.0), READINGS, learn={X: learn})
     pair = pgm.Variable("pair", ("place", "speed"))
-    moved = pgm.DynamicBayesianNetwork(
-        [pgm.GaussianCPD(pair, [0.0, 1.0], 1.0)],
-        [pgm.LinearGaussianCPD(pair, {pair.previous: [[1, 1], [0, 0.9]]}, cov=np.diag([0.0, 0.1]))],
-        [pgm.LinearGaussianCPD(Z, {pair: [[1.0, 0.0]]}, cov=0.1)],
-    )
+    moved = _pushed(pair, np.diag([0.0, 0.1]))
     with pytest.raises(pgm.ModelError, match="place has no noise"):
         pgm.fit(moved, READINGS, learn={pair: learn})
+    pushed = np.outer([0.5, 1.0], [0.5, 1.0])  # by one acceleration: no component is free of it
+    with pytest.raises(pgm.ModelError, match="place, speed has no noise of its own"):
+        pgm.fit(_pushed(pair, pushed), READINGS, learn={pair: learn})
+    none = pgm.noise(lambda k: 0.0 * k[..., None], given=K)
+    with pytest.raises(pgm.ModelError, match="noise is zero wherever"):
+        pgm.fit(model(move=none), READINGS | {K: np.ones((3, 1))}, learn={X: learn})
     other = Coefficients({pair.previous: [[False, False], [False, True]]})
     found = pgm.fit(moved, READINGS, learn={pair: other})
     assert found.log_evidence[-1] > pgm.smooth(moved, READINGS).log_evidence

@@ -47,6 +47,11 @@ def most_probable_path(model: DynamicBayesianNetwork, bound: BoundEvidence, coun
             "most_probable finds a path of discrete variables, and here sightings leave open what "
             "was seen; pgm.smooth sums over that, and posterior.associations tells of it"
         )
+    if not chain.regimes.hidden:
+        raise GraphError(
+            "most_probable finds a path of hidden discrete variables, and here there is none; the "
+            "most probable path of continuous states is the mean of pgm.smooth"
+        )
     record = _Record()
     sweep.forward(chain, bound.steps, record)
     assert record.last is not None

@@ -142,7 +142,8 @@ class HypothesisOutcome(Outcome[Any]):
 
     ``posterior[v]`` is a `Table` of a discrete variable, with the user's axes of runs, then one of
     steps; and a `GaussianMixture` of a continuous one, with the same axes. The kind of log-evidence
-    is ``merged``, exact but for what was merged and linearised, or ``bound`` with robust noise.
+    is ``merged``, exact but for what was merged and linearised; with robust noise ``bound``, or
+    ``linearised bound``.
     """
 
     beliefs: ClassVar[str] = "mixtures of a mixed chain"

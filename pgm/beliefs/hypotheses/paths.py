@@ -18,6 +18,7 @@ from pgm.beliefs.moments.steps.readings import Moments
 from pgm.kernels import merging, roots
 from pgm.kernels.arrays import Array, Integers, apply, components_last
 from pgm.kernels.moments import Conditional
+from pgm.kernels.semirings import log_sum
 
 
 class Followed(NamedTuple):
@@ -84,11 +85,18 @@ def _at(conditional: Conditional, regimes: Integers) -> Conditional:
     return Conditional(*found)
 
 
-class PathLaw:
-    """A law of paths: that of the model alone, or by the smoothed beliefs of pairs of steps.
+# The powers of the model's probabilities, of which a third of the defensive paths are drawn each.
+TEMPERS = 1.0, 0.5, 0.0
 
-    The latter draws the last regime, then each memory given the regime after it, and the regime
-    that had it: a Markov chain, from the end on, of the smoothed probabilities.
+
+class PathLaw:
+    """A law of paths by the smoothed beliefs of pairs of steps, or a *defensive* one.
+
+    The former draws the last regime, then each memory given the regime after it, and the regime
+    that had it: a Markov chain, from the end on, of the smoothed probabilities. Defensive paths are
+    drawn forward, a third each by the model's probabilities of regimes given the memory before, by
+    their roots, and uniformly of those that are possible: so that paths are seen which are rare in
+    the model, and of which the answer knows nothing.
     """
 
     def __init__(self, backward: BackwardChain) -> None:
@@ -97,17 +105,16 @@ class PathLaw:
         self._runs = chain.runs
         self._smoothed, self._pairs = _smoothed(backward, self._steps)
 
-    def drawn(self, count: int, rng: np.random.Generator, *, prior: bool) -> Integers:
-        """So many paths of each run, of the smoothed beliefs, or of the model alone."""
-        regimes, steps = self._regimes, range(self._steps, -1, -1)
+    def drawn(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Integers:
+        """So many paths of each run, of the smoothed beliefs, or defensive ones."""
         found = np.zeros((self._steps + 1, count, self._runs), dtype=np.intp)
-        if prior:
-            start = np.broadcast_to(regimes.prior(), (regimes.size, self._runs))
-            found[0] = _picked(np.broadcast_to(start[None], (count, *start.shape)), rng)
+        if defensive:
+            power = np.array(TEMPERS)[rng.integers(len(TEMPERS), size=(count, 1, self._runs))]
+            found[0] = _picked(_tempered(self._start(count), power), rng)
             for step in range(1, self._steps + 1):
-                found[step] = _picked(self._given(step, found[step - 1]), rng)
+                found[step] = _picked(_tempered(self._given(step, found[step - 1]), power), rng)
             return found
-        for step in steps:
+        for step in range(self._steps, -1, -1):
             logs = self._smoothed[step]
             if step < self._steps:
                 logs = self._before(step, found[step + 1])
@@ -116,19 +123,29 @@ class PathLaw:
             found[step] = _picked(logs, rng)
         return found
 
-    def log_probability(self, paths: Integers, *, prior: bool) -> Array:
+    def log_probability(self, paths: Integers, *, defensive: bool) -> Array:
         """The log-probabilities of paths, (draws, runs)."""
-        if prior:
-            start = np.broadcast_to(self._regimes.prior(), (self._regimes.size, self._runs))
-            total = _of(np.broadcast_to(start[None], (len(paths[0]), *start.shape)), paths[0])
-            for step in range(1, self._steps + 1):
-                total = total + _of(self._given(step, paths[step - 1]), paths[step])
-            return total
+        if defensive:
+            each = [self._by_power(paths, power) for power in TEMPERS]
+            found: Array = log_sum(np.stack(each), 0) - np.log(len(TEMPERS))
+            return found
         last = self._smoothed[-1]
         total = _of(np.broadcast_to(last[None], (len(paths[0]), *last.shape)), paths[-1])
         for step in range(self._steps - 1, -1, -1):
             total = total + _of(self._before(step, paths[step + 1]), paths[step])
         return total
+
+    def _by_power(self, paths: Integers, power: float) -> Array:
+        """The log-probabilities of paths by a power of the model's, (draws, runs)."""
+        total = _of(_tempered(self._start(len(paths[0])), power), paths[0])
+        for step in range(1, self._steps + 1):
+            total = total + _of(_tempered(self._given(step, paths[step - 1]), power), paths[step])
+        return total
+
+    def _start(self, count: int) -> Array:
+        """Ln p(regime at step 0), (draws, S, runs)."""
+        start = self._regimes.prior()
+        return np.broadcast_to(start, (count, len(start), self._runs))
 
     def _given(self, step: int, before: Integers) -> Array:
         """Ln p(regime | that of the step before), (draws, S, runs)."""
@@ -155,6 +172,14 @@ def _smoothed(backward: BackwardChain, steps: int) -> tuple[list[Array], list[Ar
         if two is not None:
             pairs.append(backward.by_memory(step, two))
     return alone[::-1], pairs[::-1]
+
+
+def _tempered(logs: Array, power: Array | float) -> Array:
+    """Log-probabilities (draws, S, runs) to a power, normalised; none stay none."""
+    some = logs > -np.inf
+    found = np.where(some, power * np.where(some, logs, 0.0), -np.inf)
+    total = log_sum(found, 1)[:, None]
+    return found - np.where(total > -np.inf, total, 0.0)
 
 
 def _picked(logs: Array, rng: np.random.Generator) -> Integers:

@@ -19,6 +19,7 @@ from pgm.cpds.caused import flat
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.evidence.dynamic import Inputs
+from pgm.factors.scope import listed
 from pgm.kernels.arrays import Integers
 from pgm.networks import DynamicBayesianNetwork
 from pgm.schedules.argument_checks import require_gaussian
@@ -92,12 +93,13 @@ def roles_of(model: DynamicBayesianNetwork, bound: BoundEvidence) -> Roles:
     return found
 
 
-def require_densities(roles: Roles) -> None:
+def require_densities(roles: Roles, hidden: Sequence[Discrete]) -> None:
     """Refuse robust noise, whose bound of a density does not weigh hypotheses."""
     case = roles.robust
     if case is not None:
+        of = f" of ({listed(hidden)})" if hidden else ""
         raise ModelError(
-            f"{case!r} has robust noise, and what hypotheses are weighed by are densities, of "
+            f"{case!r} has robust noise, and what hypotheses{of} are weighed by are densities, of "
             "which robust noise gives but a bound: make outliers a state of a discrete "
             "variable, with a case of larger noise; or, of sightings by pgm.unknown, give "
             'association="likelihood"',

@@ -68,7 +68,10 @@ def passes(
     beliefs = Beliefs.of(FILTERED, hidden, done.logs, done.mean, done.cov, done.regimes)
     found = associations_of(chain)
     again = bound, call, asked
-    evidence = "merged" if roles.robust is None else "bound"
+    evidence = "merged"
+    if roles.robust is not None:
+        affine = all(isinstance(case, AffineCPD) for case in roles.cases)
+        evidence = "bound" if affine else "linearised bound"
     filtered = HypothesisOutcome(graph, status, total, evidence, beliefs, regimes, found, again)
     if kind == FILTERED:
         return filtered, None
@@ -93,8 +96,8 @@ def chain_of(
     hidden = tuple(cpd.child for cpd in model.transition if not cpd.discrete)
     given = Given(bound, hidden, frozenset(model.states), lineariser, schedule, first)
     roles = roles_of(model, bound)
-    if regimes.size > 1 or roles.open or asked.pieces > 1:
-        require_densities(roles)
+    if regimes.hidden or roles.open or asked.pieces > 1:
+        require_densities(roles, regimes.hidden)
     _require_room(given, regimes, roles, settings)
     return HypothesisChain(given, regimes, roles, settings)
 

@@ -71,7 +71,8 @@ def run(graph: ClusterGraph, evidence: Evidence, call: Call) -> MixedOutcome:
     ]
     hidden = [v for part, _ in parts for v in part.hidden]
     start = None if call.start is None else _start(call.start, hidden, lead)
-    asked = Asked(values, start, lead, call.lineariser, call.schedule)
+    observed = frozenset(v for v, state in states.states.items() if np.all(np.asarray(state) >= 0))
+    asked = Asked(values, start, lead, call.lineariser, call.schedule, observed)
     found = [weighed(part, configurations, asked) for part, configurations in parts]
     tabled = Tabled.of(split.tables, discrete, parts, lead)
     logs = [each.log for each in found]

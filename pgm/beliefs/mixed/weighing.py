@@ -30,7 +30,7 @@ from pgm.linearisers import Lineariser
 from pgm.networks import BayesianNetwork
 from pgm.resources import require_memory
 from pgm.schedules.schedule import Schedule
-from pgm.variables import Variable
+from pgm.variables import Discrete, Variable
 
 # A direction of the evidence is certain if its deviation is this share of its components'.
 CERTAIN = 1e-13
@@ -51,6 +51,8 @@ class Asked:
         The user's axes of runs, which are flattened to one.
     lineariser, schedule
         As of `infer`.
+    known : frozenset of Discrete
+        Those discrete variables that are observed in every run.
     """
 
     values: Mapping[Variable, Array]
@@ -58,6 +60,7 @@ class Asked:
     lead: tuple[int, ...]
     lineariser: Lineariser
     schedule: Schedule | None
+    known: frozenset[Discrete]
 
     @property
     def runs(self) -> int:
@@ -120,7 +123,7 @@ def weighed(part: Part, configurations: Integers, asked: Asked) -> Weighed:
     if not part.hidden and cases.proper:
         log = _likelihoods(cases, asked)
         return Weighed(part, configurations, log, _certain(part, cases, asked, log), ())
-    if len(configurations) > 1:
+    if len(configurations) > 1 and not asked.known.issuperset(part.boundary):
         _require_densities(part)
     log = np.full((len(configurations), asked.runs), -np.inf)
     beliefs: list[tuple[Integers, Integers, GaussianOutcome]] = []

@@ -27,6 +27,9 @@ from pgm.inference.audit.draws import Draws
 from pgm.inference.audit.pareto import EQUAL, pareto_shape
 from pgm.kernels.arrays import Array
 
+# The slope β at the most, as a multiple of the mean weight.
+_STEEPEST = 2.0
+
 
 def weigh(draws: Draws) -> tuple[Array, Array]:
     """The log-weights ln y of draws, −∞ where p is NaN, and their weights v, (runs, S) each."""
@@ -181,11 +184,13 @@ def _require_draws(weighed: Weighed) -> None:
 def _evidence(weighed: Weighed) -> Evidence:
     """The estimate Ẑ of the evidence, with v as control variate.
 
-    A regression through few weights may overshoot. Where the estimate is not positive for that
-    reason, the plain mean of y is taken, with β = 0.
+    Where p is a multiple of q, β is Z. A regression through few weights, or on a control that
+    hardly varies, may overshoot: β is within 2 ȳ. Where the estimate is not positive all the same,
+    the plain mean of y is taken, with β = 0.
     """
     weights, control = weighed.weights, weighed.control
-    slope, mean = _slope(weights, control), weights.mean(axis=-1)
+    mean = weights.mean(axis=-1)
+    slope = np.clip(_slope(weights, control), -_STEEPEST * mean, _STEEPEST * mean)
     value = mean - slope * (control.mean(axis=-1) - 1.0)
     proper = value > 0.0
     slope, value = np.where(proper, slope, 0.0), np.where(proper, value, mean)

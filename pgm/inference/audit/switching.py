@@ -1,9 +1,9 @@
 """Draws of the paths of a switching model's regimes, and of trajectories given these.
 
 The answer is a mixture of Gaussians at each step. Its draws are of a Markov chain of regimes that
-has the answer's smoothed probabilities of each two successive steps; defensive draws are of the
-model's own regimes. Given a path, all CPDs being linear, the posterior of the trajectory is a
-Gaussian that is drawn from exactly, so that weights are those of paths.
+has the answer's smoothed probabilities of each two successive steps; defensive draws are of laws
+that are wider than the model's own. Given a path, all CPDs being linear, the posterior of the
+trajectory is a Gaussian that is drawn from exactly, so that weights are those of paths.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ class SwitchingDraws:
 
     def draw(self, count: int, rng: np.random.Generator, *, defensive: bool) -> Draws:
         """Make S = `count` draws for each run, from the answer's law or, if `defensive`, not."""
-        paths = self.law.drawn(count, rng, prior=defensive)
+        paths = self.law.drawn(count, rng, defensive=defensive)
         asked = Asked(count, mix=False, prune=True)
         model = self.outcome.graph.model
         chain = chain_of(model, self.bound, asked, TAYLOR, Filtering(), back=True)
@@ -133,7 +133,7 @@ class SwitchingDraws:
         values = followed.drawn(rng)
         own = np.concatenate([values, self._states(paths)], axis=-1).swapaxes(1, 2)
         target = followed.log_density.T
-        answer, alone = (self.law.log_probability(paths, prior=p).T for p in (False, True))
+        answer, alone = (self.law.log_probability(paths, defensive=d).T for d in (False, True))
         return Draws(target, answer, alone, list(own))
 
     def _states(self, paths: Integers) -> Array:

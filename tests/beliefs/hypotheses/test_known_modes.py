@@ -84,8 +84,51 @@ def test_what_is_refused():
         pgm.smooth(model, given, iterations=5)
     with pytest.raises(pgm.ModelError, match="this is a bound"):
         pgm.audit(pgm.smooth(model, given), rng=0)
+    with pytest.raises(pgm.GraphError, match="here there is none"):
+        pgm.most_probable(pgm.compile(model, 4), given)
     hidden = pgm.DynamicBayesianNetwork(
         PRIOR, [*MOVE, pgm.TableCPD(M, table=[0.5, 0.5])], model.observation
     )
-    with pytest.raises(pgm.ModelError, match="hypotheses are weighed by are densities"):
+    with pytest.raises(pgm.ModelError, match=r"hypotheses of \(m\) are weighed by are densities"):
         pgm.smooth(hidden, {Z: READ})
+
+
+@pytest.mark.parametrize("noise", NOISES, ids=repr)
+def test_observed_modes_of_the_motion(noise):
+    """One motion of an input, which is one or the other, is the twin."""
+    k, u = pgm.Discrete("k", states=("slow", "fast")), pgm.Variable("u")
+    robust, _ = sensor(noise, Z, Z)
+    moves = {
+        "slow": pgm.LinearGaussianCPD(X, {X.previous: 1.0}, cov=0.1),
+        "fast": pgm.LinearGaussianCPD(X, {X.previous: 1.0}, offset=2.0, cov=0.1),
+    }
+    model = pgm.DynamicBayesianNetwork(PRIOR, [pgm.SwitchingCPD(X, k, moves)], [robust])
+    pushed = pgm.LinearGaussianCPD(X, {X.previous: 1.0, u: 2.0}, cov=0.1)
+    twin = pgm.DynamicBayesianNetwork(PRIOR, [pushed], [robust])
+    found = pgm.smooth(model, {Z: READ, k: MODES})
+    due = pgm.smooth(twin, {Z: READ, u: MODES[:, None].astype(float)})
+    assert_allclose(found.log_evidence, due.log_evidence, rtol=1e-12)
+    assert_allclose(found[X].mean, due[X].mean, atol=1e-12)
+
+
+def test_the_kind_of_a_nonlinear_bound():
+    bent = pgm.NonlinearGaussianCPD(Z, X, lambda x: np.sin(x) + x, cov=0.1, noise=NOISES[0])
+    chosen = pgm.SwitchingCPD(Z, M, {"a": bent, "b": sensor(None, Z, Z)[1]})
+    model = pgm.DynamicBayesianNetwork(PRIOR, MOVE, [chosen])
+    found = pgm.filter(model, {Z: READ, M: MODES})
+    assert found.log_evidence_kind == "linearised bound"
+
+
+def test_runs_of_known_states_in_a_network_without_time():
+    robust, plain = sensor(NOISES[0], Z, Z)
+    table = pgm.TableCPD(M, table=[0.4, 0.6])
+    chosen = pgm.SwitchingCPD(Z, M, {"a": robust, "b": plain})
+    graph = pgm.compile(pgm.BayesianNetwork([*PRIOR, table, chosen]))
+    schedule = pgm.Calibration(60)
+    both = pgm.infer(graph, {Z: [[5.0], [4.0]], M: ["a", "b"]}, schedule=schedule)
+    for run, (value, state) in enumerate([([5.0], "a"), ([4.0], "b")]):
+        alone = pgm.infer(graph, {Z: value, M: state}, schedule=schedule)
+        assert_allclose(both.log_evidence[run], alone.log_evidence, rtol=1e-9)
+        assert_allclose(both[X].mean[run], alone[X].mean, atol=1e-9)
+    with pytest.raises(pgm.ModelError, match=r"configurations of \(m\)"):
+        pgm.infer(graph, {Z: [[5.0], [4.0]], M: [0, -1]}, schedule=schedule)

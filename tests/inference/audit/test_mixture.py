@@ -107,3 +107,24 @@ def test_functions_that_are_not_defined_everywhere_tell_how_often():
     assert abs(found.log_evidence - np.log(joint)) < 4 * found.standard_error
     assert 0.05 < found.undefined < 0.3
     assert "NaN or infinite at 0." in repr(found)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_control_that_hardly_varies_carries_no_estimate_away(seed):
+    """Of q's values 0, 1, 2 one is rare, and d has drawn but a value that q hardly has.
+
+    The control is 2 but for 1e-4 of q's draws, weights vary by as much as they are, and the mean of
+    the control is off by what was not drawn: the regression's slope is some hundreds.
+    """
+    rng = np.random.default_rng(seed)
+    q, d = np.array([0.5, 0.4999, 1e-4, 0.0]), np.array([1e-4, 2e-5, 1e-6, 1.0])
+    p = np.array([0.2, 0.8, 0.0, 1e-5])
+    found = []
+    for law in (q / q.sum(), d / d.sum()):
+        x = rng.choice(4, p=law, size=(1, S))
+        with np.errstate(divide="ignore"):
+            logs = (np.log(each)[x] for each in (p, q, d))
+            found.append(Draws(*logs, [x[..., None]]))
+    with np.errstate(invalid="ignore"):
+        evidence = estimated(found).evidence
+    assert abs(evidence.log - np.log(p.sum())) < 5.0 * evidence.standard_error

@@ -1,6 +1,6 @@
 """Audits of switching models, against the sum over all sequences of modes."""
 
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -87,10 +87,10 @@ def test_the_law_of_paths_has_the_probabilities_that_it_draws_by():
     _, backward = passes(graph, bound, call, Asked(None, mix=False))
     law, rng = PathLaw(backward), np.random.default_rng(0)
     every = np.array(list(product(range(3), repeat=4))).T[..., None]
-    for prior in (False, True):
-        share = np.exp(law.log_probability(every, prior=prior)[:, 0])
+    for wide in (False, True):
+        share = np.exp(law.log_probability(every, defensive=wide)[:, 0])
         assert share.sum() == pytest.approx(1.0)
-        paths = law.drawn(20_000, rng, prior=prior)[..., 0]
+        paths = law.drawn(20_000, rng, defensive=wide)[..., 0]
         number = np.ravel_multi_index(tuple(paths), (3,) * 4)
         counts = np.bincount(number, minlength=81) / 20_000
         assert_allclose(counts, share, atol=5.0 * np.sqrt(0.25 / 20_000))
@@ -198,3 +198,59 @@ def test_trusted_of_exact_answers(seed):
     assert found.trusted
     assert not found.suspect
     assert abs(found.log_evidence - posterior.log_evidence) < 5.0 * found.standard_error + 1e-9
+
+
+RARE = 1e-4
+
+
+def rare(steps, reading, *, remembered):
+    """A jump of probability 1e-4 a step, one reading at the end, and ln p of the enumeration."""
+    x, z = pgm.variables("x z")
+    fault = pgm.Discrete("fault", states=("no", "yes"))
+    line = pgm.LinearGaussianCPD
+    cases = {
+        "no": line(x, {x.previous: 1.0}, cov=0.1),
+        "yes": line(x, {x.previous: 1.0}, offset=5.0, cov=0.1),
+    }
+    first = pgm.TableCPD(fault, table=[1 - RARE, RARE])
+    table, prior = [[1 - RARE, RARE], [0.3, 0.7]], [pgm.GaussianCPD(x, 0.0, 0.1)]
+    model = pgm.DynamicBayesianNetwork(
+        [first, *prior] if remembered else prior,
+        [
+            pgm.TableCPD(fault, fault.previous, table=table) if remembered else first,
+            pgm.SwitchingCPD(x, fault, cases),
+        ],
+        [line(z, {x: 1.0}, cov=0.1)],
+    )
+    values = np.full((steps, 1), np.nan)
+    values[-1] = reading
+    start, total = np.array([1 - RARE, RARE]), 0.0
+    for path in product(range(2), repeat=steps + 1 if remembered else steps):
+        weight = start[path[0]]
+        for before, after in pairwise(path):
+            weight *= table[before][after] if remembered else start[after]
+        jumps = sum(path[1:] if remembered else path)
+        var = 0.1 * (steps + 2)
+        gone = reading - 5.0 * jumps
+        total += weight * np.exp(-0.5 * gone**2 / var) / np.sqrt(2.0 * np.pi * var)
+    return model, {z: values}, np.log(total), fault
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("remembered", [False, True])
+@pytest.mark.parametrize(("steps", "reading"), [(3, 5.0), (5, 5.0), (4, 10.0), (4, 15.0)])
+def test_paths_that_the_answer_left_out_are_seen(seed, remembered, steps, reading):
+    """They are as rare as a fault is; by the answer alone they would never be drawn."""
+    model, given, total, _ = rare(steps, reading, remembered=remembered)
+    found = pgm.audit(pgm.smooth(model, given), samples=4000, rng=seed)
+    assert abs(found.log_evidence - total) < 5.0 * found.standard_error + 1e-6
+    assert found.standard_error < 0.2
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_control_that_hardly_varies_does_not_carry_an_estimate_away(seed):
+    model, given, total, _ = rare(4, 15.0, remembered=True)
+    posterior = pgm.smooth(model, given, belief=pgm.Gaussians(300))
+    assert posterior.log_evidence == pytest.approx(total, abs=1e-9)
+    found = pgm.audit(posterior, samples=1000, rng=seed)
+    assert abs(found.log_evidence - total) < 5.0 * found.standard_error
