@@ -11,7 +11,8 @@ import numpy as np
 from pgm.cpds import AffineCPD, ConditionalGaussian, GaussianCPD, LinearGaussianCPD, Noise
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope, labels, listed, namesake
-from pgm.kernels.arrays import Array, Mask, deviation, transpose, variances
+from pgm.kernels import roots
+from pgm.kernels.arrays import Array, Mask, deviation, transpose
 from pgm.learning.residuals import Known, Residuals, residuals
 from pgm.learning.steps import CovarianceStep
 from pgm.learning.values import Coefficients, Covariance, Offset
@@ -135,10 +136,11 @@ class GaussianStep:
             return
         unit = deviation(cpd.cov)
         unit = np.where(unit > 0.0, unit, 1.0)
-        scaled = cpd.cov / unit[..., :, None] / unit[..., None, :]
-        reached = variances(scaled @ np.linalg.pinv(scaled, hermitian=True))
-        least = reached.reshape(-1, len(self.free)).max(axis=0)
-        certain = self.free.any(axis=1) & (least < 1.0 - _REACHED)
+        values, axes = np.linalg.eigh(cpd.cov / unit[..., :, None] / unit[..., None, :])
+        some = values > roots.NEGLIGIBLE * values[..., -1:]
+        reached = np.where(some[..., None, :], axes * axes, 0.0).sum(axis=-1)
+        most = reached.reshape(-1, len(self.free)).max(axis=0)
+        certain = self.free.any(axis=1) & (most < 1.0 - _REACHED)
         if certain.any():
             names = np.array(labels((cpd.child,)))[certain]
             raise ModelError(

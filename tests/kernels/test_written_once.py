@@ -407,7 +407,7 @@ SOLUTIONS = listed(
     {"beliefs/grid/sensors.py": "terms", "beliefs/grid/values.py": "deviations"},
     {"beliefs/grid/wide_prior.py": "wide"},
     # Learning, recorded information, and pictures.
-    {"learning/gaussian.py": "_by_row _least _regressed gradient"},
+    {"learning/gaussian.py": "_by_row _least _regressed _require_noise gradient"},
     {"learning/steps.py": "__init__ _lower _require_rank at gradient likeliest maximised"},
     {"learning/residuals.py": "_expected", "recordings/drives/pose_graph.py": "covariances"},
     {"plot/diagrams/layering.py": "along", "viewer/placing.py": "_stressed"},
