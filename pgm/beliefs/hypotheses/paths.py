@@ -16,7 +16,7 @@ from pgm.beliefs.hypotheses.chain import HypothesisChain
 from pgm.beliefs.hypotheses.records import Belief, Pairs
 from pgm.beliefs.moments.steps.readings import Moments
 from pgm.kernels import merging, roots
-from pgm.kernels.arrays import Array, Integers, apply, components_last
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, apply, components_last
 from pgm.kernels.moments import Conditional
 from pgm.kernels.semirings import log_sum
 
@@ -34,16 +34,25 @@ class Followed(NamedTuple):
     last: Moments
     back: list[Conditional]
 
-    def drawn(self, rng: np.random.Generator) -> Array:
-        """A trajectory of each path, given all measurements, (T+1, draws, runs, n)."""
+    def drawn(self, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Trajectories of the paths, given all measurements, (T+1, draws, runs, n).
+
+        And their log-densities (draws, runs), infinite where a direction of a slice has no noise.
+        """
+        log_density = np.zeros(self.log_density.shape)
 
         def off(cov: Array) -> Array:
-            return apply(roots.root(cov), rng.standard_normal(cov.shape[:-1]))
+            nonlocal log_density
+            root, white = roots.root(cov), rng.standard_normal(cov.shape[:-1])
+            with np.errstate(divide="ignore"):
+                volume = np.log(np.abs(np.diagonal(root, axis1=-2, axis2=-1)))
+            log_density = log_density - (0.5 * (white * white + LOG_2PI) + volume).sum(axis=-1)
+            return apply(root, white)
 
         found = [self.last.mean + off(self.last.cov)]
         for each in self.back:
             found.append(apply(each.matrix, found[-1]) + each.offset + off(each.cov))
-        return np.stack(found[::-1])
+        return np.stack(found[::-1]), log_density
 
 
 def follow(chain: HypothesisChain, paths: Integers) -> Followed:
@@ -126,7 +135,7 @@ class PathLaw:
     def log_probability(self, paths: Integers, *, defensive: bool) -> Array:
         """The log-probabilities of paths, (draws, runs)."""
         if defensive:
-            each = [self._by_power(paths, power) for power in TEMPERS]
+            each = [self.of_model(paths, power) for power in TEMPERS]
             found: Array = log_sum(np.stack(each), 0) - np.log(len(TEMPERS))
             return found
         last = self._smoothed[-1]
@@ -135,8 +144,8 @@ class PathLaw:
             total = total + _of(self._before(step, paths[step + 1]), paths[step])
         return total
 
-    def _by_power(self, paths: Integers, power: float) -> Array:
-        """The log-probabilities of paths by a power of the model's, (draws, runs)."""
+    def of_model(self, paths: Integers, power: float = 1.0) -> Array:
+        """The log-probabilities of paths by the model's, or by a power of these, (draws, runs)."""
         total = _of(_tempered(self._start(len(paths[0])), power), paths[0])
         for step in range(1, self._steps + 1):
             total = total + _of(_tempered(self._given(step, paths[step - 1]), power), paths[step])

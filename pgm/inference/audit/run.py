@@ -111,7 +111,7 @@ def audit(
     ------
     ModelError
         If the posterior is of another kind, the prior of a chain has an infinite variance, a
-        switching model has nonlinear cases or sightings that leave open what was seen, or another
+        switching model has sightings that leave open what was seen, or another
         argument is of a wrong kind or out of its range.
     GraphError
         If the graph has loops, or the weights of all runs would not fit.

@@ -2,8 +2,10 @@
 
 The answer is a mixture of Gaussians at each step. Its draws are of a Markov chain of regimes that
 has the answer's smoothed probabilities of each two successive steps; defensive draws are of laws
-that are wider than the model's own. Given a path, all CPDs being linear, the posterior of the
-trajectory is a Gaussian that is drawn from exactly, so that weights are those of paths.
+that are wider than the model's own. Given a path, and all CPDs being linear, the posterior of the
+trajectory is a Gaussian that is drawn from exactly, so that weights are those of paths. With
+nonlinear CPDs the trajectory is drawn from the smoother of the path, linearised as its filter goes,
+and weighed by the exact density.
 """
 
 from __future__ import annotations
@@ -24,9 +26,9 @@ from pgm.factors.scope import positions
 from pgm.inference.audit.corrected import Sums
 from pgm.inference.audit.draws import Draws
 from pgm.inference.audit.modes import Modes
+from pgm.inference.audit.path_density import TrajectoryDensity
 from pgm.inference.audit.states import StateSums
 from pgm.kernels.arrays import Array, Integers
-from pgm.linearisers import TAYLOR
 from pgm.schedules.schedule import Filtering, Smoothing
 
 
@@ -50,10 +52,9 @@ class SwitchingDraws:
 
     @classmethod
     def make(cls, outcome: HypothesisOutcome) -> SwitchingDraws:
-        """Prepare to draw; nonlinear CPDs, and open sightings, are a ModelError."""
+        """Prepare to draw; open sightings, and robust noise, are a ModelError."""
         bound, call, asked = outcome._asked
         roles = roles_of(outcome.graph.model, bound)
-        curved = [case for case in roles.cases if not isinstance(case, AffineCPD)]
         if roles.open:
             cpd = roles.open[0].cpd
             if isinstance(cpd, MixtureCPD):
@@ -69,11 +70,6 @@ class SwitchingDraws:
             raise ModelError(
                 f"{roles.robust!r} has robust noise: an audit of a switching model takes the "
                 "answer as exact where its discrete variables are known, and this is a bound"
-            )
-        if curved:
-            raise ModelError(
-                f"{curved[0]!r} is nonlinear: an audit of a switching model draws its discrete "
-                "variables, given which its CPDs are to be linear, and its answer exact"
             )
         smoothing = call._replace(schedule=Smoothing())
         whole = Asked(asked.count, asked.mix)  # of which the prior is not cut into pieces
@@ -122,19 +118,27 @@ class SwitchingDraws:
         """Make S = `count` draws for each run, from the answer's law or, if `defensive`, not."""
         paths = self.law.drawn(count, rng, defensive=defensive)
         asked = Asked(count, mix=False, prune=True)
-        model = self.outcome.graph.model
-        chain = chain_of(model, self.bound, asked, TAYLOR, Filtering(), back=True)
+        model, lineariser = self.outcome.graph.model, self.outcome._asked[1].lineariser
+        chain = chain_of(model, self.bound, asked, lineariser, Filtering(), back=True)
         followed = follow(chain, paths)
         if followed.certain:
             raise NumericalError(
                 "sensors without noise were read, by which hypotheses are certain, and no audit "
                 "weighs these: give the exact CPDs some noise"
             )
-        values = followed.drawn(rng)
+        values, density = followed.drawn(rng)
         own = np.concatenate([values, self._states(paths)], axis=-1).swapaxes(1, 2)
-        target = followed.log_density.T
         answer, alone = (self.law.log_probability(paths, defensive=d).T for d in (False, True))
-        return Draws(target, answer, alone, list(own))
+        if all(isinstance(case, AffineCPD) for case in chain.roles.cases):
+            return Draws(followed.log_density.T, answer, alone, list(own))
+        law = TrajectoryDensity(chain)
+        if not np.isfinite(density).all():
+            raise NumericalError(
+                "some state has no noise of its own, and beside nonlinear CPDs no audit of a "
+                "switching model draws these: give the exact CPDs some noise"
+            )
+        exact = law.log_density(values, paths) + self.law.of_model(paths)
+        return Draws(exact.T, answer + density.T, alone + density.T, list(own))
 
     def _states(self, paths: Integers) -> Array:
         """The states of hidden discrete variables along paths, (T+1, draws, runs, variables)."""

@@ -136,10 +136,16 @@ def test_controls_inputs_observed_modes_and_tables():
 def test_what_is_not_audited():
     model, values = drawn(6)
     x, z = model.x, model.z
-    seen = pgm.NonlinearGaussianCPD(z, x, lambda x: np.sin(x[..., :1]), cov=0.1)
-    curved = model.model.replace(observation=[seen])
-    with pytest.raises(pgm.ModelError, match="is nonlinear: an audit of a switching model"):
-        pgm.audit(pgm.smooth(curved, {z: values}), rng=0)
+    push = pgm.Variable("push")
+    bent = pgm.NonlinearGaussianCPD(x, (x.previous, push), lambda x, u: x + np.sin(u), cov=0.1)
+    other = [cpd for cpd in model.model.transition if cpd.discrete]
+    pushed = model.model.replace(transition=[*other, pgm.GaussianCPD(push, 0.0, 1.0), bent])
+    with pytest.raises(pgm.ModelError, match="push is a hidden control"):
+        pgm.audit(pgm.smooth(pushed, {z: values}), rng=0)
+    bare = pgm.NonlinearGaussianCPD(x, x.previous, np.sin, cov=np.zeros((x.dimension,) * 2))
+    exact = model.model.replace(transition=[*other, bare])
+    with pytest.raises(pgm.NumericalError, match="has no noise of its own"):
+        pgm.audit(pgm.smooth(exact, {z: values}), rng=0)
     fork = pgm.Discrete("fork", states=("l", "r"))
     cases = {k: pgm.GaussianCPD(A, float(k), 0.0) for k in range(2)}
     certain = pgm.DynamicBayesianNetwork(
@@ -254,3 +260,114 @@ def test_a_control_that_hardly_varies_does_not_carry_an_estimate_away(seed):
     assert posterior.log_evidence == pytest.approx(total, abs=1e-9)
     found = pgm.audit(posterior, samples=1000, rng=seed)
     assert abs(found.log_evidence - total) < 5.0 * found.standard_error
+
+
+def turned(x):
+    return np.sin(x) + x
+
+
+def bent(x):
+    return x + 0.15 * x**2
+
+
+def test_nonlinear_cases_against_a_grid_of_each_path():
+    """Log-evidence, probabilities and means; of two runs, with a reading that is missing."""
+    x, z, which = pgm.variables("x z which")
+    mode = pgm.Discrete("mode", states=("slow", "fast"))
+    first, table = np.array([0.3, 0.7]), np.array([[0.8, 0.2], [0.3, 0.7]])
+    line, curve = pgm.LinearGaussianCPD, pgm.NonlinearGaussianCPD
+    moves = {0: line(x, {x.previous: 0.5}, cov=0.1), 1: curve(x, x.previous, turned, cov=0.3)}
+    sights = {0: curve(z, x, bent, cov=0.2), 1: line(z, {x: 1.0}, cov=0.2)}
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.TableCPD(mode, table=first), pgm.GaussianCPD(x, 1.0, 0.2)],
+        [pgm.TableCPD(mode, mode.previous, table=table), pgm.SwitchingCPD(x, mode, moves)],
+        [pgm.SwitchingCPD(z, mode, sights)],
+    )
+    values = np.array([[[1.1], [np.nan], [2.9]], [[0.7], [1.5], [1.9]]])
+    noise = pgm.noise(lambda k: np.where(k > 0.5, 0.3, 0.1)[..., None], given=which)
+    twin = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(x, 1.0, 0.2)],
+        [curve(x, (x.previous, which), lambda x, k: np.where(k > 0.5, turned(x), 0.5 * x), noise)],
+        [curve(z, (x, which), lambda x, k: np.where(k > 0.5, x, bent(x)), cov=0.2)],
+    )
+    paths = np.array(list(product(range(2), repeat=4)))
+    cells = pgm.Grid({"x": (-5.0, 9.0, 500)})
+    logs = np.log(first[paths[:, 0]]) + np.log(table[paths[:, :-1], paths[:, 1:]]).sum(axis=1)
+    found = pgm.audit(pgm.smooth(model, {z: values}), samples=6000, rng=0)
+    assert found.trusted.all()
+    for run in range(2):
+        given = {z: np.broadcast_to(values[run], (16, 3, 1)), which: paths[:, 1:, None] * 1.0}
+        exact = pgm.smooth(twin, given, belief=cells)
+        each = logs + exact.log_evidence
+        total = np.logaddexp.reduce(each)
+        share = np.exp(each - total)
+        off = abs(found.log_evidence[run] - total)
+        assert off < 4.0 * found.standard_error[run]
+        assert found.standard_error[run] < 0.02
+        fast = found.corrected[mode].probabilities[run, :, 1]
+        assert_allclose(fast, share @ paths, atol=0.03)
+        mean = np.einsum("p,pti->ti", share, exact[x].mean)
+        assert_allclose(found.corrected[x].mean[run], mean, atol=0.04)
+
+
+def test_functions_that_are_lines_are_audited_as_lines():
+    """All densities of trajectories, of partly missing readings and of tables, against the sum."""
+    model, values = drawn(7, steps=5)
+    values[2] = np.nan
+    values[3, 0] = np.nan
+    lines = {
+        k: pgm.NonlinearGaussianCPD(
+            model.z,
+            model.x,
+            lambda x, k=k: x @ model.h[k].T + model.c[k],
+            cov=model.r[k],
+        )
+        for k in range(2)
+    }
+    curved = model.model.replace(
+        observation=[pgm.SwitchingCPD(model.z, model.mode, lines)],
+    )
+    total, modes, mean, _ = model.enumerated(values)
+    found = pgm.audit(pgm.smooth(curved, {model.z: values}), samples=4000, rng=0)
+    assert abs(found.log_evidence - total) < 5.0 * found.standard_error + 1e-6
+    assert_allclose(found.corrected[model.mode].probabilities, modes, atol=0.04)
+    assert_allclose(found.corrected[model.x].mean, mean, atol=0.15)
+
+
+def test_nonlinear_cases_by_the_mode_before_beside_observed_ones_and_tables():
+    """Functions that are lines: the correction is the answer of the linear model, of two runs."""
+    x, z = pgm.variables("x z")
+    mode, load = pgm.Discrete("mode", states=("a", "b")), pgm.Discrete("load", states=("p", "q"))
+    seen = pgm.Discrete("seen", states=("n", "o"))
+
+    def made(curved):
+        def cpd(child, parent, slope, cov):
+            if not curved:
+                return pgm.LinearGaussianCPD(child, {parent: slope}, cov=cov)
+            return pgm.NonlinearGaussianCPD(child, parent, lambda v: slope * v, cov=cov)
+
+        moves = {
+            (i, j, k): cpd(x, x.previous, 0.5 + 0.3 * i + 0.2 * j, 0.1 + k)
+            for i, j, k in product(range(2), repeat=3)
+        }
+        return pgm.DynamicBayesianNetwork(
+            [pgm.TableCPD(mode, table=[0.4, 0.6]), pgm.GaussianCPD(x, 1.0, 1.0)],
+            [
+                pgm.TableCPD(mode, mode.previous, table=[[0.8, 0.2], [0.3, 0.7]]),
+                pgm.SwitchingCPD(x, (mode.previous, mode, load), moves),
+            ],
+            [
+                cpd(z, x, 1.0, 0.3),
+                pgm.TableCPD(seen, mode, table=[[0.9, 0.1], [0.3, 0.7]]),
+            ],
+        )
+
+    readings = np.array([[0.5, 1.5, np.nan, -1.0], [2.0, 0.3, 0.4, 0.9]])[..., None]
+    given = {z: readings, load: [0, 1, 1, 0], seen: [[0, 1, 1, 0], [1, 1, 0, 0]]}
+    due = pgm.smooth(made(curved=False), given, belief=pgm.Gaussians(64))
+    found = pgm.audit(pgm.smooth(made(curved=True), given), samples=4000, rng=0)
+    off = np.abs(found.log_evidence - due.log_evidence)
+    assert (off < 5.0 * found.standard_error + 1e-6).all()
+    assert (found.standard_error < 0.02).all()
+    assert_allclose(found.corrected[x].mean, due[x].mean, atol=0.06)
+    assert_allclose(found.corrected[mode].probabilities, due[mode].probabilities, atol=0.04)
