@@ -60,7 +60,7 @@ def place_of(model: DynamicBayesianNetwork, variable: Any) -> Place:
 
 
 def by_place(place: Place, cpd: CPD, learnt: Any) -> list[tuple[Place, Any]]:
-    """What is learnt of a CPD, or of each case of one that discrete variables choose.
+    """The parts learnt of a CPD, or of each case of one that discrete variables choose.
 
     Of the latter `learnt` is of all cases, or maps states to what is learnt in these, each named
     once.

@@ -83,6 +83,15 @@ def stand_in(variable: Variable) -> CPD:
     return GaussianCPD(variable, np.zeros(size), np.eye(size))
 
 
+def case_numbers(regimes: Regimes, cpd: SwitchingCPD) -> Integers:
+    """The number of a CPD's case in each regime, (regimes,).
+
+    Where states of the step before choose, it is (memories, regimes), or (memories, 1).
+    """
+    states = np.broadcast_arrays(*(regimes.states(v) for v in cpd.switches))
+    return np.ravel_multi_index(tuple(states), sizes(cpd.switches))
+
+
 class Choices:
     """The choices of a role, by number, and which of them each regime makes.
 
@@ -100,10 +109,7 @@ class Choices:
         numbers = np.zeros((*shape, max(len(cpds), 1)), dtype=np.intp)
         for k, cpd in enumerate(cpds):
             if isinstance(cpd, SwitchingCPD):
-                states = [regimes.states(v) for v in cpd.switches]
-                numbers[..., k] = np.ravel_multi_index(
-                    tuple(np.broadcast_arrays(*states)), sizes(cpd.switches)
-                )
+                numbers[..., k] = case_numbers(regimes, cpd)
         rows = numbers.reshape(-1, numbers.shape[-1])
         every, of = np.unique(rows, axis=0, return_inverse=True)
         self._numbers = every[:, : len(cpds)]

@@ -13,6 +13,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
+from pgm.beliefs.hypotheses.cases import case_numbers
 from pgm.beliefs.hypotheses.chain import HypothesisChain
 from pgm.beliefs.hypotheses.regimes import Regimes
 from pgm.beliefs.points.laws import Law, Some
@@ -23,7 +24,6 @@ from pgm.cpds.mixture import by_run
 from pgm.errors import ModelError
 from pgm.evidence import Reading
 from pgm.evidence.dynamic import Inputs
-from pgm.factors.axes import sizes
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Variable
 
@@ -46,8 +46,7 @@ class Chosen(Generic[Own]):
         """The laws that `make` makes of the cases of a CPD, or of a CPD that nothing chooses."""
         if not isinstance(cpd, SwitchingCPD):
             return cls([make(cpd)], np.zeros((1, regimes.size), dtype=np.intp))
-        states = np.broadcast_arrays(*(np.atleast_2d(regimes.states(v)) for v in cpd.switches))
-        number = np.ravel_multi_index(tuple(states), sizes(cpd.switches))
+        number = np.atleast_2d(case_numbers(regimes, cpd))
         number = np.broadcast_to(number, (len(number), regimes.size))
         return cls([make(case) for case in cpd.cases.values()], number)
 

@@ -86,9 +86,11 @@ def audit(
 
     Of a switching model, whose answer is a mixture of Gaussians, paths of its discrete variables
     are drawn: q is a Markov chain that has the smoothed probabilities of each two successive steps,
-    and d is the model's own. Given a path all CPDs are linear, so that p(path, z) is what a Kalman
-    filter finds, and trajectories are drawn from it exactly; the divergences are those of paths.
-    Nonlinear cases, and sightings that leave open what was seen, are refused.
+    and d draws paths by the model's probabilities, their roots, or uniformly, so that rare ones are
+    met. Where CPDs are linear given a path, p(path, z) is what a Kalman filter finds, trajectories
+    are drawn exactly, and the divergences are those of paths. With nonlinear CPDs trajectories are
+    drawn from the smoother of the path, and weighed by the exact density. Sightings that leave open
+    of which candidate they are, and robust noise, are refused.
 
     Residuals of measurements of angles are wrapped, and an angle that a function wraps is taken on
     the branch of the linearisation, so that wrapping it or not gives the same.
@@ -111,14 +113,14 @@ def audit(
     ------
     ModelError
         If the posterior is of another kind, the prior of a chain has an infinite variance, a
-        switching model has sightings that leave open what was seen, or another
-        argument is of a wrong kind or out of its range.
+        switching model has sightings that leave open what was seen, robust noise, or hidden
+        controls beside nonlinear CPDs, or another argument is of a wrong kind or out of its range.
     GraphError
         If the graph has loops, or the weights of all runs would not fit.
     NumericalError
         If nothing can be drawn: a nonlinear sensor with singular noise was read, nonlinear CPDs
         with singular noise stand beside linear sensors with it, or paths of a switching model make
-        measurements certain.
+        measurements certain, or states beside nonlinear CPDs.
     LinearisationError
         If a function is NaN or infinite at a draw of q; defensive draws at which it is are counted
         in `undefined`.
