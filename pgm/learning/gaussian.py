@@ -183,7 +183,7 @@ class GaussianStep:
             for k, (i, a) in enumerate(zip(rows, columns, strict=True)):
                 normal[k] += np.sum(weight[:, i, rows] * gram[:, a, columns], axis=0)
             said += (weight @ cross).sum(axis=0)[rows, columns]
-        if count and normal.size and not np.diagonal(normal).any():
+        if count and normal.size and not any(weight.any() for *_, weight in moments):
             raise ModelError(
                 f"{cpd!r}: its noise is zero wherever it was told of, so that beliefs fit the "
                 "coefficients and the offset as they are, and no step moves them; give it some",

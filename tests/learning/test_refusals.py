@@ -58,6 +58,21 @@ def test_noise_that_cannot_be_learnt(given, told):
         pgm.fit(model(**given), READINGS | {K: np.ones((3, 1))}, learn={X: Covariance()})
 
 
+def test_a_regressor_that_is_zero_is_no_want_of_noise():
+    """Of a noise by an input: nothing is learnt of its coefficient, which stays."""
+    u = pgm.Variable("u")
+    noise = pgm.noise(lambda k: k[..., None], given=K)
+    sensor = pgm.LinearGaussianCPD(Z, {X: 1.0, u: 2.0}, cov=noise)
+    still = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(X, 0.0, 1.0)],
+        [pgm.LinearGaussianCPD(X, {X.previous: 1.0}, cov=1.0)],
+        [sensor],
+    )
+    given = READINGS | {K: np.ones((3, 1)), u: np.zeros((3, 1))}
+    found = pgm.fit(still, given, learn={Z: Coefficients({u: True})})
+    assert found.model.observation[0].matrices[u] == 2.0
+
+
 def _pushed(pair, cov):
     """A place and its speed, moved with a noise."""
     return pgm.DynamicBayesianNetwork(
