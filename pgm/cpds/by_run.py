@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
 
 from pgm.cpds.base import CPD
-from pgm.cpds.conditional import Noise
-from pgm.cpds.gaussian import AffineCPD, GaussianCPD
+from pgm.cpds.conditional import ConditionalGaussian, Noise
+from pgm.cpds.gaussian import AffineCPD, GaussianCPD, NonlinearGaussianCPD
 from pgm.cpds.mixture import by_run
 from pgm.factors.arrays import Shape
 from pgm.factors.scope import Scope
@@ -58,14 +58,30 @@ class ByRunCPD(AffineCPD):
         return matrix if matrix.ndim == 2 else matrix[None], offset
 
 
-def kind_of(case: CPD) -> object:
-    """A key that cases have in common which differ in numbers alone."""
-    if not isinstance(case, AffineCPD) or isinstance(case.cov, Noise) or case.noise is not None:
+def kind_of(case: CPD) -> Hashable:
+    """A key that cases have in common which differ in numbers alone; of one function, in noise."""
+    if not isinstance(case, ConditionalGaussian) or isinstance(case.cov, Noise) or case.noise:
         return id(case)
-    return AffineCPD
+    if isinstance(case, AffineCPD):
+        return AffineCPD
+    if not isinstance(case, NonlinearGaussianCPD):
+        return id(case)
+    derivatives = tuple((parent, id(function)) for parent, function in case.jacobian.items())
+    return id(case.function), case.given, derivatives, id(case.lineariser), case.grouped
 
 
-def stacked(cases: Sequence[AffineCPD], number: Integers) -> AffineCPD:
+def stacked(cases: Sequence[CPD], number: Integers) -> CPD:
+    """The CPD of a child that is one of some cases of one kind, by number, in each run."""
+    affine = [case for case in cases if isinstance(case, AffineCPD)]
+    if affine:
+        return _affine(affine, number)
+    first = cases[0]
+    assert isinstance(first, NonlinearGaussianCPD)
+    covs = [case.cov for case in cases if isinstance(case, NonlinearGaussianCPD)]
+    return first._with_covs(_by_run([np.asarray(cov) for cov in covs], number))
+
+
+def _affine(cases: Sequence[AffineCPD], number: Integers) -> AffineCPD:
     """The affine CPD of a child that is one of some cases, by number, in each run."""
     child = cases[0].child
     given = tuple(dict.fromkeys(v for case in cases for v in case.given))

@@ -83,6 +83,17 @@ def noise(
     return Noise(function, as_scope(given, "noise: given"), diagonal)
 
 
+@dataclass(frozen=True)
+class _Multiple:
+    """A multiple of a function."""
+
+    function: Callable[..., Any]
+    factor: float
+
+    def __call__(self, *given: Array) -> Any:
+        return self.factor * np.asarray(self.function(*given))
+
+
 # What to do about a shape that was not due.
 _MATRICES = (
     "it is called with arrays that have leading axes and returns a matrix for each; variances "
@@ -149,6 +160,17 @@ class ConditionalGaussian(CPD):
         found = object.__new__(type(self))
         found.__dict__.update(self._bare())
         found._set_family(self.child, self.given, cov)
+        return found
+
+    def _scaled(self, factor: float) -> Self:
+        """The CPD of Gaussian noise whose covariance is a multiple of this one's `cov`."""
+        cov = self.cov
+        found = self._with_cov(
+            replace(cov, function=_Multiple(cov.function, factor))
+            if isinstance(cov, Noise)
+            else factor * cov
+        )
+        found._set(noise=None)
         return found
 
     def _set_noise(self, noise: RobustNoise | None) -> None:

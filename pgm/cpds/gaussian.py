@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -358,6 +358,15 @@ class NonlinearGaussianCPD(ConditionalGaussian):
             rows = zip(components((self.child,)), map(number, self._deviations), strict=True)
             parts.append(Listing(("", "noise ±"), list(rows)))
         return parts + self._noise_shown()
+
+    def _with_covs(self, covs: Array) -> Self:
+        """The CPD with a covariance of its own in each run, (runs, d, d); or (d, d)."""
+        found = object.__new__(type(self))
+        found.__dict__.update(self._bare(), cov=covs)
+        return found
+
+    def _lead(self) -> tuple[int, ...]:
+        return () if isinstance(self.cov, Noise) else self.cov.shape[:-2]
 
     def _mean(self, known: Mapping[Variable, Array], lead: tuple[int, ...], call: Call) -> Array:
         due = (*call.lead, self.child.dimension)

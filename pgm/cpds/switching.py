@@ -47,7 +47,8 @@ class SwitchingCPD(CPD):
         The discrete parents.
     cases : mapping
         By state of the parent, its name or index, the CPD of that case; of several parents by
-        tuples of states. Each is a CPD of the same child, with continuous parents of its own.
+        tuples of states. Each is a CPD of the same child, with continuous parents of its own: also
+        a `MixtureCPD`, or one of robust noise.
 
     Attributes
     ----------

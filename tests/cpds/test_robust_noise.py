@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 from scipy import stats
 from scipy.integrate import quad
 from scipy.special import gamma
@@ -136,3 +137,24 @@ def test_a_cpd_shows_its_noise():
 def test_parameters_whose_squares_are_no_numbers_are_refused(kind, value):
     with pytest.raises(pgm.ModelError, match=f"{kind.__name__}.* between 1e-50 and 1e.50"):
         kind(value)
+
+
+@given(dof=st.floats(0.5, 30.0), size=st.integers(1, 6), length=st.floats(-3.0, 5.0))
+def test_student_noise_is_a_mixture_of_scales(dof, size, length):
+    """To a relative error of 1e-6, however far off the residual is."""
+    noise, square = pgm.StudentT(dof), 10.0 ** (2.0 * length)
+    weights, factors = noise.scales(size)
+    logs = np.log(weights) - 0.5 * size * np.log(2.0 * np.pi * factors) - 0.5 * square / factors
+    due = noise.log_scale(size) - noise.loss(np.array(square), size)
+    assert_allclose(np.logaddexp.reduce(logs), due, atol=5e-6)
+
+
+@given(scale=st.floats(1.3, 5.0), length=st.floats(-3.0, 5.0))
+def test_the_cauchy_loss_of_a_scalar_is_a_mixture_of_scales(scale, length):
+    noise, square = pgm.Cauchy(scale), 10.0 ** (2.0 * length)
+    weights, factors = noise.scales(1)
+    logs = np.log(weights) - 0.5 * np.log(2.0 * np.pi * factors) - 0.5 * square / factors
+    due = noise.log_scale(1) - noise.loss(np.array(square), 1)
+    assert_allclose(np.logaddexp.reduce(logs), due, atol=5e-6)
+    assert noise.scales(2) is None
+    assert pgm.Huber(scale).scales(1) is None

@@ -26,7 +26,7 @@ from pgm.beliefs.moments.steps.chain import MomentChain, largest
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.readings import Certain
 from pgm.compile import DynamicGraph, compile
-from pgm.cpds import CPD, AffineCPD, GaussianCPD, SwitchingCPD
+from pgm.cpds import CPD, GaussianCPD, SwitchingCPD
 from pgm.cpds.by_run import kind_of, repeated, stacked
 from pgm.evidence import BoundEvidence, Reading
 from pgm.evidence.dynamic import Inputs
@@ -148,7 +148,7 @@ class Choices:
             if used.size == 1:
                 found.append(cases[int(used[0])])
                 continue
-            own = [case for k in used if isinstance(case := cases[k], AffineCPD)]
+            own = [cases[k] for k in used]
             found.append(stacked(own, np.tile(np.repeat(place, runs), copies)))
         return found
 

@@ -12,29 +12,51 @@ from dataclasses import replace
 import numpy as np
 
 from pgm.compile import DynamicGraph, compile
-from pgm.cpds import CPD, MixtureCPD, TableCPD
-from pgm.cpds.caused import caused, flat, has_mixtures
+from pgm.cpds import CPD, TableCPD
+from pgm.cpds.caused import cases_of, caused, flat, has_mixtures, is_mixture
 from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.evidence.values import SUM, OneOf
+from pgm.kernels.arrays import Array, Integers
 from pgm.networks import DynamicBayesianNetwork
 
 
 class Components(OneOf):
-    """The components of a mixture, of which each sighting of its sensor is one."""
+    """The components of a mixture, of which each sighting of its sensor is one.
+
+    Where discrete variables choose among mixtures, they are those of all cases.
+
+    Attributes
+    ----------
+    parts : tuple of CPD
+        The components.
+    cases : ndarray of int
+        The number of the case that each is of, (components,).
+    log_weights : ndarray
+        The logarithms of their weights in their case, (components,).
+    """
 
     parts: tuple[CPD, ...]
+    cases: Integers
+    log_weights: Array
 
-    def __init__(self, cpd: MixtureCPD) -> None:
-        parts = list(flat(cpd))
-        super().__init__(len(parts), [weight for _, weight in parts], 0.0, 0.0, None, None, SUM)
-        self._set(parts=tuple(part for part, _ in parts), dimension=cpd.child.dimension)
+    def __init__(self, cpd: CPD) -> None:
+        mixtures = [list(flat(case)) for case in cases_of(cpd).values()]
+        parts = [part for own in mixtures for part, _ in own]
+        weights = np.array([weight for own in mixtures for _, weight in own])
+        super().__init__(len(parts), weights, 0.0, 0.0, None, None, SUM)
+        self._set(
+            parts=tuple(parts),
+            cases=np.repeat(np.arange(len(mixtures)), [len(own) for own in mixtures]),
+            log_weights=np.log(weights),
+            dimension=cpd.child.dimension,
+        )
 
 
 def opened(reading: Reading) -> Reading:
     """A sensor's sightings, which are open if it is a mixture."""
     cpd = reading.cpd
-    if not isinstance(cpd, MixtureCPD):
+    if not is_mixture(cpd):
         return reading
     if reading.unknown is not None:
         raise EvidenceError(
@@ -52,11 +74,11 @@ def with_causes(graph: DynamicGraph, bound: BoundEvidence) -> tuple[DynamicGraph
     changed = network_with_causes(model)
     if changed is model:
         return graph, bound
-    # The inputs of a motion are those of its mixture; a cause has none.
-    known = {
-        cpd.child: inputs for cpd, inputs in zip(model.transition, bound.transition, strict=True)
-    }
-    transition = tuple(known.get(cpd.child, {}) for cpd in changed.transition)
+    # The inputs of a motion are those of its mixture; of a cause they are those that choose.
+    known = {v: rows for inputs in bound.transition for v, rows in inputs.items()}
+    transition = tuple(
+        {v: known[v] for v in cpd.parents if v in known} for cpd in changed.transition
+    )
     made = compile(changed, bound.steps, compiled=graph.layout.compiled)
     return made, replace(bound, transition=transition, form=None)
 
@@ -68,13 +90,13 @@ def network_with_causes(model: DynamicBayesianNetwork) -> DynamicBayesianNetwork
     names = {v.name for v in model.variables}
     prior, transition = list[CPD](), list[CPD]()
     for cpd in model.prior:
-        if not isinstance(cpd, MixtureCPD):
+        if not is_mixture(cpd):
             prior.append(cpd)
             continue
         table, chosen = caused(cpd, names)
         prior += [table, chosen]
-        cause = table.child  # what it is at later steps does not matter
-        transition.append(TableCPD(cause, table=np.eye(len(chosen.cases))[0]))
+        size = table.child.size  # what the cause is at later steps does not matter
+        transition.append(TableCPD(table.child, table=np.eye(size)[0]))
     for cpd in model.transition:
-        transition += caused(cpd, names) if isinstance(cpd, MixtureCPD) else [cpd]
+        transition += caused(cpd, names) if is_mixture(cpd) else [cpd]
     return DynamicBayesianNetwork(prior, transition, model.observation)

@@ -91,7 +91,7 @@ class HypothesisChain:
                 "mix=True mixes the Gaussians of all states of the step before, and motions are "
                 "chosen by these (.previous): leave mix out"
             )
-        self._open = [OpenSensor(given, reading) for reading in roles.open]
+        self._open = [OpenSensor(given, regimes, reading) for reading in roles.open]
         self._exclusive = any(sensor.exclusive for sensor in self._open)
         self.kept: list[Kept] = []
         self.associations: dict[OpenSensor, list[Array]] = {}
@@ -301,7 +301,7 @@ class HypothesisChain:
         `used` are the candidates that each component has given already; see `OpenSensor.tried`.
         """
         size = self.size
-        found = sensor.tried(step, row, Moments(known.mean, known.cov), used)
+        found = sensor.tried(step, row, Moments(known.mean, known.cov), known.memory, used)
         sources, alternatives, runs = found.logs.shape
         shape = sources * alternatives, runs
         logs = known.logs[:, None] + found.logs

@@ -16,6 +16,7 @@ from pgm.beliefs.hypotheses.counts import leading
 from pgm.beliefs.hypotheses.records import Asked, Belief, State
 from pgm.beliefs.hypotheses.run import chain_of
 from pgm.cpds import AffineCPD
+from pgm.cpds.caused import is_mixture
 from pgm.errors import GraphError
 from pgm.evidence import BoundEvidence
 from pgm.kernels.arrays import Array, Integers, Mask
@@ -42,6 +43,13 @@ def most_probable_path(model: DynamicBayesianNetwork, bound: BoundEvidence, coun
     """The most probable path of a network's discrete variables among so many that are kept."""
     asked = Asked(count, mix=False, prune=True)
     chain = chain_of(model, bound, asked, TAYLOR, Filtering())
+    components = [each.cpd for each in chain.roles.open if is_mixture(each.cpd)]
+    if components:
+        raise GraphError(
+            f"{components[0]!r} is a mixture, or has robust noise, and the component of each of "
+            "its readings is on no path of discrete variables: make it a state of one, with a "
+            "pgm.SwitchingCPD; or take pgm.smooth, which sums over them"
+        )
     if chain.roles.open:
         raise GraphError(
             "most_probable finds a path of discrete variables, and here sightings leave open what "

@@ -14,8 +14,8 @@ import numpy as np
 
 from pgm.beliefs.hypotheses.causes import opened
 from pgm.beliefs.hypotheses.regimes import is_plain, is_regime_sensor
-from pgm.cpds import CPD, MixtureCPD, SwitchingCPD
-from pgm.cpds.caused import flat
+from pgm.cpds import CPD, SwitchingCPD
+from pgm.cpds.caused import components, in_scales, is_mixture
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.evidence.dynamic import Inputs
@@ -44,10 +44,7 @@ class Roles(NamedTuple):
         """The CPDs that nothing chooses, and all cases, or components, of the others."""
         unknown = (reading.cpd for reading in self.open)
         for cpd in (*self.prior, *self.transition, *self.observation, *unknown):
-            if isinstance(cpd, MixtureCPD):
-                yield from (part for part, _ in flat(cpd))
-            else:
-                yield from cpd.cases.values() if isinstance(cpd, SwitchingCPD) else (cpd,)
+            yield from components(cpd)
 
     @property
     def robust(self) -> CPD | None:
@@ -55,35 +52,37 @@ class Roles(NamedTuple):
         return next((case for case in self.cases if not is_plain(case)), None)
 
 
-def roles_of(model: DynamicBayesianNetwork, bound: BoundEvidence) -> Roles:
-    """The CPDs of continuous variables; one that has no Gaussian beliefs is a ModelError."""
+def roles_of(
+    model: DynamicBayesianNetwork, bound: BoundEvidence, hypotheses: Sequence[Discrete] | None
+) -> Roles:
+    """The CPDs of continuous variables; one that has no Gaussian beliefs is a ModelError.
+
+    `hypotheses` are hidden variables that choose; None where there are none. They are weighed by
+    densities, and sensors of robust noise are then mixtures of Gaussians of several scales.
+    """
     # An online update has no inputs of the motion, which it does not ask for.
     known = bound.transition or ({},) * len(model.transition)
     pairs = zip(model.transition, known, strict=True)
     moved = [(cpd, inputs) for cpd, inputs in pairs if not cpd.discrete]
-    every = [opened(each) for each in bound.readings]
-    readings = [
+    every = [
         part
-        for each in every
-        if each.unknown is None and not is_regime_sensor(model, each.cpd)
+        for each in bound.readings
+        if not is_regime_sensor(model, each.cpd)
         for part in _by_observed(each)
     ]
-    unknown = [each for each in every if each.unknown is not None]
-    for each in unknown:
-        if isinstance(each.cpd, SwitchingCPD):
-            raise EvidenceError(
-                f"sightings of {each.cpd.child!r} leave a parent open, and discrete variables "
-                "choose its CPD: give each case a sensor of its own",
-                variable=each.cpd.child,
-                cpd=each.cpd,
-            )
+    if hypotheses is None and any(each.unknown or is_mixture(each.cpd) for each in every):
+        hypotheses = ()
+    if hypotheses is not None:
+        every = [_weighed(each, hypotheses) for each in every]
+    every = [opened(each) for each in every]
+    readings = [each for each in every if each.unknown is None]
     found = Roles(
         [cpd for cpd in model.prior if not cpd.discrete],
         [cpd for cpd, _ in moved],
         [inputs for _, inputs in moved],
         [reading.cpd for reading in readings],
         readings,
-        unknown,
+        [each for each in every if each.unknown is not None],
     )
     for case in found.cases:
         require_gaussian([case], "the Gaussian beliefs of a mixed network")
@@ -93,19 +92,23 @@ def roles_of(model: DynamicBayesianNetwork, bound: BoundEvidence) -> Roles:
     return found
 
 
-def require_densities(roles: Roles, hidden: Sequence[Discrete]) -> None:
-    """Refuse robust noise, whose bound of a density does not weigh hypotheses."""
-    case = roles.robust
-    if case is not None:
-        of = f" of ({listed(hidden)})" if hidden else ""
+def _weighed(reading: Reading, hypotheses: Sequence[Discrete]) -> Reading:
+    """A sensor's readings, each of a scale that is a hypothesis where its noise is robust."""
+    cpd = reading.cpd
+    robust = next((part for part in components(cpd) if not is_plain(part)), None)
+    if robust is None:
+        return reading
+    if reading.unknown is not None:
         raise ModelError(
-            f"{case!r} has robust noise, and what hypotheses{of} are weighed by are densities, of "
-            "which robust noise gives but a bound: make outliers a state of a discrete "
-            "variable, with a case of larger noise; or, of sightings by pgm.unknown, give "
-            'association="likelihood"',
-            variable=case.child,
-            cpd=case,
+            f"{cpd!r} has robust noise, and its sightings leave {reading.unknown[0]!r} open, "
+            "whose candidates are weighed by densities, of which robust noise gives but a bound: "
+            "declare outliers by pgm.unknown(..., spurious=, volume=), or, where no discrete "
+            'variables are hidden, decide by association="likelihood"',
+            variable=cpd.child,
+            cpd=cpd,
         )
+    of = f"hypotheses of ({listed(hypotheses)})" if hypotheses else "hypotheses"
+    return replace(reading, cpd=in_scales(cpd, f"by whose densities {of} are weighed"))
 
 
 def _by_observed(reading: Reading) -> list[Reading]:
@@ -113,6 +116,13 @@ def _by_observed(reading: Reading) -> list[Reading]:
     cpd = reading.cpd
     if not isinstance(cpd, SwitchingCPD):
         return [reading]
+    if reading.unknown is not None:
+        raise EvidenceError(
+            f"sightings of {cpd.child!r} leave a parent open, and discrete variables choose its "
+            "CPD: give each case a sensor of its own",
+            variable=cpd.child,
+            cpd=cpd,
+        )
     seen = [v for v in cpd.switches if v in reading.inputs]
     if not seen:
         return [reading]

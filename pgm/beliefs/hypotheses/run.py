@@ -15,7 +15,7 @@ from pgm.beliefs.hypotheses.chain import HypothesisChain
 from pgm.beliefs.hypotheses.outcome import Beliefs, HypothesisOutcome
 from pgm.beliefs.hypotheses.records import Asked, Belief, Settings, State, Swept
 from pgm.beliefs.hypotheses.regimes import Regimes
-from pgm.beliefs.hypotheses.roles import Roles, require_densities, roles_of
+from pgm.beliefs.hypotheses.roles import Roles, roles_of
 from pgm.compile import DynamicGraph
 from pgm.cpds import AffineCPD
 from pgm.errors import GraphError, ModelError
@@ -95,9 +95,8 @@ def chain_of(
     settings = _settings(asked, regimes, back=back)
     hidden = tuple(cpd.child for cpd in model.transition if not cpd.discrete)
     given = Given(bound, hidden, frozenset(model.states), lineariser, schedule, first)
-    roles = roles_of(model, bound)
-    if regimes.hidden or roles.open or asked.pieces > 1:
-        require_densities(roles, regimes.hidden)
+    several = regimes.hidden or asked.pieces > 1
+    roles = roles_of(model, bound, regimes.hidden if several else None)
     _require_room(given, regimes, roles, settings)
     return HypothesisChain(given, regimes, roles, settings)
 

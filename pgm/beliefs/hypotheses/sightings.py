@@ -1,8 +1,9 @@
 """Sightings that leave open what was seen, by `pgm.unknown`: each candidate is a hypothesis.
 
 An open sighting is of one of k *candidates*, values or hidden variables that stand for a parent of
-its sensor, or components of a mixture that is its sensor's CPD, or of none of them: the
-*alternatives* are the candidates, and then that it is spurious or new, which no belief learns from.
+its sensor, or components of a mixture that is its sensor's CPD, or a case of it, or of none of
+them: the *alternatives* are the candidates, and then that it is spurious or new, which no belief
+learns from.
 Arrays have the hypotheses that alternatives are tried on, the alternatives, and the user's runs:
 (sources, k + 1, runs).
 """
@@ -15,15 +16,16 @@ from typing import NamedTuple, NoReturn
 
 import numpy as np
 
-from pgm.beliefs.hypotheses.cases import Batch, Given, seen
+from pgm.beliefs.hypotheses.cases import Batch, Given, case_numbers, seen
 from pgm.beliefs.hypotheses.causes import Components
 from pgm.beliefs.hypotheses.counts import Counts
+from pgm.beliefs.hypotheses.regimes import Regimes
 from pgm.beliefs.moments.steps.chain import MomentChain
 from pgm.beliefs.moments.steps.readings import Moments
 from pgm.beliefs.moments.steps.readings import Reading as Read
 from pgm.beliefs.moments.steps.vector import vector
 from pgm.compile import compile
-from pgm.cpds import CPD, AffineCPD
+from pgm.cpds import CPD, SwitchingCPD
 from pgm.cpds.by_run import kind_of, stacked
 from pgm.errors import EvidenceError
 from pgm.evidence import Reading
@@ -61,7 +63,7 @@ class OpenSensor:
         The candidates with their probabilities.
     """
 
-    def __init__(self, given: Given, reading: Reading) -> None:
+    def __init__(self, given: Given, regimes: Regimes, reading: Reading) -> None:
         assert reading.unknown is not None
         if reading.unknown[1].count > _BITS and reading.unknown[1].association == JOINT:
             raise EvidenceError(
@@ -75,6 +77,12 @@ class OpenSensor:
         self.parent: Variable = reading.unknown[0]
         self.unknown: OneOf = reading.unknown[1]
         self._batches: dict[int, list[Batch]] = {}
+        # The logarithms of the candidates' probabilities in each regime, (regimes, k).
+        shares = self.unknown.log_shares[None, :-2]
+        if isinstance(self.unknown, Components) and isinstance(reading.cpd, SwitchingCPD):
+            own = case_numbers(regimes, reading.cpd)[:, None] == self.unknown.cases
+            shares = np.where(own, self.unknown.log_weights, -np.inf)
+        self._log_shares = np.broadcast_to(shares, (regimes.size, self.unknown.count))
 
     @property
     def exclusive(self) -> bool:
@@ -124,9 +132,12 @@ class OpenSensor:
             step=step,
         )
 
-    def tried(self, step: int, row: int, sources: Moments, used: Integers | None) -> Tried:
+    def tried(
+        self, step: int, row: int, sources: Moments, regime: Integers, used: Integers | None
+    ) -> Tried:
         """A sighting under each alternative, of sources of moments (n, sources, runs).
 
+        `regime` is the number of each source's, (sources, runs).
         `row` counts the sightings of the step. Candidates that are `used`, as bits (sources, runs),
         are none any more. With ``association="likelihood"`` each source takes its likeliest
         alternative alone.
@@ -139,7 +150,7 @@ class OpenSensor:
         mean = np.broadcast_to(sources.mean[:, :, None], (size, *shape)).copy()
         cov = np.broadcast_to(sources.cov[:, :, :, None], (size, size, *shape)).copy()
         logs = np.empty(shape)
-        logs[:, :-1] = self.unknown.log_shares[:-2, None]
+        logs[:, :-1] = np.moveaxis(self._log_shares[regime], -1, 1)
         uniform = np.where(measured, log_sum(self.unknown.log_outliers, 0), -np.inf)
         logs[:, -1] = np.where(measured, uniform, log_sum(self.unknown.log_shares[-2:], 0))
         counts = np.zeros(shape, dtype=np.intp)
@@ -232,9 +243,8 @@ class OpenSensor:
         given, runs = self._given, self._given.bound.runs
         values: dict[Variable, Array] = {}
         if isinstance(self.unknown, UnknownVariable | Components):
-            affine = [cpd for cpd in cpds if isinstance(cpd, AffineCPD)]
             number = np.tile(np.repeat(np.arange(which.size), runs), copies)
-            cpd = cpds[0] if len(cpds) == 1 else stacked(affine, number)
+            cpd = cpds[0] if len(cpds) == 1 else stacked(cpds, number)
         else:
             cpd = cpds[0]
             own = np.repeat(self.unknown.candidates, runs, axis=0)  # type: ignore[attr-defined]

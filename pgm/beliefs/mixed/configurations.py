@@ -10,7 +10,7 @@ import numpy as np
 
 from pgm.beliefs.discrete.outcome import DiscreteOutcome
 from pgm.beliefs.mixed.parts import Part
-from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, Noise, SwitchingCPD
+from pgm.cpds import CPD, ConditionalGaussian, Noise, SwitchingCPD
 from pgm.cpds.by_run import kind_of, repeated, stacked
 from pgm.errors import GraphError
 from pgm.factors.axes import States, sizes
@@ -95,8 +95,9 @@ class Cases:
     def alike(self, runs: int) -> list[Integers]:
         """The configurations, by number, in groups whose CPDs one call takes as runs.
 
-        Affine cases differ in numbers alone; other cases are each for themselves, as are all beside
-        CPDs without noise, where which relations are exact is decided for all runs of a call.
+        Affine cases differ in numbers alone, as do those of one function; other cases are each for
+        themselves. So are all beside CPDs without noise, where which relations are exact is decided
+        for all runs of a call.
         `runs` are how many the user has.
         """
         if self.exact or runs >= RUNS:
@@ -144,8 +145,7 @@ class Cases:
         used, place = np.unique(own, return_inverse=True)
         if used.size == 1:
             return cases[int(used[0])]
-        own_cases = [case for k in used if isinstance(case := cases[k], AffineCPD)]
-        return stacked(own_cases, np.repeat(place, runs.size))
+        return stacked([cases[k] for k in used], np.repeat(place, runs.size))
 
 
 def _is_exact(case: CPD) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,13 +10,13 @@ import numpy as np
 from pgm.beliefs.discrete.run import run as run_tables
 from pgm.beliefs.mixed.configurations import fits, possible
 from pgm.beliefs.mixed.outcome import MixedOutcome
-from pgm.beliefs.mixed.parts import fitting
+from pgm.beliefs.mixed.parts import Part, fitting
 from pgm.beliefs.mixed.tabled import Tabled
 from pgm.beliefs.mixed.weighing import Asked, Weighed, weighed
 from pgm.clustergraph import ClusterGraph
 from pgm.compile.methods import JunctionTree
-from pgm.cpds import CPD, MixtureCPD, SwitchingCPD
-from pgm.cpds.caused import caused, has_mixtures
+from pgm.cpds import CPD, ConditionalGaussian, SwitchingCPD
+from pgm.cpds.caused import caused, components, has_mixtures, in_scales, is_mixture
 from pgm.errors import EvidenceError, NumericalError
 from pgm.evidence import Evidence
 from pgm.evidence.rows import as_rows, no_evidence_for, require_finite
@@ -69,10 +69,13 @@ def run(graph: ClusterGraph, evidence: Evidence, call: Call) -> MixedOutcome:
         (part, possible(part.boundary, tables, fixed))
         for part in fitting(split.continuous, values, told, lambda part: fits(part, fixed))
     ]
+    observed = frozenset(v for v, state in states.states.items() if np.all(np.asarray(state) >= 0))
+    robust = _weighing([part for part, _ in parts], observed)
+    if robust:
+        return run(_in_scales(graph, robust), evidence, call)
     hidden = [v for part, _ in parts for v in part.hidden]
     start = None if call.start is None else _start(call.start, hidden, lead)
-    observed = frozenset(v for v, state in states.states.items() if np.all(np.asarray(state) >= 0))
-    asked = Asked(values, start, lead, call.lineariser, call.schedule, observed)
+    asked = Asked(values, start, lead, call.lineariser, call.schedule)
     found = [weighed(part, configurations, asked) for part, configurations in parts]
     tabled = Tabled.of(split.tables, discrete, parts, lead)
     logs = [each.log for each in found]
@@ -92,7 +95,29 @@ def _with_causes(graph: ClusterGraph) -> ClusterGraph:
     names = {v.name for v in network.variables}
     cpds = list[CPD]()
     for cpd in network.cpds:
-        cpds += caused(cpd, names) if isinstance(cpd, MixtureCPD) else [cpd]
+        cpds += caused(cpd, names) if is_mixture(cpd) else [cpd]
+    return JunctionTree()(BayesianNetwork(cpds))
+
+
+def _weighing(parts: Sequence[Part], observed: Collection[Variable]) -> set[CPD]:
+    """The CPDs of robust noise by which states of unobserved variables are weighed.
+
+    Where all that is continuous is observed, their densities weigh the states as they are.
+    """
+    return {
+        cpd
+        for part in parts
+        if part.hidden and not set(part.boundary) <= set(observed)
+        for cpd in part.cpds
+        for case in components(cpd)
+        if isinstance(case, ConditionalGaussian) and case.noise is not None
+    }
+
+
+def _in_scales(graph: ClusterGraph, robust: set[CPD]) -> ClusterGraph:
+    """The graph of a network in which some CPDs' robust noise is a mixture of several scales."""
+    why = "by whose densities states of discrete variables are weighed"
+    cpds = [in_scales(cpd, why) if cpd in robust else cpd for cpd in graph.network.cpds]
     return JunctionTree()(BayesianNetwork(cpds))
 
 

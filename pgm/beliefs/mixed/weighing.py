@@ -20,9 +20,9 @@ from pgm.beliefs.gaussian.run import run
 from pgm.beliefs.mixed.configurations import Cases
 from pgm.beliefs.mixed.parts import Part
 from pgm.compile.methods import JunctionTree
-from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, Noise, SwitchingCPD
+from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, Noise
 from pgm.cpds.conditional import evaluate
-from pgm.errors import GraphError, ModelError, NumericalError
+from pgm.errors import GraphError, NumericalError
 from pgm.factors.scope import listed
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, Integers, independent, variances
@@ -30,7 +30,7 @@ from pgm.linearisers import Lineariser
 from pgm.networks import BayesianNetwork
 from pgm.resources import require_memory
 from pgm.schedules.schedule import Schedule
-from pgm.variables import Discrete, Variable
+from pgm.variables import Variable
 
 # A direction of the evidence is certain if its deviation is this share of its components'.
 CERTAIN = 1e-13
@@ -51,8 +51,6 @@ class Asked:
         The user's axes of runs, which are flattened to one.
     lineariser, schedule
         As of `infer`.
-    known : frozenset of Discrete
-        Those discrete variables that are observed in every run.
     """
 
     values: Mapping[Variable, Array]
@@ -60,7 +58,6 @@ class Asked:
     lead: tuple[int, ...]
     lineariser: Lineariser
     schedule: Schedule | None
-    known: frozenset[Discrete]
 
     @property
     def runs(self) -> int:
@@ -123,8 +120,6 @@ def weighed(part: Part, configurations: Integers, asked: Asked) -> Weighed:
     if not part.hidden and cases.proper:
         log = _likelihoods(cases, asked)
         return Weighed(part, configurations, log, _certain(part, cases, asked, log), ())
-    if len(configurations) > 1 and not asked.known.issuperset(part.boundary):
-        _require_densities(part)
     log = np.full((len(configurations), asked.runs), -np.inf)
     beliefs: list[tuple[Integers, Integers, GaussianOutcome]] = []
     refused: Contradiction | None = None
@@ -146,21 +141,6 @@ def weighed(part: Part, configurations: Integers, asked: Asked) -> Weighed:
     if refused is not None and not np.isfinite(log).any(axis=0).all():
         raise refused  # whatever the discrete variables are
     return Weighed(part, configurations, log, _certain(part, cases, asked, log), beliefs)
-
-
-def _require_densities(part: Part) -> None:
-    """Refuse robust noise, whose bound of a density does not weigh configurations."""
-    for cpd in part.cpds:
-        for case in cpd.cases.values() if isinstance(cpd, SwitchingCPD) else (cpd,):
-            if isinstance(case, ConditionalGaussian) and case.noise is not None:
-                raise ModelError(
-                    f"{case!r} has robust noise, {case.noise!r}, and what configurations of "
-                    f"({listed(part.boundary)}) are weighed by are densities, which robust noise "
-                    "gives but a bound of: make outliers a state of a discrete variable, with a "
-                    "case of larger noise",
-                    variable=case.child,
-                    cpd=case,
-                )
 
 
 def _likelihoods(cases: Cases, asked: Asked) -> Array:

@@ -19,7 +19,8 @@ from pgm.beliefs.hypotheses.paths import PathLaw, follow
 from pgm.beliefs.hypotheses.records import Asked
 from pgm.beliefs.hypotheses.roles import roles_of
 from pgm.beliefs.hypotheses.run import chain_of, passes
-from pgm.cpds import AffineCPD, MixtureCPD
+from pgm.cpds import AffineCPD
+from pgm.cpds.caused import is_mixture
 from pgm.errors import ModelError, NumericalError
 from pgm.evidence import BoundEvidence
 from pgm.factors.scope import positions
@@ -54,10 +55,10 @@ class SwitchingDraws:
     def make(cls, outcome: HypothesisOutcome) -> SwitchingDraws:
         """Prepare to draw; open sightings, and robust noise, are a ModelError."""
         bound, call, asked = outcome._asked
-        roles = roles_of(outcome.graph.model, bound)
+        roles = roles_of(outcome.graph.model, bound, None)
         if roles.open:
             cpd = roles.open[0].cpd
-            if isinstance(cpd, MixtureCPD):
+            if is_mixture(cpd):
                 raise ModelError(
                     f"{cpd!r} is a sensor of several components, which no audit draws; a "
                     "pgm.SwitchingCPD of a discrete variable is audited, and says the same"
@@ -69,7 +70,8 @@ class SwitchingDraws:
         if roles.robust is not None:
             raise ModelError(
                 f"{roles.robust!r} has robust noise: an audit of a switching model takes the "
-                "answer as exact where its discrete variables are known, and this is a bound"
+                "answer as exact where its discrete variables are known, and this is a bound, or "
+                "a mixture of several scales"
             )
         smoothing = call._replace(schedule=Smoothing())
         whole = Asked(asked.count, asked.mix)  # of which the prior is not cut into pieces
