@@ -17,6 +17,7 @@ from experiments.catalogue import EXPERIMENTS, listing, summary_line
 from experiments.record import note, refusal
 from experiments.report import report
 from experiments.studies.command import command
+from experiments.uai import uai
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -40,6 +41,7 @@ for _name, _experiment in EXPERIMENTS.items():
     app.command(_name, help=summary_line(_experiment))(_experiment.run)
 app.command("report")(report)
 app.command("sweep")(command(EXPERIMENTS))
+app.command("uai")(uai)
 
 
 def main() -> None:

@@ -28,7 +28,7 @@ class Dense:
     log_evidence: float = 0.0
 
     @classmethod
-    def of(cls, network: pgm.BayesianNetwork) -> Dense:
+    def of(cls, network: pgm.MarkovNetwork) -> Dense:
         """Multiply the CPDs out."""
         ends = np.cumsum([variable.dimension for variable in network.variables])
         places = {

@@ -100,7 +100,7 @@ from pgm.linearisers import (
     Taylor,
     Unscented,
 )
-from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
+from pgm.networks import BayesianNetwork, DynamicBayesianNetwork, MarkovNetwork
 from pgm.variables import Discrete, Variable, variables
 
 if TYPE_CHECKING:
@@ -109,11 +109,16 @@ if TYPE_CHECKING:
     from pgm.io.networks import (
         from_pgmpy,
         read_bif,
+        read_fg,
         read_uai,
         read_uai_evidence,
         read_xmlbif,
         to_pgmpy,
         write_bif,
+        write_fg,
+        write_uai,
+        write_uai_evidence,
+        write_uai_result,
         write_xmlbif,
     )
     from pgm.io.poses import Poses
@@ -140,11 +145,16 @@ _LATER = {
     "pgm.io.networks": (
         "from_pgmpy",
         "read_bif",
+        "read_fg",
         "read_uai",
         "read_uai_evidence",
         "read_xmlbif",
         "to_pgmpy",
         "write_bif",
+        "write_fg",
+        "write_uai",
+        "write_uai_evidence",
+        "write_uai_result",
         "write_xmlbif",
     ),
     "pgm.io.poses": ("Poses",),
@@ -262,6 +272,7 @@ __all__ = [
     "LinearisationError",
     "Lineariser",
     "Loopy",
+    "MarkovNetwork",
     "MinDegree",
     "MinFill",
     "MixtureCPD",
@@ -315,6 +326,7 @@ __all__ = [
     "prepare",
     "query",
     "read_bif",
+    "read_fg",
     "read_tum",
     "read_uai",
     "read_uai_evidence",
@@ -333,6 +345,10 @@ __all__ = [
     "variables",
     "view",
     "write_bif",
+    "write_fg",
     "write_tum",
+    "write_uai",
+    "write_uai_evidence",
+    "write_uai_result",
     "write_xmlbif",
 ]

@@ -14,6 +14,7 @@ from pgm.cpds import CPD
 from pgm.display import Listing, Shown, Summary, few
 from pgm.errors import GraphError
 from pgm.factors.scope import MOST, Scope, dimension, listed
+from pgm.networks.markov import Factor
 from pgm.variables import Discrete, Variable
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ def check_families(
     assigned: Sequence[Iterable[Scope]],
     families: Iterable[Scope] | None = None,
 ) -> None:
-    """Family preservation: each CPD's family stands in exactly one cluster, which holds it.
+    """Family preservation: each factor's family stands in exactly one cluster, which holds it.
 
     `assigned` are the families of each cluster, `families` all of the network, or those assigned.
     """
@@ -37,20 +38,33 @@ def check_families(
             lost = [variable for variable in family if variable not in held]
             if lost:
                 raise GraphError(
-                    f"family preservation fails: cluster {index} is assigned the CPD of "
-                    f"{family[0]!r}, but lacks ({listed(lost)}) of its family ({listed(family)}); "
-                    "add them to the cluster or move the CPD",
+                    f"family preservation fails: cluster {index} is assigned the family "
+                    f"({listed(family)}), but lacks ({listed(lost)}) of it; add them to the "
+                    "cluster or move the family",
                     variable=lost[0],
                     cluster=index,
                 )
     counts = Counter(family for inside in assigned for family in inside)
-    for family in counts if families is None else families:
-        if counts[family] != 1:
+    due = Counter(dict.fromkeys(counts, 1) if families is None else families)
+    for family, number in due.items():
+        if counts[family] != number:
             raise GraphError(
-                f"family preservation fails: the CPD of {family[0]!r}, with family "
-                f"({listed(family)}), is assigned to {counts[family]} clusters; one was due",
-                variable=family[0],
+                f"family preservation fails: the family ({listed(family)}) is assigned to "
+                f"{counts[family]} clusters; {'one' if number == 1 else number} was due",
+                variable=family[0] if family else None,
             )
+
+
+def no_cluster(factor: Factor) -> GraphError:
+    """The error for a factor whose variables no cluster holds."""
+    cpd = factor if isinstance(factor, CPD) else None
+    of = f" of the CPD of {cpd.child!r}" if cpd else " of a factor"
+    return GraphError(
+        f"family preservation fails: no cluster holds the family ({listed(factor.scope)}){of}; add "
+        "a cluster that does",
+        variable=cpd.child if cpd else factor.scope[0],
+        cpd=cpd,
+    )
 
 
 def check_running_intersection(
@@ -152,15 +166,16 @@ def as_edge(edge: Any, count: int) -> Edge:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Cluster(Shown):
-    """A set of variables, with the CPDs whose product is its potential.
+    """A set of variables, with the factors whose product is its potential.
 
     Attributes
     ----------
     index : int
     scope : tuple of Variable
-    cpds : tuple of CPD
+    factors : tuple of CPD or Table
+        The CPDs, or other factors.
     families : tuple of tuple of Variable
-        The family of each CPD, child first, all inside the scope.
+        The variables of each factor, of a CPD the child first, all inside the scope.
 
     Examples
     --------
@@ -174,8 +189,13 @@ class Cluster(Shown):
 
     index: int
     scope: Scope
-    cpds: tuple[CPD, ...]
+    factors: tuple[Factor, ...]
     families: tuple[Scope, ...]
+
+    @property
+    def cpds(self) -> tuple[CPD, ...]:
+        """The factors that are CPDs."""
+        return tuple(factor for factor in self.factors if isinstance(factor, CPD))
 
     @property
     def size(self) -> int:
@@ -183,10 +203,10 @@ class Cluster(Shown):
         return size(self.scope)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Cluster) and (self.index, self.scope, self.cpds) == (
+        return isinstance(other, Cluster) and (self.index, self.scope, self.factors) == (
             other.index,
             other.scope,
-            other.cpds,
+            other.factors,
         )
 
     def __hash__(self) -> int:
@@ -197,8 +217,8 @@ class Cluster(Shown):
         return f"Cluster({self.index}: ({listed(self.scope)}))"
 
     def _summary(self) -> Summary:
-        """The variables, and the CPDs in the notebook; in a terminal clusters stand in lists."""
-        return Summary(self._title, [cpd._title for cpd in self.cpds[:MOST]])
+        """The variables, and the factors in the notebook; in a terminal clusters stand in lists."""
+        return Summary(self._title, [each._title for each in self.factors[:MOST]])
 
     def __repr__(self) -> str:
         return self._title
@@ -282,6 +302,9 @@ def assign(
     sets: dict[int, set[int]] = {}
     homes = list[int]()
     for family in families:
+        if not family:  # a number
+            homes.append(by_size[0])
+            continue
         held = [holders[place] for place in family]
         # Of most families a variable is in one cluster alone, or few: that of a measurement.
         fewest = min(held, key=len)

@@ -26,6 +26,7 @@ from pgm.clustergraph.cluster import (
     extent,
     is_forest,
     neighbourhoods,
+    no_cluster,
     size,
     spanning_tree,
     work,
@@ -36,7 +37,7 @@ from pgm.errors import GraphError
 from pgm.factors.scope import MOST, Scope, as_scope, listed, unknown_name
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Integers
-from pgm.networks import BayesianNetwork
+from pgm.networks import MarkovNetwork
 from pgm.resources import uncollected
 from pgm.variables import Variable
 
@@ -55,11 +56,12 @@ class ClusterGraph(Drawn, Immutable):
     """An undirected graph of clusters; its edges are labelled with sepsets.
 
     Structure alone: it holds no evidence, message or belief. Made by `compile`, or by hand from
-    sets of variables. Each CPD goes to the smallest cluster that holds its family.
+    sets of variables. Each factor, or CPD, goes to the smallest cluster that holds its variables.
 
     Parameters
     ----------
-    network : BayesianNetwork
+    network : MarkovNetwork
+        A `BayesianNetwork`, or any other.
     clusters : sequence of sets of Variable
     sepsets : mapping of (int, int) to set of Variable, optional
         The sepset of each pair of joined clusters. Without, a tree whose sepsets are the full
@@ -79,7 +81,7 @@ class ClusterGraph(Drawn, Immutable):
     array([1.])
     """
 
-    network: BayesianNetwork
+    network: MarkovNetwork
     # Variables by their place in the network, in its order: of clusters, of sepsets.
     _members: Sequence[Places]
     _shared: Mapping[Edge, Places]
@@ -90,12 +92,14 @@ class ClusterGraph(Drawn, Immutable):
 
     def __init__(
         self,
-        network: BayesianNetwork,
+        network: MarkovNetwork,
         clusters: Iterable[Iterable[Variable]],
         sepsets: Mapping[Edge, Iterable[Variable]] | None = None,
     ) -> None:
-        if not isinstance(network, BayesianNetwork):
-            raise GraphError(f"a cluster graph is of a BayesianNetwork, not of {titled(network)}")
+        if not isinstance(network, MarkovNetwork):
+            raise GraphError(
+                f"a cluster graph is of a network without time, not of {titled(network)}"
+            )
         place = network._places
 
         def places(members: Iterable[Variable], where: str) -> Places:
@@ -143,7 +147,7 @@ class ClusterGraph(Drawn, Immutable):
 
     @classmethod
     def _tree(
-        cls, network: BayesianNetwork, members: Iterable[set[int]], joined: Mapping[Edge, set[int]]
+        cls, network: MarkovNetwork, members: Iterable[set[int]], joined: Mapping[Edge, set[int]]
     ) -> ClusterGraph:
         """A graph of places that has running intersection by its making: it is not checked."""
         graph = cls.__new__(cls)
@@ -152,7 +156,7 @@ class ClusterGraph(Drawn, Immutable):
         graph._set(_shared=sepsets, is_tree=True)
         return graph
 
-    def _assign(self, network: BayesianNetwork, members: Sequence[Places]) -> None:
+    def _assign(self, network: MarkovNetwork, members: Sequence[Places]) -> None:
         extents = list(map(extent, network.variables))
         combine = math.prod if network.discrete else sum
         sizes = tuple([combine([extents[place] for place in held]) for held in members])
@@ -162,13 +166,7 @@ class ClusterGraph(Drawn, Immutable):
         assigned: list[list[int]] = [[] for _ in members]
         for number, home in enumerate(assign(network._families, members, sizes)):
             if home < 0:
-                cpd = network.cpds[number]
-                raise GraphError(
-                    f"family preservation fails: no cluster holds the family "
-                    f"({listed(cpd.scope)}) of the CPD of {cpd.child!r}; add a cluster that does",
-                    variable=cpd.child,
-                    cpd=cpd,
-                )
+                raise no_cluster(network.factors[number])
             assigned[home].append(number)
         self._set(network=network, _members=members, _assigned=assigned, sizes=sizes)
 
@@ -179,10 +177,10 @@ class ClusterGraph(Drawn, Immutable):
     @cached_property
     def _clusters(self) -> tuple[Cluster, ...]:
         found = []
-        cpds, places = self.network.cpds, self.network._families
-        with uncollected(len(cpds)):
+        factors, places = self.network.factors, self.network._families
+        with uncollected(len(factors)):
             for index, numbers in enumerate(self._assigned):
-                inside = tuple([cpds[number] for number in numbers])
+                inside = tuple([factors[number] for number in numbers])
                 families = tuple([self._named(places[number]) for number in numbers])
                 found.append(Cluster(index, self._named(self._members[index]), inside, families))
         return tuple(found)
@@ -274,8 +272,8 @@ class ClusterGraph(Drawn, Immutable):
         return f"0..{self._count - 1}" + (f": {', '.join(each)}" if self._count <= MOST else "")
 
     def families(self) -> Iterable[Scope]:
-        """The families of all CPDs of the network, each of which needs a cluster."""
-        return (cpd.scope for cpd in self.network.cpds)
+        """The families of all factors of the network, each of which needs a cluster."""
+        return (factor.scope for factor in self.network.factors)
 
     @public
     def check(self, *, jacobians: bool = False) -> None:

@@ -22,7 +22,7 @@ from pgm.compile.methods import JunctionTree
 from pgm.display import InCode, titled
 from pgm.errors import GraphError, ModelError
 from pgm.factors.scope import Scope
-from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
+from pgm.networks import DynamicBayesianNetwork, MarkovNetwork
 from pgm.resources import require_memory
 from pgm.variables import Discrete
 
@@ -163,7 +163,7 @@ TREE = JunctionTree()
 class Method(Protocol):
     """A method that makes a cluster graph of a network without time."""
 
-    def __call__(self, network: BayesianNetwork) -> ClusterGraph:
+    def __call__(self, network: MarkovNetwork) -> ClusterGraph:
         """Compile a network."""
 
 
@@ -189,7 +189,7 @@ def compile(
 
 @overload
 def compile(
-    model: BayesianNetwork,
+    model: MarkovNetwork,
     steps: None = None,
     method: Method | None = None,
     *,
@@ -199,7 +199,7 @@ def compile(
 
 @public
 def compile(
-    model: DynamicBayesianNetwork | BayesianNetwork,
+    model: DynamicBayesianNetwork | MarkovNetwork,
     steps: int | None = None,
     method: Method | Balanced | None = None,
     *,
@@ -209,7 +209,7 @@ def compile(
 
     Parameters
     ----------
-    model : DynamicBayesianNetwork or BayesianNetwork
+    model : DynamicBayesianNetwork, BayesianNetwork or MarkovNetwork
     steps : int
         T, of a dynamic network: its states are at the steps 0..T.
     method : Method or Balanced, optional
@@ -237,7 +237,7 @@ def compile(
     """
     if isinstance(model, DynamicBayesianNetwork):
         return _dynamic(model, steps, method, compiled)
-    if not isinstance(model, BayesianNetwork):
+    if not isinstance(model, MarkovNetwork):
         raise ModelError(f"compile takes a network, not {titled(model)}")
     if steps is not None:
         raise GraphError(

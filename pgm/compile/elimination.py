@@ -14,13 +14,13 @@ from functools import partial
 from heapq import heapify, heappop, heappush
 from itertools import chain, cycle, islice, repeat
 
-from pgm.networks import BayesianNetwork
+from pgm.networks import MarkovNetwork
 from pgm.resources import uncollected
 
 Adjacency = Sequence[set[int]]
 
 
-def moral(network: BayesianNetwork) -> list[set[int]]:
+def moral(network: MarkovNetwork) -> list[set[int]]:
     """The moral graph: every family is a clique; vertices are places in `network.variables`."""
     families = network._families
     with uncollected(len(families)):

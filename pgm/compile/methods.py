@@ -11,10 +11,12 @@ from pgm.clustergraph import ClusterGraph
 from pgm.clustergraph.cluster import Edge, amount, holding, is_discrete, size
 from pgm.compile.elimination import clique_tree, moral
 from pgm.compile.orders import MinFill, Order, StochasticMinFill, places
+from pgm.cpds import CPD
 from pgm.display import InCode
 from pgm.errors import GraphError
 from pgm.factors.scope import Scope, listed
-from pgm.networks import BayesianNetwork
+from pgm.networks import MarkovNetwork
+from pgm.networks.markov import written
 from pgm.resources import uncollected
 from pgm.variables import Discrete, Variable
 
@@ -62,7 +64,7 @@ class JunctionTree(InCode):
         if listed is not None:
             object.__setattr__(self, "order", listed)
 
-    def __call__(self, network: BayesianNetwork) -> ClusterGraph:
+    def __call__(self, network: MarkovNetwork) -> ClusterGraph:
         """Compile a network."""
         adjacent = moral(network)
         order = places(self.order, network, adjacent)
@@ -74,7 +76,7 @@ class JunctionTree(InCode):
 
 
 def graph_of(
-    network: BayesianNetwork,
+    network: MarkovNetwork,
     clusters: Iterable[set[int]],
     sepsets: Mapping[Edge, set[int]],
 ) -> ClusterGraph:
@@ -129,21 +131,22 @@ class JoinGraph(InCode):
             )
         object.__setattr__(self, "order", JunctionTree(self.order).order)
 
-    def __call__(self, network: BayesianNetwork) -> ClusterGraph:
+    def __call__(self, network: MarkovNetwork) -> ClusterGraph:
         """Compile a network; a family that is too large alone is refused."""
-        largest = max(network.cpds, key=lambda cpd: size(cpd.scope))
+        largest = max(network.factors, key=lambda factor: size(factor.scope))
         if (least := size(largest.scope)) > self.max_size:
             unit = "table entries" if is_discrete(largest.scope) else "components"
+            cpd = largest if isinstance(largest, CPD) else None
             raise GraphError(
-                f"{self!r} has no cluster for the CPD of {largest.child!r}: its family "
+                f"{self!r} has no cluster for {written(largest)}: its family "
                 f"({listed(largest.scope)}) takes {amount(least)} {unit}; give max_size={least} "
                 "or more",
-                variable=largest.child,
-                cpd=largest,
+                variable=largest.scope[0],
+                cpd=cpd,
             )
         variables = network.variables
         order = places(self.order, network, moral(network))
-        families = list(map(set, network._families))
+        families = [set(family) for family in network._families if family]
 
         def fits(members: set[int]) -> bool:
             return size(tuple(variables[k] for k in members)) <= self.max_size
@@ -238,9 +241,9 @@ class Bethe(InCode):
     Bethe()
     """
 
-    def __call__(self, network: BayesianNetwork) -> ClusterGraph:
+    def __call__(self, network: MarkovNetwork) -> ClusterGraph:
         """Compile a network."""
-        families = maximal([cpd.scope for cpd in network.cpds])
+        families = maximal([factor.scope for factor in network.factors if factor.scope])
         holders = holding(families)
         shared = [variable for variable in network.variables if len(holders[variable]) > 1]
         sepsets: dict[Edge, Scope] = {}
@@ -291,9 +294,9 @@ class LTRIP(InCode):
     LTRIP()
     """
 
-    def __call__(self, network: BayesianNetwork) -> ClusterGraph:
+    def __call__(self, network: MarkovNetwork) -> ClusterGraph:
         """Compile a network."""
-        clusters = maximal([cpd.scope for cpd in network.cpds])
+        clusters = maximal([factor.scope for factor in network.factors if factor.scope])
         return ClusterGraph(network, clusters, _layers(clusters))
 
 

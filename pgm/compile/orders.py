@@ -19,27 +19,27 @@ from pgm.display import InCode
 from pgm.errors import GraphError
 from pgm.factors.scope import Scope, listed, unknown_name
 from pgm.kernels.arrays import Mask
-from pgm.networks import BayesianNetwork
+from pgm.networks import MarkovNetwork
 from pgm.variables import Variable
 
 
 class Order(Protocol):
     """A rule that names the variables of a network in the order of their elimination."""
 
-    def __call__(self, network: BayesianNetwork) -> Sequence[Variable]:
+    def __call__(self, network: MarkovNetwork) -> Sequence[Variable]:
         """All variables of a network, each once."""
 
 
 class Rule(InCode, ABC):
     """An elimination order found by a rule in the moral graph."""
 
-    def __call__(self, network: BayesianNetwork) -> Scope:
+    def __call__(self, network: MarkovNetwork) -> Scope:
         """The variables of a network in this order."""
         found = self._places(network, moral(network))
         return tuple(network.variables[k] for k in found)
 
     @abstractmethod
-    def _places(self, network: BayesianNetwork, adjacent: Adjacency) -> list[int]:
+    def _places(self, network: MarkovNetwork, adjacent: Adjacency) -> list[int]:
         """The order as places in `network.variables`, given the moral graph."""
 
 
@@ -59,7 +59,7 @@ class MinFill(Rule):
     396
     """
 
-    def _places(self, network: BayesianNetwork, adjacent: Adjacency) -> list[int]:
+    def _places(self, network: MarkovNetwork, adjacent: Adjacency) -> list[int]:
         return min_fill(adjacent, [1] * len(adjacent))
 
 
@@ -78,7 +78,7 @@ class WeightedMinFill(Rule):
     396
     """
 
-    def _places(self, network: BayesianNetwork, adjacent: Adjacency) -> list[int]:
+    def _places(self, network: MarkovNetwork, adjacent: Adjacency) -> list[int]:
         return min_fill(adjacent, _weights(network))
 
 
@@ -103,7 +103,7 @@ class MinDegree(Rule):
     396
     """
 
-    def _places(self, network: BayesianNetwork, adjacent: Adjacency) -> list[int]:
+    def _places(self, network: MarkovNetwork, adjacent: Adjacency) -> list[int]:
         inner = _parents(network)
         order = np.flatnonzero(inner)[SparseGraph.of(adjacent).part(inner).by_degree()]
         return [*np.flatnonzero(~inner).tolist(), *order.tolist()]
@@ -156,7 +156,7 @@ class StochasticMinFill(Rule):
                     f"StochasticMinFill takes a whole number of {name}, 0 or more, not {given!r}"
                 )
 
-    def _places(self, network: BayesianNetwork, adjacent: Adjacency) -> list[int]:
+    def _places(self, network: MarkovNetwork, adjacent: Adjacency) -> list[int]:
         if not network.discrete:
             rule = MinDegree() if _is_large(network) else MinFill()
             return rule._places(network, adjacent)
@@ -201,7 +201,7 @@ class NestedDissection(Rule):
                 f"1 or more, not {self.small!r}"
             )
 
-    def _places(self, network: BayesianNetwork, adjacent: Adjacency) -> list[int]:
+    def _places(self, network: MarkovNetwork, adjacent: Adjacency) -> list[int]:
         if not _is_large(network):
             return min_fill(adjacent, _weights(network), dissect(adjacent, self.small))
         inner = _parents(network)
@@ -214,7 +214,7 @@ class NestedDissection(Rule):
 
 
 def places(
-    order: Order | Iterable[Variable], network: BayesianNetwork, adjacent: Adjacency
+    order: Order | Iterable[Variable], network: MarkovNetwork, adjacent: Adjacency
 ) -> list[int]:
     """An elimination order as places in `network.variables`."""
     if isinstance(order, Rule):
@@ -247,18 +247,18 @@ def places(
     return order_
 
 
-def _is_large(network: BayesianNetwork) -> bool:
+def _is_large(network: MarkovNetwork) -> bool:
     """Whether more than `LARGE` variables are parents."""
     most = len(network.variables)
     return most > LARGE and int(np.count_nonzero(_parents(network))) > LARGE
 
 
-def _parents(network: BayesianNetwork) -> Mask:
+def _parents(network: MarkovNetwork) -> Mask:
     """Which variables are parents; the others' neighbours are a family, joined to each other."""
     found = np.zeros(len(network.variables), dtype=bool)
     found[list({place for _, *parents in network._families for place in parents})] = True
     return found
 
 
-def _weights(network: BayesianNetwork) -> list[int]:
+def _weights(network: MarkovNetwork) -> list[int]:
     return list(map(extent, network.variables))

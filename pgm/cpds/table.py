@@ -18,6 +18,7 @@ from pgm.display import Listing, called, count
 from pgm.errors import ModelError
 from pgm.factors.listing import shown
 from pgm.factors.scope import Scope, as_scope, listed, names
+from pgm.factors.table import Potential
 from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.kernels.stochastic import Dense, Transition
 from pgm.resources import require_memory
@@ -201,6 +202,10 @@ class TableCPD(CPD):
     def _positive(self) -> bool:
         """Whether the table has no zero."""
         return bool(self.table.all())
+
+    @property
+    def _potential(self) -> Potential:
+        return Potential((*self.given, self.child), self.table, 0.0)
 
     @property
     def parents(self) -> Scope:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -31,9 +31,30 @@ from pgm.factors.scope import names
 from pgm.immutable import Immutable
 from pgm.kernels import tables as kernel
 from pgm.kernels.arrays import Array, Integers, frozen, unravelled
+from pgm.kernels.semirings import Semiring
 from pgm.variables import Discrete, Variable
 
 ZERO = frozen(np.zeros(()))
+
+
+class Potential(NamedTuple):
+    """A factor's numbers as inference takes them: values times the exponential of a log-scale.
+
+    `axes` are the variables of the axes of `values`.
+    """
+
+    axes: States
+    values: Array
+    log_scale: float
+
+    def entries(self, semiring: Semiring) -> Array:
+        """The entries in a semiring, numbers or logarithms."""
+        found = semiring.entries(self.values)
+        if not self.log_scale:
+            return found
+        scale = np.exp(self.log_scale) if semiring.linear else self.log_scale
+        scaled: Array = semiring.times(found, scale)
+        return scaled
 
 
 @public
@@ -142,6 +163,10 @@ class Table(FramedTable, Shown, NoArray, Immutable):
         object.__setattr__(table, "values", values)
         object.__setattr__(table, "log_scale", np.broadcast_to(ZERO, lead) if lead else ZERO)
         return table
+
+    @property
+    def _potential(self) -> Potential:
+        return Potential(self.scope, self.values, float(self.log_scale))
 
     @classmethod
     def vacuous(cls, scope: Variable | Iterable[Variable]) -> Table:

@@ -37,7 +37,7 @@ def family_of(
         return belief
     # B is Any here, as it is of every call without belief=: which one the network decides.
     found: BeliefFamily[Any] = TABLES if model.discrete else MOMENTS
-    several = model.mixed or has_mixtures(model.cpds)
+    several = model.mixed or (not model.discrete and has_mixtures(model.cpds))
     if isinstance(model, DynamicBayesianNetwork):
         return GAUSSIANS if several or (bound is not None and is_summed(bound)) else found
     return MIXED if several else found

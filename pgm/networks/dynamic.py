@@ -17,8 +17,9 @@ from pgm.evidence import Evidence
 from pgm.factors.scope import Scope, one_name_each
 from pgm.immutable import Immutable
 from pgm.networks import checks
+from pgm.networks.markov import FEW, product
 from pgm.networks.sampling import Sample, draw_steps
-from pgm.networks.static import FEW, BayesianNetwork, factors
+from pgm.networks.static import BayesianNetwork
 from pgm.resources import require_memory
 from pgm.variables import Discrete
 
@@ -313,5 +314,5 @@ class DynamicBayesianNetwork(Drawn, Immutable):
         for label in ("prior", "transition", "observation"):
             cpds: tuple[CPD, ...] = getattr(self, label)
             if cpds:
-                rows.append((label, factors(cpds)))
+                rows.append((label, product(cpds)))
         return Summary(self._title, [Listing(("", ""), rows, names=2, cell=FACTORS)])

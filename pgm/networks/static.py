@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from functools import cached_property
-from itertools import combinations
+from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -14,25 +12,23 @@ from pgm.arguments import public
 from pgm.boundary import as_generator, as_mapping
 from pgm.cpds import CPD
 from pgm.cpds.base import Values
-from pgm.display import Drawn, Summary
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
-from pgm.factors.scope import Scope, as_scope, listed, one_name_each, unknown_name
-from pgm.immutable import Immutable
+from pgm.factors.scope import one_name_each, unknown_name
 from pgm.networks import checks, sampling
+from pgm.networks.markov import MarkovNetwork
 from pgm.resources import uncollected
 from pgm.variables import Discrete, Variable
 
 if TYPE_CHECKING:
     import networkx as nx
 
-# Up to how many CPDs a network shows by their densities.
-FEW = 12
-
 
 @public
-class BayesianNetwork(Drawn, Immutable):
+class BayesianNetwork(MarkovNetwork):
     """A joint density as a product of CPDs, one for each variable.
+
+    It is a `MarkovNetwork` whose factors are CPDs, with Z = 1.
 
     Its variables are continuous (Gaussian CPDs, linear or not), `Discrete` (`TableCPD`), or both:
     discrete parents choose among the CPDs of a continuous child by a `SwitchingCPD`.
@@ -63,11 +59,7 @@ class BayesianNetwork(Drawn, Immutable):
     BayesianNetwork(p(a)  p(b | a))
     """
 
-    cpds: tuple[CPD, ...]
-    variables: Scope
-    inputs: Scope
-    discrete: bool
-    mixed: bool
+    _cpds: tuple[CPD, ...]
     _by_child: Mapping[Variable, CPD]
 
     def __init__(self, cpds: Iterable[CPD]) -> None:
@@ -98,7 +90,8 @@ class BayesianNetwork(Drawn, Immutable):
                         cpd=cpd,
                     )
         return {
-            "cpds": ordered,
+            "factors": ordered,
+            "_cpds": ordered,
             "variables": (*by_child, *inputs),
             "inputs": inputs,
             "discrete": kinds == {True},
@@ -106,21 +99,10 @@ class BayesianNetwork(Drawn, Immutable):
             "_by_child": MappingProxyType(by_child),
         }
 
-    # Graphs of the network are made and used by place: numbers are compared sooner than variables.
-    @cached_property
-    def _places(self) -> dict[Variable, int]:
-        return {variable: k for k, variable in enumerate(self.variables)}
-
-    @cached_property
-    def _families(self) -> Sequence[tuple[int, ...]]:
-        place = self._places.__getitem__
-        with uncollected(len(self.cpds)):
-            return [tuple(map(place, (cpd.child, *cpd.parents))) for cpd in self.cpds]
-
-    @cached_property
-    def lead(self) -> tuple[int, ...]:
-        """The axes of runs of the model itself, where a `GaussianCPD` differs by run."""
-        return checks.runs(self.cpds)
+    @property
+    def cpds(self) -> tuple[CPD, ...]:
+        """The CPDs, parents before children."""
+        return self._cpds
 
     def cpd(self, variable: Variable) -> CPD:
         """The CPD of a variable; inputs have none."""
@@ -191,74 +173,9 @@ class BayesianNetwork(Drawn, Immutable):
         graph.add_edges_from((parent, cpd.child) for cpd in self.cpds for parent in cpd.parents)
         return graph
 
-    @public
-    def d_separated(
-        self,
-        a: Variable | Iterable[Variable],
-        b: Variable | Iterable[Variable],
-        given: Variable | Iterable[Variable] = (),
-    ) -> bool:
-        """Whether the graph implies that two sets are independent given a third (d-separation).
-
-        No trail between the two is active: each has an arrow out of a given variable
-        (``→ g →``, ``← g →``) or a collision (``→ c ←``) without a given variable at or below it.
-        Inputs are variables like others here: they belong into `given` where they have evidence.
-
-        Sets must be disjoint (Koller and Friedman, 2009, section 3.3).
-
-        Examples
-        --------
-        >>> a, b, c = pgm.variables("a b c")
-        >>> net = pgm.BayesianNetwork([
-        ...     pgm.GaussianCPD(a, 0.0, 1.0),
-        ...     pgm.GaussianCPD(b, 0.0, 1.0),
-        ...     pgm.LinearGaussianCPD(c, given={a: 1.0, b: 1.0}, cov=0.1),
-        ... ])
-        >>> net.d_separated(a, b), net.d_separated(a, b, given=c)
-        (True, False)
-        """
-        members = {"a": a, "b": b, "given": given}
-        sets = [
-            set(as_scope(found, f"d_separated: {name}", ordered=False))
-            for name, found in members.items()
-        ]
-        for variable in set().union(*sets).difference(self.variables):
-            why = unknown_name(variable, self.variables)
-            raise ModelError(f"d_separated of {variable!r}, {why}", variable=variable)
-        for one, other in combinations(sets, 2):
-            for variable in one & other:
-                raise ModelError(
-                    f"{variable!r} stands in two of the sets a, b and given; they must be disjoint",
-                    variable=variable,
-                )
+    def _is_separated(self, a: set[Variable], b: set[Variable], given: set[Variable]) -> bool:
         import networkx as nx  # here, since it is slow to import
 
         # networkx renamed it in 3.3.
-        separated = nx.is_d_separator if hasattr(nx, "is_d_separator") else nx.d_separated
-        return bool(separated(self.to_networkx(), *sets))
-
-    @property
-    def _title(self) -> str:
-        if len(self.cpds) <= FEW:
-            return f"BayesianNetwork({'  '.join(map(density, self.cpds))})"
-        return f"BayesianNetwork({len(self.cpds)} CPDs, {self._kind})"
-
-    @property
-    def _kind(self) -> str:
-        return "mixed" if self.mixed else "discrete" if self.discrete else "continuous"
-
-    def _summary(self) -> Summary:
-        few = len(self.cpds) <= FEW
-        return Summary(self._title, [] if few else [factors(self.cpds)])
-
-
-def factors(cpds: Sequence[CPD]) -> str:
-    """The first CPDs as factors of the joint density."""
-    more = f"  ... {len(cpds)} in all" if len(cpds) > FEW else ""
-    return "  ".join(map(density, cpds[:FEW])) + more
-
-
-def density(cpd: CPD) -> str:
-    """A CPD as a factor of the joint density, like ``p(b | a)``."""
-    parents = listed(cpd.parents)
-    return f"p({cpd.child!r}{' | ' if parents else ''}{parents})"
+        separated = nx.is_d_separator if hasattr(nx, "is_d_separator") else nx.separated
+        return bool(separated(self.to_networkx(), a, b, given))

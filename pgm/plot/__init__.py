@@ -6,6 +6,7 @@ from pgm.plot.beliefs.cloud import particles
 from pgm.plot.beliefs.plane import ellipses, trajectory
 from pgm.plot.beliefs.stacks import beliefs_over_time
 from pgm.plot.diagrams.clusters import cluster_graph
+from pgm.plot.diagrams.factor_graphs import factor_graph
 from pgm.plot.diagrams.graphviz import dot
 from pgm.plot.diagrams.networks import markov_network, network
 from pgm.plot.moving.animation import animate_beliefs
@@ -28,6 +29,7 @@ __all__ = [
     "dot",
     "ellipses",
     "errors",
+    "factor_graph",
     "grid_map",
     "kl",
     "markov_network",

@@ -136,11 +136,11 @@ def test_families_preserved():
 @pytest.mark.parametrize(
     ("assigned", "families", "words", "variable", "cluster"),
     [
-        ([[(A, D)], []], None, r"cluster 0 .* CPD of a, but lacks \(d\)", D, 0),
-        ([[], [(D, A, C, B)]], None, r"cluster 1 .* CPD of d, but lacks \(a, b\)", A, 1),
-        ([[(C,)], [(C,)]], None, "CPD of c.* assigned to 2 clusters", C, None),
-        ([[(C,), (C,)], []], None, "CPD of c.* assigned to 2 clusters", C, None),
-        ([[(A,)], []], [(A,), (D, C)], "CPD of d.* assigned to 0 clusters", D, None),
+        ([[(A, D)], []], None, r"cluster 0 .* the family .*, but lacks \(d\)", D, 0),
+        ([[], [(D, A, C, B)]], None, r"cluster 1 .* the family .*, but lacks \(a, b\)", A, 1),
+        ([[(C,)], [(C,)]], None, r"family \(c.* assigned to 2 clusters", C, None),
+        ([[(C,), (C,)], []], None, r"family \(c.* assigned to 2 clusters", C, None),
+        ([[(A,)], []], [(A,), (D, C)], r"family \(d.* assigned to 0 clusters", D, None),
     ],
 )
 def test_family_preservation_fails(assigned, families, words, variable, cluster):

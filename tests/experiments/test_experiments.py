@@ -164,5 +164,5 @@ def test_plaza_refuses_a_file_of_unknown_kind(tmp_path):
 
 
 def test_the_command_line_knows_them_all():
-    beside = {"list", "report", "sweep"}
+    beside = {"list", "report", "sweep", "uai"}
     assert {command.name for command in app.registered_commands} == {*EXPERIMENTS, *beside}

@@ -78,8 +78,8 @@ def test_asia_after_a_visit_with_short_breath():
 
 def test_an_x_ray_cannot_tell_tuberculosis_from_cancer():
     net = d.asia()
-    assert net.d_separated(d.xray, (d.tuberculosis, d.cancer), given=d.either)
-    assert net.d_separated(d.visit, d.smoking)
-    assert not net.d_separated(d.visit, d.smoking, given=d.dyspnoea)
-    assert d.sprinkler().d_separated(d.sprinkling, d.rain, given=d.cloudy)
-    assert not d.sprinkler().d_separated(d.sprinkling, d.rain, given=(d.cloudy, d.wet))
+    assert net.separated(d.xray, (d.tuberculosis, d.cancer), given=d.either)
+    assert net.separated(d.visit, d.smoking)
+    assert not net.separated(d.visit, d.smoking, given=d.dyspnoea)
+    assert d.sprinkler().separated(d.sprinkling, d.rain, given=d.cloudy)
+    assert not d.sprinkler().separated(d.sprinkling, d.rain, given=(d.cloudy, d.wet))

@@ -27,4 +27,4 @@ def test_the_sepsets_separate():
     for (i, j), sepset in s.SEPSETS.items():
         left = {v for k in range(1, i + 1) for v in s.CLUSTERS[k]} - set(sepset)
         right = {v for k in range(j, 5) for v in s.CLUSTERS[k]} - set(sepset)
-        assert net.d_separated(left, right, given=sepset)
+        assert net.separated(left, right, given=sepset)

@@ -65,7 +65,7 @@ def test_every_trail_of_random_graphs():
         net, edges = random_network(rng)
         for _ in range(4):
             a, b, given = random_sets(rng)
-            found.append(net.d_separated(a, b, given))
+            found.append(net.separated(a, b, given))
             assert found[-1] == separated(edges, a, b, given), (edges, a, b, given)
     assert 0.1 < np.mean(found) < 0.9
 
@@ -81,7 +81,7 @@ def test_it_is_independence_in_the_density():
         a, b, given = random_sets(rng)
         rest, _ = joint.given({v: np.zeros(1) for v in given})
         cross = np.abs(rest.cov[np.ix_(rest.index(*a), rest.index(*b))]).max()
-        assert net.d_separated(a, b, given) == (cross < 1e-9)
+        assert net.separated(a, b, given) == (cross < 1e-9)
 
 
 def network():
@@ -98,12 +98,12 @@ def network():
 def test_one_variable_or_any_collection():
     a, b, c, u = V[:4]
     net = network()
-    assert not net.d_separated(a, b)
-    assert net.d_separated(a, b, u)  # an input is a variable like others
-    assert net.d_separated({a}, iter([b]), given=[u])
-    assert not net.d_separated(a, b, given=(u, c))
-    assert net.d_separated(c, u, (a, b))
-    assert net.d_separated(a, ())
+    assert not net.separated(a, b)
+    assert net.separated(a, b, u)  # an input is a variable like others
+    assert net.separated({a}, iter([b]), given=[u])
+    assert not net.separated(a, b, given=(u, c))
+    assert net.separated(c, u, (a, b))
+    assert net.separated(a, ())
 
 
 @pytest.mark.parametrize(
@@ -114,10 +114,10 @@ def test_one_variable_or_any_collection():
         ((V[0], V[0]), "v0 stands in two of the sets", V[0]),
         (((V[0], V[1]), V[2], V[1]), "v1 stands in two of the sets", V[1]),
         ((V[0], V[2], (V[3], V[2])), "v2 stands in two of the sets", V[2]),
-        (("v0", V[1]), "d_separated: a holds variables, not 'v0'; give the variable itself", None),
+        (("v0", V[1]), "separated: a holds variables, not 'v0'; give the variable itself", None),
     ],
 )
 def test_sets_that_are_none(sets, words, variable):
     with pytest.raises(pgm.ModelError, match=words) as caught:
-        network().d_separated(*sets)
+        network().separated(*sets)
     assert caught.value.variable == variable

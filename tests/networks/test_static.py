@@ -189,7 +189,7 @@ def test_messages_do_not_grow_with_the_network():
     net = BayesianNetwork([*map(linear, many), linear(A, *many), linear(B, U)])
     for way in (
         lambda: net.cpd(C),
-        lambda: net.d_separated(A, C),
+        lambda: net.separated(A, C),
         lambda: net.sample(inputs={U: 1.0, C: 1.0}, rng=0),
         lambda: net.replace(linear(A, *many, A.previous)),
     ):

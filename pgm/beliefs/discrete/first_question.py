@@ -25,6 +25,7 @@ from pgm.clustergraph import ClusterGraph
 from pgm.cpds import TableCPD
 from pgm.elimination import Calibrated, Plan, Scope, Step, TableAlgebra
 from pgm.evidence.static import BoundStates
+from pgm.factors import Table
 from pgm.kernels.arrays import Array
 from pgm.kernels.semirings import SUM_PRODUCT
 from pgm.variables import Discrete
@@ -100,7 +101,7 @@ class _Question:
             self.sizes[place] = 1
         if len(self.sizes) <= FEW and math.prod(self.sizes) <= TINY:
             everything = range(len(self.sizes))
-            assigned: Sequence[Sequence[int]] = [everything]
+            assigned: Sequence[Sequence[int]] = [range(len(network.factors))]
             joined: Sequence[Sequence[int]] = [()]
             members: Sequence[Sequence[int]] = [everything]
         else:
@@ -111,16 +112,15 @@ class _Question:
         # Of each cluster, the numbers and the scopes of its factors.
         entering = [list[int]() for _ in members]
         over = [list[Scope]() for _ in members]
-        cpds = cast(Sequence[TableCPD], network.cpds)
+        tables = cast(Sequence[Table | TableCPD], network.factors)
         for numbers, factors, own in zip(assigned, entering, over, strict=True):
             for number in numbers:
-                scope = self._add_cpd(network._families[number], cpds[number].table)
+                scope = self._add_factor(network._families[number], tables[number])
                 factors.append(len(scopes))
                 own.append(scope)
                 scopes.append(scope)
         if evidence.weights:
-            # A variable goes where its own CPD does: into a cluster that has it.
-            homes = {number: k for k, numbers in enumerate(assigned) for number in numbers}
+            homes = {place: k for k, held in enumerate(members) for place in held}
             for variable, weights in evidence.weights.items():
                 place = places[variable]
                 entering[homes[place]].append(len(scopes))
@@ -189,14 +189,17 @@ class _Question:
             steps.append(Step(tuple(entering[cluster]), tuple(own), scope, shared))
         return steps
 
-    def _add_cpd(self, family: Sequence[int], table: Array) -> Scope:
-        """Add a CPD to the factors, each observed variable at its state; returns its scope.
+    def _add_factor(self, family: Sequence[int], factor: Table | TableCPD) -> Scope:
+        """Add a factor's table, each observed variable at its state; returns its scope.
 
-        An observed variable keeps an axis of length one. `family` are the numbers of the child,
-        then of the parents; `table` has the parents' axes in that order, then the child's. The
-        axes of the factor stand in ascending rank.
+        An observed variable keeps an axis of length one. `family` are the numbers of the factor's
+        variables, of a CPD the child first, whose axis is the last one. The axes of the table that
+        is added stand in ascending rank.
         """
-        given = [*family[1:], family[0]]
+        if isinstance(factor, TableCPD):
+            given, table = [*family[1:], family[0]], factor.table
+        else:
+            given, table = list(family), factor._potential.entries(SUM_PRODUCT)
         shown = self.shown
         if not shown.keys().isdisjoint(given):
             table = table[tuple([shown.get(place, ALL) for place in given])]

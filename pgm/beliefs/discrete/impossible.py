@@ -8,7 +8,7 @@ is zero for all its states tells the same. A run is one set of evidence of a bat
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -50,14 +50,30 @@ def require_possible(
     alone = some_runs(evidence, slice(first, first + 1))
     cluster, involved = _contradiction(plan, alone, root)
     where = in_run(runs.reshape(evidence.lead))
+    what = f"cluster {cluster.index} over {names(cluster.scope)}"
     raise ImpossibleEvidence(
-        f"the evidence has probability zero{where}: that for {names(involved)} contradicts itself, "
-        f"for all states of cluster {cluster.index} over {names(cluster.scope)} are impossible "
-        f"given it. {ADVICE}{of_runs if evidence.lead else ''}",
+        f"{told(where, involved, what)}{of_runs if evidence.lead else ''}",
         runs,
         evidence.lead,
-        variable=involved[0],
+        variable=next(iter(involved), None),
         cluster=cluster.index,
+    )
+
+
+def told(where: str, involved: Sequence[Discrete], what: str) -> str:
+    """The text of an error: all states of something are impossible, by evidence for variables.
+
+    No variable is involved where factors exclude one another, which CPDs never do. `where` names
+    the run.
+    """
+    if involved:
+        return (
+            f"the evidence has probability zero{where}: that for {names(involved)} contradicts "
+            f"itself, for all states of {what} are impossible given it. {ADVICE}"
+        )
+    return (
+        f"the factors exclude one another{where}, whatever the evidence is: all states of {what} "
+        "are impossible. Leave some of the factors out, or replace zeros of theirs"
     )
 
 

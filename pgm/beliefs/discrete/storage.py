@@ -18,6 +18,7 @@ from pgm.beliefs.discrete.place import LARGE, Place, View, by_state
 from pgm.beliefs.discrete.sums import Marginals
 from pgm.clustergraph import ClusterGraph
 from pgm.cpds import TableCPD
+from pgm.factors import Table
 from pgm.factors.axes import States, discrete, spread
 from pgm.kernels.arrays import Array
 from pgm.kernels.semirings import LOG_SUM_PRODUCT, Semiring
@@ -85,21 +86,22 @@ class Storage:
         return Marginals.of(homes, self.entries)
 
     def potentials(self, semiring: Semiring, room: int = 0) -> Array:
-        """The product of each cluster's CPDs, in entries of a semiring, (entries + room,).
+        """The product of each cluster's factors, in entries of a semiring, (entries + room,).
 
         The last `room` entries are for the caller's use and are filled with the semiring's one.
 
         Raises
         ------
         FloatingPointError
-            If the semiring is of numbers, and a product underflows.
+            If the semiring is of numbers, and a product under- or overflows.
         """
         flat = np.full(self.entries + room, semiring.one)
         for cluster, scope in zip(self.graph.clusters, self.scopes, strict=True):
             table = self.table(flat, cluster.index)
-            for cpd in cast(tuple[TableCPD, ...], cluster.cpds):
-                entries = spread(semiring.entries(cpd.table), (*cpd.given, cpd.child), scope)
-                with np.errstate(under="raise"):
+            for factor in cast(tuple[Table | TableCPD, ...], cluster.factors):
+                potential = factor._potential
+                with np.errstate(under="raise", over="raise"):
+                    entries = spread(potential.entries(semiring), potential.axes, scope)
                     semiring.times(table, entries, out=table)
         return flat
 

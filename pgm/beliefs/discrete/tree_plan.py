@@ -71,7 +71,7 @@ class Enumeration:
         """The joint of a network's variables.
 
         None if the network is not tiny (`tables` would have more than 2¹⁴ entries, `TINY`) or has
-        several trees, or if a probability underflows.
+        several trees, or if a probability, or their sum, under- or overflows.
 
         sepsets: Of each cluster, its sepset with its parent.
         first: (clusters,): the first column of each cluster's message to its parent.
@@ -84,7 +84,7 @@ class Enumeration:
         joint, tables = np.ones(cells), np.zeros((cells, length))
         each = np.arange(cells)
         try:
-            with np.errstate(under="raise"):
+            with np.errstate(under="raise", over="raise"):
                 potentials = storage.potentials(SUM_PRODUCT)
                 for place, sepset, column in zip(storage.places, sepsets, first, strict=True):
                     entry = place.positions(scope).ravel()
@@ -92,6 +92,7 @@ class Enumeration:
                     tables[each, entry] = 1.0
                     tables[each, positions(start, steps(sepset, 1), scope).ravel()] = 1.0
                     joint *= potentials[entry]
+                np.add.reduce(joint)
         except FloatingPointError:
             return None
         state = {v: positions(0, {v: 1}, scope).ravel() for v in scope}

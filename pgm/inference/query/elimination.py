@@ -14,14 +14,14 @@ import numpy as np
 
 from pgm import elimination
 from pgm.beliefs.discrete.entered_evidence import one_hot
-from pgm.beliefs.discrete.impossible import ADVICE
+from pgm.beliefs.discrete.impossible import told
 from pgm.beliefs.discrete.run_pieces import some_runs
-from pgm.cpds import TableCPD
 from pgm.elimination import TableAlgebra
 from pgm.evidence import Evidence
 from pgm.evidence.static import BoundStates
 from pgm.factors.axes import States
-from pgm.factors.scope import in_run, listed, names
+from pgm.factors.scope import in_run, listed
+from pgm.factors.table import Potential
 from pgm.inference.query.plan import QueryPlan
 from pgm.kernels.arrays import Array, Mask
 from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
@@ -56,32 +56,37 @@ def _tables(
 
     Their entries are numbers, scaled in each run, or logarithms, as the semiring has them.
     """
-    cpds, open_, plan = query.requisite.cpds, query.requisite.open, query.sums
+    factors, open_, plan = query.requisite.factors, query.requisite.open, query.sums
 
     def given(factor: int) -> Array:
         """The table of a factor, (sizes..., runs or 1)."""
-        if factor < len(cpds):
+        if factor < len(factors):
             own = [query.order[k] for k in plan.scopes[factor]]
-            table = _reduced(cpds[factor], open_[factor], own, evidence)
+            table = _reduced(factors[factor]._potential, open_[factor], own, evidence)
         else:
-            table = _weights(query.weighted[factor - len(cpds)], evidence)
+            table = _weights(query.weighted[factor - len(factors)], evidence)
         return semiring.entries(table)
 
     return given, TableAlgebra(semiring, plan.sizes, scaled=True, aligned=1)
 
 
 def _reduced(
-    cpd: TableCPD, unknown: Sequence[Discrete], own: Sequence[Discrete], evidence: BoundStates
+    potential: Potential,
+    unknown: Sequence[Discrete],
+    own: Sequence[Discrete],
+    evidence: BoundStates,
 ) -> Array:
-    """A CPD's table at the states of its observed variables, (sizes..., runs or 1).
+    """A factor's values at the states of its observed variables, (sizes..., runs or 1).
 
-    unknown: The CPD's variables of more than one state that are not observed in all runs.
+    What is answered is but for a constant, and log-scales do not matter.
+
+    unknown: The factor's variables of more than one state that are not observed in all runs.
     own: The same variables in the plan's order, which is that of the result's axes.
     """
     index: list[int | slice] = []
     left: list[Discrete] = []
     by_run: list[Discrete] = []
-    for variable in (*cpd.given, cpd.child):
+    for variable in potential.axes:
         # A variable of a single state has that, observed or not.
         state = 0 if variable.size == 1 else evidence.states.get(variable)
         if isinstance(state, int):
@@ -91,7 +96,7 @@ def _reduced(
         left.append(variable)
         if variable not in unknown:
             by_run.append(variable)
-    table = cpd.table[tuple(index)]
+    table = potential.values[tuple(index)]
     order = [left.index(variable) for variable in own]
     table = table.transpose(*order, *(left.index(v) for v in by_run))
     if not by_run:
@@ -138,12 +143,10 @@ def refusal(query: QueryPlan, lost: Mask, lead: tuple[int, ...]) -> ImpossibleEv
     involved, scope = _contradiction(query, first)
     where = in_run(lost.reshape(lead))
     return ImpossibleEvidence(
-        f"the evidence has probability zero{where}: that for {names(involved)} contradicts itself, "
-        f"for all states of ({listed(scope)}) are impossible given it. {ADVICE}"
-        f"{OF_RUNS if lead else ''}",
+        f"{told(where, involved, f'({listed(scope)})')}{OF_RUNS if lead else ''}",
         lost,
         lead,
-        variable=involved[0],
+        variable=next(iter(involved), None),
     )
 
 
@@ -154,7 +157,7 @@ def _contradiction(query: QueryPlan, run: int) -> tuple[list[Discrete], States]:
     has the variables whose evidence went into this product: those with hard evidence, then those
     with soft. The tuple has the variables of the product, all of whose joint states are impossible.
     """
-    plan, cpds = query.sums, query.requisite.cpds
+    plan, factors = query.sums, query.requisite.factors
     evidence = some_runs(query.requisite.evidence, slice(run, run + 1))
     made = elimination.results(plan, *_tables(query, evidence, LOG_SUM_PRODUCT))
     first = len(plan.scopes)
@@ -166,10 +169,10 @@ def _contradiction(query: QueryPlan, run: int) -> tuple[list[Discrete], States]:
         factor = waiting.pop()
         if factor >= first:
             waiting += plan.steps[factor - first].factors
-        elif factor < len(cpds):
-            members.update((*cpds[factor].given, cpds[factor].child))
+        elif factor < len(factors):
+            members.update(factors[factor]._potential.axes)
         else:
-            members.add(query.weighted[factor - len(cpds)])
+            members.add(query.weighted[factor - len(factors)])
     shown = [v for v, s in evidence.states.items() if np.min(s) >= 0 and v in members]
     soft = [v for v in evidence.weights if v in members]
     return shown + soft, tuple(query.order[k] for k in plan.steps[number].scope)

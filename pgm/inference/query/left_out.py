@@ -1,17 +1,17 @@
 """Whether the evidence that a query leaves out is possible.
 
-A query leaves out the CPDs that evidence separates from the variables asked for. Summed over all
-unknown variables, the product of these CPDs is a constant given the evidence. The posterior does
+A query leaves out the factors that evidence separates from the variables asked for. Summed over all
+unknown variables, the product of these is a constant given the evidence. The posterior does
 not depend on the constant unless it is zero: then the evidence is impossible.
 
-The constant can be zero only where tables have zeros. So only those CPDs are examined whose tables
-have a zero at the evidence. Of these, a CPD is dropped if its child has no evidence and is in no
-other CPD examined: some state of the child is always possible. The CPDs that remain fall into
+The constant can be zero only where tables have zeros. So only those factors are examined whose
+tables have a zero at the evidence. Of these, a CPD is dropped if its child has no evidence and is
+in no other one examined: some state of the child is always possible. What remains falls into
 *parts* that share no unknown variable, and the probability of the evidence of each part, up to a
 factor, is found by elimination.
 
-A variable is *known* if it has one state alone or is observed in all runs. A *family* is a CPD with
-those of its variables that are unknown.
+A variable is *known* if it has one state alone or is observed in all runs. A *family* is a factor
+with those of its variables that are unknown.
 """
 
 from __future__ import annotations
@@ -27,31 +27,28 @@ from pgm.beliefs.discrete.impossible import ADVICE
 from pgm.beliefs.discrete.run_pieces import pieces
 from pgm.cpds import TableCPD
 from pgm.evidence.static import BoundStates
-from pgm.factors.axes import States, discrete, sizes
+from pgm.factors.axes import discrete, sizes
 from pgm.factors.scope import in_run, names
 from pgm.inference.query.elimination import eliminate, lost_runs, refusal
 from pgm.inference.query.plan import QueryPlan
-from pgm.inference.query.requisite import Requisite, evidence_of
+from pgm.inference.query.requisite import Factor, Family, Requisite, evidence_of
 from pgm.kernels.arrays import Integers, Mask
 from pgm.schedules import limits
 from pgm.schedules.impossible import OF_RUNS, ImpossibleEvidence
 from pgm.variables import Discrete
 
-# A CPD and those of its variables whose state is not known.
-Family = tuple[TableCPD, States]
-
 
 @dataclass(frozen=True, eq=False)
 class Contradiction:
-    """Evidence of probability zero in CPDs that a query leaves out.
+    """Evidence of probability zero in factors that a query leaves out.
 
     lost: The mask (runs,) of the runs with such evidence; it marks one at least.
-    part: The plan of the elimination that found the probability zero; or a CPD, with all variables
-        known, whose table is zero at their states.
+    part: The plan of the elimination that found the probability zero; or a factor, with all
+        variables known, which is zero at their states.
     """
 
     lost: Mask
-    part: QueryPlan | TableCPD
+    part: QueryPlan | Factor
 
     def error(self, evidence: BoundStates) -> ImpossibleEvidence:
         """The error that refuses the impossible evidence.
@@ -60,45 +57,48 @@ class Contradiction:
         """
         if isinstance(self.part, QueryPlan):
             return refusal(self.part, self.lost, evidence.lead)
-        cpd, lead = self.part, evidence.lead
-        observed = [v for v in cpd.scope if v in evidence.states]
+        factor, lead = self.part, evidence.lead
+        cpd = factor if isinstance(factor, TableCPD) else None
+        observed = [v for v in factor.scope if v in evidence.states]
+        table = f"the table of {cpd.child!r}" if cpd else f"the factor over {names(factor.scope)}"
         return ImpossibleEvidence(
             f"the evidence has probability zero{in_run(self.lost.reshape(lead))}: that for "
-            f"{names(observed)} contradicts itself, for the table of {cpd.child!r} is zero there. "
+            f"{names(observed)} contradicts itself, for {table} is zero there. "
             f"{ADVICE}{OF_RUNS if lead else ''}",
             self.lost,
             lead,
-            variable=cpd.child,
+            variable=cpd.child if cpd else next(iter(factor.scope), None),
             cpd=cpd,
         )
 
 
 def contradictions(left_out: Sequence[Family], evidence: BoundStates) -> list[Contradiction]:
-    """The contradictions among the CPDs that a query leaves out: evidence of probability zero.
+    """The contradictions among the factors that a query leaves out: evidence of probability zero.
 
-    There is one for each part, or CPD with all variables known, whose evidence is impossible in
+    There is one for each part, or factor with all variables known, whose evidence is impossible in
     some run. A part is not examined where elimination would need tables above the limit of memory.
 
-    left_out: The CPDs that the query leaves out, each with its unknown variables.
+    left_out: The factors that the query leaves out, each with its unknown variables.
     evidence: The evidence of the whole network.
     """
     constraints = [family for family in left_out if _has_zero(family, evidence)]
     if not constraints:
         return []
     found = []
-    for cpd, unknown in constraints:
+    for factor, unknown in constraints:
         if not unknown:
-            state = tuple(_state(v, evidence) for v in (*cpd.given, cpd.child))
-            zero = np.atleast_1d(cpd.table[state] == 0.0)
-            found.append(Contradiction(np.broadcast_to(zero, evidence.runs), cpd))
+            potential = factor._potential
+            state = tuple(_state(v, evidence) for v in potential.axes)
+            zero = np.atleast_1d(potential.values[state] == 0.0)
+            found.append(Contradiction(np.broadcast_to(zero, evidence.runs), factor))
     for part in _parts(_restricting(constraints, evidence)):
-        members = {v for cpd, _ in part for v in cpd.scope}
+        members = {v for factor, _ in part for v in factor.scope}
         if members.isdisjoint(evidence.states) and members.isdisjoint(evidence.weights):
             continue
         hidden = discrete(tuple(dict.fromkeys(v for _, unknown in part for v in unknown)))
-        cpds, scopes = zip(*part, strict=True)
+        factors, scopes = zip(*part, strict=True)
         plan = QueryPlan.of(
-            Requisite(cpds, scopes, hidden, evidence_of(evidence, members)), hidden[-1:]
+            Requisite(factors, scopes, hidden, evidence_of(evidence, members)), hidden[-1:]
         )
         if plan.sums.peak > limits.LIMIT:
             continue
@@ -114,34 +114,44 @@ def _state(variable: Discrete, evidence: BoundStates) -> int | Integers:
 
 
 def _has_zero(family: Family, evidence: BoundStates) -> bool:
-    """Whether a CPD's table has a zero at the known states of its variables.
+    """Whether a factor has a zero at the known states of its variables.
 
     If a variable is unknown, or its known state may differ from run to run, all its states are
     examined. Where a CPD is stored in a shorter form, such as a sparse matrix, and its full table
     would be above the limit of memory, the answer is False without an examination.
     """
-    cpd, unknown = family
-    if cpd._maps and math.prod(sizes(discrete(cpd.scope))) > limits.LIMIT:
-        return False
-    if cpd._positive:
-        return False
+    factor, unknown = family
+    if isinstance(factor, TableCPD):
+        if factor._maps and math.prod(sizes(discrete(factor.scope))) > limits.LIMIT:
+            return False
+        if factor._positive:
+            return False
+    potential = factor._potential
     index: list[int | slice] = []
-    for variable in (*cpd.given, cpd.child):
+    for variable in potential.axes:
         state = slice(None) if variable in unknown else _state(variable, evidence)
         index.append(state if isinstance(state, int) else slice(None))
-    return not cpd.table[tuple(index)].all()
+    return not potential.values[tuple(index)].all()
 
 
 def _restricting(constraints: Sequence[Family], evidence: BoundStates) -> list[Family]:
     """The families of `constraints` that may make the evidence impossible, in their order.
 
     `constraints` are the families whose tables have a zero at the evidence. Those without unknown
-    variables are left out, and so is a family whose child is unknown, has no evidence and is in no
+    variables are left out, and so is a CPD whose child is unknown, has no evidence and is in no
     other family: whatever the states of its parents, some state of the child is possible. Leaving
     a family out may free the children of others in the same way.
     """
-    left = {cpd.child: (cpd, unknown) for cpd, unknown in constraints if unknown}
-    count = Counter(v for _, unknown in left.values() for v in unknown)
+    some = [family for family in constraints if family[1]]
+    left: dict[Discrete, Family] = {}
+    others: list[Family] = []
+    for family in some:
+        factor, _ = family
+        if isinstance(factor, TableCPD) and factor.child not in left:
+            left[factor.child] = family
+        else:  # a table, or a second CPD of a child, whose states are then not all possible
+            others.append(family)
+    count = Counter(v for _, unknown in some for v in unknown)
     waiting = list(left)
     while waiting:
         child = waiting.pop()
@@ -153,7 +163,7 @@ def _restricting(constraints: Sequence[Family], evidence: BoundStates) -> list[F
         del left[child]
         count.subtract(unknown)
         waiting += unknown
-    return list(left.values())
+    return [*left.values(), *others]
 
 
 def _parts(families: Sequence[Family]) -> Iterator[list[Family]]:

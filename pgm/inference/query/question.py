@@ -31,7 +31,7 @@ from pgm.inference.query.left_out import Contradiction, contradictions
 from pgm.inference.query.plan import QueryPlan
 from pgm.inference.query.requisite import Requisite, certain
 from pgm.kernels.arrays import Array
-from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
+from pgm.networks import DynamicBayesianNetwork, MarkovNetwork
 from pgm.schedules import limits
 from pgm.schedules.impossible import RAISE, ImpossibleEvidence, allows
 from pgm.variables import Variable
@@ -44,7 +44,7 @@ ENTRY, PASS, VARIABLE = 3, 10_000, 2_000
 
 @public
 def query(
-    network: BayesianNetwork | ClusterGraph,
+    network: MarkovNetwork | ClusterGraph,
     variables: Variable | Iterable[Variable],
     evidence: Evidence = NOTHING,
     *,
@@ -65,7 +65,7 @@ def query(
 
     Parameters
     ----------
-    network : BayesianNetwork or ClusterGraph
+    network : BayesianNetwork, MarkovNetwork or ClusterGraph
         Discrete. If it is a compiled tree, the answer is read from the tree's posterior where that
         takes less time: for many queries of a small network, compile it once and pass the graph. Of
         a compiled graph with loops, the network that it was compiled from is used.
@@ -153,7 +153,7 @@ def _require_possible_elsewhere(
         raise first.error(evidence) from None
 
 
-def _discrete(network: Any) -> tuple[BayesianNetwork, ClusterGraph | None]:
+def _discrete(network: Any) -> tuple[MarkovNetwork, ClusterGraph | None]:
     """The network asked about and its compiled graph, either of which the user gave as `network`.
 
     The graph is None if the user gave a network. Raises a GraphError for a network or graph that is
@@ -166,9 +166,9 @@ def _discrete(network: Any) -> tuple[BayesianNetwork, ClusterGraph | None]:
         )
     graph = network if isinstance(network, ClusterGraph) else None
     asked = graph.network if graph is not None else network
-    if not isinstance(asked, BayesianNetwork):
+    if not isinstance(asked, MarkovNetwork):
         raise ModelError(
-            f"query takes a BayesianNetwork or its compiled graph, not {titled(network)}"
+            f"query takes a network without time or its compiled graph, not {titled(network)}"
         )
     if not asked.discrete:
         raise GraphError(

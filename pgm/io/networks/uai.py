@@ -1,47 +1,58 @@
 """Networks and evidence from the UAI format of inference competitions."""
 
+from __future__ import annotations
+
 import itertools
 import math
 import re
 from array import array
+from collections.abc import Sequence
 from typing import NoReturn
 
 import numpy as np
 
 from pgm.arguments import public
+from pgm.display import titled
 from pgm.errors import FileError, ModelError
+from pgm.factors import Table
 from pgm.io import sources
 from pgm.io.networks.assembly import AXES, Assembly
 from pgm.io.networks.cursor import ITEM, numbers, shown
 from pgm.io.networks.formats import UAI, refuse_others
 from pgm.io.sources import LIMIT, Content, Source, line_of
 from pgm.kernels.arrays import Array
-from pgm.networks import BayesianNetwork
+from pgm.networks import MarkovNetwork
 from pgm.variables import Discrete
 
+BAYES, MARKOV = "BAYES", "MARKOV"
+# The variables of a table, by index, and where they stand in the file.
+Scope = tuple[list[int], int]
 # The largest count or index.
 MOST = 2**31 - 1
 COMMENT = re.compile("#[^\r\n]*+")
 
 
 @public
-def read_uai(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> BayesianNetwork:
-    """The network of a UAI file of the type BAYES.
+def read_uai(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> MarkovNetwork:
+    """The network of a UAI file: a `BayesianNetwork` of type BAYES, a `MarkovNetwork` of MARKOV.
 
     Such a file has no names: variables are called by their indices, ``"0"``, ``"1"``, ..., and so
-    are their states. A table's last variable is the child, and its states move fastest. Comments,
+    are their states. The states of a table's last variable move fastest; of type BAYES it is the
+    child. A variable that no table of a Markov network has stands in a table of ones. Comments,
     from ``#`` to the end of a line, are skipped.
 
     Parameters
     ----------
-    source, normalise, limit
+    source, limit
         See `read_bif`.
+    normalise : bool, optional
+        See `read_bif`; of type BAYES alone.
 
     Returns
     -------
-    BayesianNetwork
-        Its variables are `Discrete`, and in the order of their indices as far as parents before
-        children allow.
+    BayesianNetwork or MarkovNetwork
+        Its variables are `Discrete`; of type BAYES in the order of their indices as far as parents
+        before children allow, and of type MARKOV as they come in the tables.
 
     Raises
     ------
@@ -50,7 +61,7 @@ def read_uai(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> 
 
     Examples
     --------
-    Two variables of two states, with the tables p(0) and p(1 | 0):
+    Two variables of two states, with the tables p(0) and p(1 | 0), and with one table of both:
 
     >>> import io
     >>> file = io.StringIO("BAYES 2  2 2  2  1 0  2 0 1  2 0.25 0.75  4 0.5 0.5 0.1 0.9")
@@ -58,6 +69,8 @@ def read_uai(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> 
     >>> network.cpds[1].table
     array([[0.5, 0.5],
            [0.1, 0.9]])
+    >>> pgm.read_uai(io.StringIO("MARKOV 2  2 2  1  2 0 1  4  2 1 1 2"))
+    MarkovNetwork(φ(0, 1))
 
     References
     ----------
@@ -73,30 +86,34 @@ def read_uai(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> 
         words.fail(f"the variable {sizes.index(0)} has no states", sizes.index(0) + 1)
     assembly.expect(count + sum(sizes), 0)
     functions = words.count("the number of tables")
-    if functions != len(sizes):
+    directed = words.kind == BAYES
+    if directed and functions != len(sizes):
         words.fail(f"{functions} tables of {len(sizes)} variables; each has one", words.at - 1)
-    scopes = []
+    scopes: list[Scope] = []
     for _ in range(functions):
         start = words.at
         scope = [words.count("an index") for _ in range(words.count("the number of variables"))]
-        if not 1 <= len(scope) <= AXES or max(scope) >= len(sizes):
+        least = 1 if directed else 0
+        if not least <= len(scope) <= AXES or max(scope, default=-1) >= len(sizes):
             words.fail(
-                f"a table of {len(scope)} variables, of {len(sizes)} in all; it is of 1 to {AXES}, "
-                f"which count from 0 to {len(sizes) - 1}",
+                f"a table of {len(scope)} variables, of {len(sizes)} in all; it is of {least} to "
+                f"{AXES}, which count from 0 to {len(sizes) - 1}",
                 start,
             )
         scopes.append((scope, start))
-    orphan = next(iter(set(range(len(sizes))) - {scope[-1] for scope, _ in scopes}), None)
-    if orphan is not None:
-        words.fail(f"no table has the variable {orphan} as its child, the last one named", 0)
+    if directed:
+        children = {scope[-1] for scope, _ in scopes}
+        orphan = next((k for k in range(len(sizes)) if k not in children), None)
+        if orphan is not None:
+            words.fail(f"no table has the variable {orphan} as its child, the last one named", 0)
     tables = []
     for scope, _ in scopes:
         due = math.prod(sizes[k] for k in scope)
-        found = words.count("the number of probabilities")
+        found = words.count("the number of entries")
         if found != due:
             words.fail(
-                f"{found} probabilities of the variable {scope[-1]} where {due} are due, one for "
-                "each combination of states",
+                f"{found} entries of the table over {scope} where {due} are due, one for each "
+                "combination of states",
                 words.at - 1,
             )
         tables.append((words.at, words.take(due)))
@@ -104,6 +121,8 @@ def read_uai(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> 
     # Only now: the file holds as many numbers as its variables have states.
     for k, size in enumerate(sizes):
         assembly.declare(str(k), tuple(map(str, range(size))), k + 1)
+    if not directed:
+        return _undirected(words, [*assembly.variables.values()], scopes, tables)
     for (scope, start), (first, table) in zip(scopes, tables, strict=True):
         *given, child = map(str, scope)
         family = assembly.family(child, given, start)
@@ -114,9 +133,33 @@ def read_uai(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> 
     return assembly.network()
 
 
+def _undirected(
+    words: Words,
+    variables: Sequence[Discrete],
+    scopes: Sequence[Scope],
+    tables: Sequence[tuple[int, Array]],
+) -> MarkovNetwork:
+    """The Markov network of a file's tables, each with the place of its first entry."""
+    factors: list[Table] = []
+    for (scope, start), (first, table) in zip(scopes, tables, strict=True):
+        wrong = ~((table >= 0.0) & np.isfinite(table))
+        if wrong.any():
+            at = int(wrong.argmax())
+            words.fail(f"{table[at]:.9g} is no entry of a factor; correct it", first + at)
+        if len(set(scope)) < len(scope):
+            words.fail(f"a table over {scope} has a variable twice; name each once", start)
+        own = [variables[k] for k in scope]
+        factors.append(Table(own, table.reshape([v.size for v in own])))
+    held = {k for scope, _ in scopes for k in scope}
+    factors += [Table.vacuous(v) for k, v in enumerate(variables) if k not in held]
+    if not variables:
+        raise words.fault("it declares no variable", None)
+    return MarkovNetwork(factors)
+
+
 @public
 def read_uai_evidence(
-    source: Source, network: BayesianNetwork, *, limit: int = LIMIT
+    source: Source, network: MarkovNetwork, *, limit: int = LIMIT
 ) -> dict[Discrete, int]:
     """The evidence of a UAI file, for a network that `read_uai` read.
 
@@ -125,7 +168,7 @@ def read_uai_evidence(
     source : str, Path or open file
         Its numbers are how many variables are observed, then an index and a state of each; files
         of before 2010 say first that this is one sample.
-    network : BayesianNetwork
+    network : BayesianNetwork or MarkovNetwork
         Whose variables the indices are the names of.
     limit : int, optional
         How many bytes the file may hold, once unpacked.
@@ -149,10 +192,9 @@ def read_uai_evidence(
     >>> pgm.read_uai_evidence(io.StringIO("1  0 1"), network)
     {0: 1}
     """
-    if not isinstance(network, BayesianNetwork):
+    if not isinstance(network, MarkovNetwork):
         raise ModelError(
-            "read_uai_evidence takes the BayesianNetwork that the evidence is of, not "
-            f"{type(network).__name__}"
+            f"read_uai_evidence takes the network that the evidence is of, not {titled(network)}"
         )
     content = sources.read(source, limit)
     refuse_others(content, "evidence")
@@ -185,7 +227,12 @@ def read_uai_evidence(
 
 
 class Words:
-    """The numbers of a file, read one by one and counted from 0."""
+    """The numbers of a file, read one by one and counted from 0.
+
+    `kind` is the word before them, in files that begin with one.
+    """
+
+    kind: str = ""
 
     def __init__(self, content: Content, *, heading: bool) -> None:
         # Blanks for comments, so that lines and places stay.
@@ -243,13 +290,9 @@ class Words:
 
     def _heading(self) -> int:
         word = ITEM.search(self._text)
-        found, at = (word[0], word.start()) if word else ("", len(self._text.rstrip()))
-        if found == "MARKOV":
+        self.kind, at = (word[0], word.start()) if word else ("", len(self._text.rstrip()))
+        if word is None or self.kind not in (BAYES, MARKOV):
             raise self._error(
-                "it is a Markov network, whose tables are no probabilities of a child; only "
-                "networks of the type BAYES are read",
-                at,
+                f"expected {BAYES} or {MARKOV} at the start, found {shown(self.kind)}", at
             )
-        if word is None or found != "BAYES":
-            raise self._error(f"expected BAYES at the start, found {shown(found)}", at)
         return word.end()

@@ -10,10 +10,10 @@ from pgm.arguments import public
 from pgm.clustergraph import ClusterGraph
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
-from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.plot.diagrams.arrangement import is_chain, key, outward
-from pgm.plot.diagrams.contents import contents, joined, links, shown
-from pgm.plot.diagrams.networks import Network, directed, in_slices
+from pgm.plot.diagrams.contents import contents, links, shown
+from pgm.plot.diagrams.contents import joined as sepsets_of
+from pgm.plot.diagrams.networks import Directed, Network, directed, in_slices, joined
 from pgm.plot.drawing.colours import CLUSTER, INK, MUTED, OBSERVED, SEPSET
 from pgm.variables import Variable
 
@@ -31,12 +31,12 @@ def dot(
     """Write a network or a cluster graph in DOT, the language of Graphviz.
 
     A network is a ``digraph`` with its observed variables shaded, its slices as ranks from left
-    to right where it has time; a cluster graph is a ``graph`` of ellipses and boxes. Nothing of
-    Graphviz is needed to write it.
+    to right where it has time; a `MarkovNetwork` is a ``graph``, and a cluster graph one of
+    ellipses and boxes. Nothing of Graphviz is needed to write it.
 
     Parameters
     ----------
-    drawn : BayesianNetwork, DynamicBayesianNetwork or ClusterGraph
+    drawn : BayesianNetwork, DynamicBayesianNetwork, MarkovNetwork or ClusterGraph
     steps : int, optional
         The last slice of a dynamic network, 1 without; the last cluster of a cluster graph.
     evidence : iterable or mapping of Variable, optional
@@ -58,7 +58,7 @@ def dot(
       v0 -> v1;
     }
     """
-    if isinstance(drawn, BayesianNetwork | DynamicBayesianNetwork):
+    if isinstance(drawn, Network):
         return _network(drawn, steps, evidence)
     if isinstance(drawn, ClusterGraph):
         return _cluster_graph(drawn, steps, evidence)
@@ -66,13 +66,18 @@ def dot(
 
 
 def _network(model: Network, steps: int | None, evidence: Iterable[Variable] | None) -> str:
-    graph = directed(model, steps, evidence)
+    arrows = isinstance(model, Directed)
+    graph = (
+        directed(model, steps, evidence)
+        if isinstance(model, Directed)
+        else joined(model.factors, steps, evidence)
+    )
     names = {node: f"v{k}" for k, node in enumerate(graph)}
     lines = [f'node [shape=ellipse, style=filled, fillcolor="white", color="{INK}"];']
     for node, name in names.items():
         shade = f', fillcolor="{OBSERVED}"' if graph.nodes[node]["observed"] else ""
         lines.append(f"{name} [label={_quoted(repr(node))}{shade}];")
-    if in_slices(graph):
+    if arrows and in_slices(graph):
         lines.insert(0, "rankdir=LR;")
         slices = defaultdict(list)
         for node, name in names.items():
@@ -81,15 +86,16 @@ def _network(model: Network, steps: int | None, evidence: Iterable[Variable] | N
             lines.append(f"{{ rank=same; {'; '.join(slices[step])}; }}")
     elif _wide(graph):
         lines.insert(0, "rankdir=LR;")
-    lines += [f"{names[parent]} -> {names[child]};" for parent, child in graph.edges]
-    return _block("digraph", lines)
+    join = "->" if arrows else "--"
+    lines += [f"{names[parent]} {join} {names[child]};" for parent, child in graph.edges]
+    return _block("digraph" if arrows else "graph", lines)
 
 
 def _cluster_graph(
     graph: ClusterGraph, steps: int | None, evidence: Iterable[Variable] | None
 ) -> str:
     clusters = shown(graph, steps)
-    sepsets, cut = joined(graph, clusters)
+    sepsets, cut = sepsets_of(graph, clusters)
     texts = contents(graph, clusters, sepsets, cast(Evidence | None, evidence), sizes=False)
     # Graphviz puts the first end of an edge above the other, so edges point away from a centre.
     joins = links(graph, clusters, sepsets)

@@ -18,8 +18,8 @@ from pgm.boundary import as_tuple, is_unordered, is_whole
 from pgm.errors import EvidenceError, ModelError, PgmError
 from pgm.factors.scope import unknown_name
 from pgm.kernels.arrays import Array
-from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
-from pgm.networks.static import density
+from pgm.networks import BayesianNetwork, DynamicBayesianNetwork, MarkovNetwork
+from pgm.networks.markov import written
 from pgm.plot.diagrams.arrangement import sliced
 from pgm.plot.diagrams.canvas import Canvas, Size, node_label, open_canvas, room, slack, text_size
 from pgm.plot.diagrams.layered import layered
@@ -43,13 +43,15 @@ def network(
 ) -> Axes:
     """Draw a network: parents above their children, observed variables shaded.
 
+    A `MarkovNetwork` is drawn undirected, as by `markov_network`.
+
     A dynamic network is unrolled, with slices left to right; so is a static one whose variables
     all stand at steps, like what unrolling gives. Any other static network stands in topological
     layers, from top to bottom or, where that makes better use of the axes, from left to right.
 
     Parameters
     ----------
-    model : BayesianNetwork or DynamicBayesianNetwork
+    model : BayesianNetwork, DynamicBayesianNetwork or MarkovNetwork
     steps : int, optional
         The last slice of a dynamic network drawn; 1 without, which is the whole pattern.
     evidence : iterable or mapping of Variable, optional
@@ -75,10 +77,15 @@ def network(
     >>> sorted(text.get_text() for text in ax.texts)
     ['a', 'b']
     """
-    if not isinstance(model, BayesianNetwork | DynamicBayesianNetwork):
+    if not isinstance(model, Network):
         raise ModelError(
-            f"network draws a DynamicBayesianNetwork or BayesianNetwork, not {type(model).__name__}"
+            "network draws a DynamicBayesianNetwork, BayesianNetwork or MarkovNetwork, not "
+            f"{type(model).__name__}"
         )
+    if not isinstance(model, Directed):
+        if cpds:
+            raise ModelError("cpds are those of a directed network; leave them out")
+        return markov_network(model, steps=steps, evidence=evidence, ax=ax)
     graph = directed(model, steps, evidence)
     slices = isinstance(model, DynamicBayesianNetwork) or in_slices(graph)
     texts = densities(model, graph) if cpds else {}
@@ -141,19 +148,18 @@ def _alike(sizes: Mapping[Variable, Size]) -> dict[Variable, Size]:
     return {node: Size(wide[node.template], size.height) for node, size in sizes.items()}
 
 
-def densities(
-    model: BayesianNetwork | DynamicBayesianNetwork, nodes: Iterable[Variable]
-) -> dict[Variable, str]:
+def densities(model: Directed, nodes: Iterable[Variable]) -> dict[Variable, str]:
     """The density of each node that has a CPD."""
     if isinstance(model, DynamicBayesianNetwork):
         model = model.unroll(max(node.step or 0 for node in nodes))
-    return {cpd.child: density(cpd) for cpd in model.cpds}
+    return {cpd.child: written(cpd) for cpd in model.cpds}
 
 
-Network = BayesianNetwork | DynamicBayesianNetwork
+Directed = BayesianNetwork | DynamicBayesianNetwork
+Network = MarkovNetwork | DynamicBayesianNetwork
 
 
-def directed(model: Network, steps: int | None, evidence: Iterable[Variable] | None) -> nx.DiGraph:
+def directed(model: Directed, steps: int | None, evidence: Iterable[Variable] | None) -> nx.DiGraph:
     """Parents and children as nodes; each has the attribute ``observed``.
 
     steps: The last slice of a dynamic network; 1 without.
@@ -210,7 +216,7 @@ _DASHES = (0.0, (4.0, 3.0))
 
 @public
 def markov_network(
-    model: BayesianNetwork | DynamicBayesianNetwork | Iterable[Any],
+    model: Network | Iterable[Any],
     *,
     steps: int | None = None,
     evidence: Iterable[Variable] | None = None,
@@ -224,7 +230,7 @@ def markov_network(
 
     Parameters
     ----------
-    model : BayesianNetwork, DynamicBayesianNetwork or iterable
+    model : BayesianNetwork, DynamicBayesianNetwork, MarkovNetwork or iterable
         A network, or factors: anything with a ``scope``, like `pgm.CanonicalForm`, `pgm.Table`, a
         CPD or a cluster of a graph, or collections of variables that stand for scopes.
     steps : int, optional
@@ -252,12 +258,13 @@ def markov_network(
     ----------
     Koller & Friedman, Probabilistic Graphical Models, 2009, sections 4.2 and 4.5.
     """
-    if isinstance(model, BayesianNetwork | DynamicBayesianNetwork):
+    if isinstance(model, Directed):
         graph = directed(model, steps, evidence)
         slices = isinstance(model, DynamicBayesianNetwork) or in_slices(graph)
         _marry(graph)
     else:
-        graph, slices = _joined(model, steps, evidence), False
+        factors = model.factors if isinstance(model, MarkovNetwork) else model
+        graph, slices = joined(factors, steps, evidence), False
 
     def line(canvas: Canvas, edge: Edge, curve: Array) -> None:
         canvas.line(curve, _DASHES if graph.edges[edge].get("married") else "-")
@@ -274,7 +281,8 @@ def _marry(graph: nx.DiGraph) -> None:
                 graph.add_edge(one, other, married=True)
 
 
-def _joined(model: Any, steps: int | None, evidence: Iterable[Variable] | None) -> nx.DiGraph:
+def joined(model: Any, steps: int | None, evidence: Iterable[Variable] | None) -> nx.DiGraph:
+    """The variables of factors, those that one has in common joined, with ``observed``."""
     scopes = list(_scopes(model))
     if steps is not None:
         raise ModelError("steps cut a DynamicBayesianNetwork; leave them out")
@@ -283,8 +291,16 @@ def _joined(model: Any, steps: int | None, evidence: Iterable[Variable] | None) 
         plain.add_nodes_from(scope)
         plain.add_edges_from(combinations(scope, 2))
     observed = named(evidence or (), plain)
+    graph = from_the_middle(plain)
+    for node in graph:
+        graph.nodes[node]["observed"] = node in observed
+    return graph
+
+
+def from_the_middle(plain: nx.Graph) -> nx.DiGraph:
+    """An undirected graph with each edge pointing away from the middle of its part."""
     graph = nx.DiGraph()
-    graph.add_nodes_from((node, {"observed": node in observed}) for node in plain)
+    graph.add_nodes_from(plain)
     place = {node: k for k, node in enumerate(plain)}
     for part in list(nx.connected_components(plain)):
         centre = min(nx.center(plain.subgraph(part)), key=place.__getitem__)

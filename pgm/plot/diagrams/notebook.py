@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
 from pgm.errors import PgmError
-from pgm.networks import BayesianNetwork
+from pgm.networks import MarkovNetwork
 from pgm.plot.diagrams.clusters import cluster_graph
 from pgm.plot.diagrams.networks import Network, network
 
@@ -65,7 +65,7 @@ def _size(value: Network | ClusterGraph) -> tuple[int, int]:
         return len(value.model.cpds), VARIABLES
     if isinstance(value, ClusterGraph):
         return len(value), CLUSTERS
-    if isinstance(value, BayesianNetwork):
+    if isinstance(value, MarkovNetwork):
         return len(value.variables), VARIABLES
     return len(value.cpds), VARIABLES
 

@@ -20,7 +20,7 @@ def requisite(net, wanted, evidence=None):
 
 
 def names(part):
-    return {repr(cpd.child) for cpd in part.cpds}
+    return {repr(cpd.child) for cpd in part.factors}
 
 
 def chain(count):
@@ -75,10 +75,10 @@ def test_it_is_what_is_not_d_separated(parents, data):
     part = requisite(net, (wanted,), dict.fromkeys(observed, 0))
     graph = net.to_networkx()
     above = set().union(*({v} | nx.ancestors(graph, v) for v in (wanted, *observed)))
-    bears = {v for v in hidden if v != wanted and not net.d_separated(wanted, v, observed)}
+    bears = {v for v in hidden if v != wanted and not net.separated(wanted, v, observed)}
     assert set(part.hidden) == {wanted} | (bears & above)
     for v in observed:
-        if not net.d_separated(wanted, v, observed - {v}):
+        if not net.separated(wanted, v, observed - {v}):
             assert v in part.evidence.states
 
 
@@ -105,7 +105,7 @@ def test_a_part_of_a_network_whose_junction_tree_is_too_large():
     for source in (net, graph):
         np.testing.assert_allclose(pgm.query(source, wanted, evidence).values, due, atol=1e-12)
     part = requisite(net, wanted, evidence)
-    assert len(part.cpds) == 16
+    assert len(part.factors) == 16
     assert max(QueryPlan.of(part, wanted).sums.products) <= 2**6
     with pytest.raises(pgm.GraphError, match=r"tables that are too large: .* GiB at a time"):
         pgm.query(net, variables[-1])

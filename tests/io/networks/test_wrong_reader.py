@@ -100,9 +100,9 @@ def test_a_network_given_as_evidence():
 
 
 def test_the_line_behind_comments():
-    with pytest.raises(pgm.FileError, match="Markov network") as caught:
+    with pytest.raises(pgm.FileError, match="the number of tables is due") as caught:
         pgm.read_uai(io.StringIO("#\n# an example\n#\nMARKOV\n1\n2\n"))
-    assert caught.value.line == 4
+    assert caught.value.line == 7
     with pytest.raises(pgm.FileError, match="expected BAYES") as caught:
         pgm.read_uai(io.StringIO("#\n\nBAYESIAN\n"))
     assert caught.value.line == 3

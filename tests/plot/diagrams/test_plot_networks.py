@@ -168,9 +168,7 @@ def test_steps_must_be_a_slice(robot, steps):
 
 
 def test_only_networks_and_single_axes_are_taken(robot):
-    with pytest.raises(
-        pgm.ModelError, match="draws a DynamicBayesianNetwork or BayesianNetwork, not S"
-    ):
+    with pytest.raises(pgm.ModelError, match="BayesianNetwork or MarkovNetwork, not S"):
         pgm.plot.network(pgm.compile(robot, 3))
     with pytest.raises(pgm.ModelError, match="one matplotlib Axes, not ndarray"):
         pgm.plot.network(robot, ax=plt.subplots(2)[1])

@@ -1,0 +1,168 @@
+"""Markov networks in files, UAI and libDAI's, and answers to problems, published ones too."""
+
+import io
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+import pgm
+
+PROBLEMS = Path(__file__).parents[4] / "shared" / "data" / "uai"
+FEW = ["CSP_12", "Grids_11", "Pedigree_11", "Promedus_11", "Segmentation_11"]
+LARGE = ["DBN_11", "ObjectDetection_11"]
+
+
+@st.composite
+def networks(draw):
+    """Markov networks with zeros, numbers of all magnitudes and repeated scopes."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    variables = [pgm.Discrete(str(k), int(rng.integers(1, 4))) for k in range(rng.integers(1, 6))]
+    factors = [pgm.Table(variables, rng.random([v.size for v in variables]))]
+    for _ in range(rng.integers(0, 5)):
+        scope = [variables[k] for k in rng.permutation(len(variables))[: rng.integers(0, 4)]]
+        shape = [v.size for v in scope]
+        values = 10.0 ** rng.uniform(-30, 30, shape) * (rng.random(shape) > 0.2)
+        factors.append(pgm.Table(scope, values))
+    return pgm.MarkovNetwork(factors)
+
+
+@pytest.mark.parametrize(
+    ("write", "read"), [(pgm.write_uai, pgm.read_uai), (pgm.write_fg, pgm.read_fg)]
+)
+@given(network=networks())
+def test_what_is_written_is_read_back(write, read, network):
+    file = io.StringIO()
+    write(network, file)
+    again = read(io.StringIO(file.getvalue()))
+    assert again.variables == network.variables
+    for a, b in zip(network.factors, again.factors, strict=True):
+        assert a.scope == b.scope
+        assert_array_equal(a.values * np.exp(a.log_scale), b.values * np.exp(b.log_scale))
+
+
+def test_bayesian_networks_and_names():
+    from pgm.examples import rain, rainy, wet
+
+    file = io.StringIO()
+    pgm.write_uai(rainy, file)
+    again = pgm.read_uai(io.StringIO(file.getvalue()))
+    assert isinstance(again, pgm.BayesianNetwork)
+    assert_array_equal(again.cpds[1].table, rainy.cpds[1].table)
+    posterior = pgm.infer(pgm.compile(rainy), {wet: "yes"})
+    answer = io.StringIO()
+    pgm.write_uai_result("MAR", posterior, rainy, answer, evidence={wet: "yes"})
+    assert answer.getvalue() == "MAR\n2 2 0.25 0.75 2 0.0 1.0\n"
+    best = io.StringIO()
+    found = pgm.most_probable(pgm.compile(rainy), {wet: "yes"})
+    pgm.write_uai_result("MAP", found, rainy, best)
+    assert best.getvalue() == f"MAP\n2 {rain.index(found.assignment[rain])} 1\n"
+    evidence = io.StringIO()
+    pgm.write_uai_evidence({wet: "yes", rain: 0}, rainy, evidence)
+    known = pgm.read_uai_evidence(io.StringIO(evidence.getvalue()), again)
+    assert {v.name: state for v, state in known.items()} == {"1": 1, "0": 0}
+
+
+def test_a_log_scale_is_written_as_numbers_or_refused():
+    a = pgm.Discrete("0", 2)
+    file = io.StringIO()
+    pgm.write_uai(pgm.MarkovNetwork([pgm.Table(a, [1.0, 0.0], 5.0)]), file)
+    assert_allclose(pgm.read_uai(io.StringIO(file.getvalue())).factors[0].values, [np.exp(5.0), 0])
+    for scale in (800.0, -800.0):
+        network = pgm.MarkovNetwork([pgm.Table(a, [1.0, 2.0], scale)])
+        with pytest.raises(pgm.ModelError, match="give it another log-scale"):
+            pgm.write_uai(network, io.StringIO())
+
+
+def test_variables_without_a_table_and_numbers_that_are_factors():
+    network = pgm.read_uai(io.StringIO("MARKOV 3  2 3 2  2  1 1  0  3 1 1 2  1 5.0"))
+    assert_allclose(pgm.infer(pgm.compile(network), {}).log_evidence, np.log(4 * 5 * 2 * 2))
+    assert {v.name for v in network.variables} == {"0", "1", "2"}
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "words"),
+    [
+        ("MARKOV\n1\n2\n1\n1 1\n2\n1 1", 5, "count from 0 to 0"),
+        ("MARKOV\n1\n2\n1\n2 0 0\n4\n1 1 1 1", 5, "a variable twice"),
+        ("MARKOV\n1\n2\n1\n1 0\n2\n1 -1", 7, "-1 is no entry"),
+        ("MARKOV\n1\n2\n1\n1 0\n2\n1 inf", 7, "a number is due"),
+        ("MARKOV\n1\n2\n1\n1 0\n3\n1 1 1", 6, "3 entries of the table over"),
+        ("MARKOV\n0\n\n0", None, "declares no variable"),
+        ("MARKOV\n1\n2\n1\n1 0\n2\n1 1 5", 7, "1 numbers follow"),
+    ],
+)
+def test_errors_of_markov_files_name_the_line(text, line, words):
+    with pytest.raises(pgm.FileError, match=words) as error:
+        pgm.read_uai(io.StringIO(text))
+    assert error.value.line == line
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "words"),
+    [
+        ("1\n\n2\n0 0\n2 2\n0", 3, "a variable twice"),
+        ("1\n\n1\n0\n0\n0", 3, "has no states"),
+        ("2\n\n1\n0\n2\n0\n\n1\n0\n3\n0", 8, "has 3 states here, and 2 before"),
+        ("1\n\n1\n0\n2\n1\n2 1.0", 7, "a place 2 of 2 entries"),
+        ("1\n\n1\n0\n2\n1\n1 -1.0", 7, "-1 is no entry"),
+        ("1\n\n1\n0\n2\n2\n1 1.0", 7, "the file ends"),
+        ("1\n\n9\n0 1 2 3 4 5 6 7 8\n99 99 99 99 99 99 99 99 99\n0", 3, "raise the limit"),
+        ("0", None, "it has no variable"),
+    ],
+)
+def test_errors_of_factor_graphs_name_the_line(text, line, words):
+    with pytest.raises(pgm.FileError, match=words) as error:
+        pgm.read_fg(io.StringIO(text))
+    assert error.value.line == line
+
+
+def test_refusals_of_writers():
+    from pgm.examples import coin, pair, side
+
+    posterior = pgm.infer(pgm.compile(coin), {side: [0, 1]})
+    with pytest.raises(pgm.ModelError, match="a network of tables, not"):
+        pgm.write_uai(pair, io.StringIO())
+    with pytest.raises(pgm.ModelError, match="one of PR, MAR, MAP, not 'MMAP'"):
+        pgm.write_uai_result("MMAP", posterior, coin, io.StringIO())
+    with pytest.raises(pgm.ModelError, match=r"is of the runs \(2,\)"):
+        pgm.write_uai_result("PR", posterior, coin, io.StringIO())
+    with pytest.raises(pgm.EvidenceError, match="has one state, by name or index, not 'edge'"):
+        pgm.write_uai_evidence({side: "edge"}, coin, io.StringIO())
+    with pytest.raises(pgm.EvidenceError, match="is not in the network"):
+        pgm.write_uai_evidence({pgm.Discrete("other", 2): 0}, coin, io.StringIO())
+
+
+def numbers(path):
+    """The numbers of an answer, whose task may be named before them."""
+    words = path.read_text().split()
+    return list(map(float, words[1:] if words[0].isalpha() else words))
+
+
+@pytest.mark.skipif(not PROBLEMS.exists(), reason="no shared/data/uai here")
+@pytest.mark.parametrize("name", [*FEW, *(pytest.param(n, marks=pytest.mark.slow) for n in LARGE)])
+def test_published_answers(name):
+    """PR to the printed digits, MAR to the rounding, and a MAP at least as likely."""
+    path = PROBLEMS / f"{name}.uai"
+    beside = {task: Path(f"{path}.{task}") for task in ("PR", "MAR", "MAP", "evid")}
+    network = pgm.read_uai(path)
+    evidence = pgm.read_uai_evidence(os.fspath(beside["evid"]), network)
+    graph = pgm.compile(network)
+    posterior = pgm.infer(graph, evidence)
+    answer = io.StringIO()
+    pgm.write_uai_result("PR", posterior, network, answer)
+    (due,) = numbers(beside["PR"])
+    assert f"{float(answer.getvalue().split()[1]):.6g}" == f"{due:.6g}"
+    answer = io.StringIO()
+    pgm.write_uai_result("MAR", posterior, network, answer, evidence=evidence)
+    found = np.array(answer.getvalue().split()[1:], dtype=float)
+    assert_allclose(found, numbers(beside["MAR"]), atol=6e-7)
+    published = list(map(int, numbers(beside["MAP"])))[1:]
+    level = sum(
+        float(f.log_values[tuple(published[int(v.name)] for v in f.scope)]) for f in network.factors
+    )
+    assert pgm.most_probable(graph, evidence).log_probability >= level - 1e-9
