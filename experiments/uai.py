@@ -24,9 +24,8 @@ def uai(
     network = pgm.read_uai(file)
     beside = file.with_name(f"{file.name}.evid")
     given = evidence or (beside if beside.exists() else None)
-    known: dict[pgm.Variable, int] = {}
-    if given:
-        known.update(pgm.read_uai_evidence(given, network))
+    read = pgm.read_uai_evidence(given, network) if given else {}
+    known: dict[pgm.Variable, int] = dict(read.items())
     graph = pgm.compile(network)
     answer = pgm.most_probable(graph, known) if task == "MAP" else pgm.infer(graph, known)
     text = io.StringIO()
