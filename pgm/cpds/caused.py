@@ -6,6 +6,7 @@ Robust noise whose density is a mixture of Gaussians of several scales makes its
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from pgm.cpds.switching import SwitchingCPD
 from pgm.cpds.table import TableCPD
 from pgm.errors import ModelError
 from pgm.factors.axes import sizes
+from pgm.kernels.arrays import Array
 from pgm.variables import Discrete
 
 
@@ -27,7 +29,7 @@ def caused(cpd: CPD, names: set[str]) -> tuple[TableCPD, SwitchingCPD]:
     are taken, to which the cause's is added.
     """
     switches = cpd.switches if isinstance(cpd, SwitchingCPD) else ()
-    mixtures = {case: list(flat(own)) for case, own in cases_of(cpd).items()}
+    mixtures = {case: flat(own) for case, own in cases_of(cpd).items()}
     name = f"component of {cpd.child.name}"
     while name in names:
         name += "'"
@@ -37,9 +39,9 @@ def caused(cpd: CPD, names: set[str]) -> tuple[TableCPD, SwitchingCPD]:
     table = np.zeros((*sizes(switches), count))
     cases: dict[tuple[int, ...], CPD] = {}
     for case, parts in mixtures.items():
-        table[case][: len(parts)] = [weight for _, weight in parts]
+        table[case][: len(parts)] = [part.weight for part in parts]
         for k in range(count):  # of which those beyond the last are impossible
-            cases[*case, k], _ = parts[min(k, len(parts) - 1)]
+            cases[*case, k] = parts[min(k, len(parts) - 1)].cpd
     chosen = SwitchingCPD(cpd.child, (*switches, cause), cases)
     return TableCPD(cause, given=switches, table=table), chosen
 
@@ -59,18 +61,67 @@ def has_mixtures(cpds: Iterable[CPD]) -> bool:
     return any(map(is_mixture, cpds))
 
 
-def flat(cpd: CPD) -> Iterable[tuple[CPD, float]]:
-    """The components of a mixture with their weights; mixtures of mixtures are one mixture."""
+# From this probability of its largest scale on, a reading is farther off than its noise is known.
+FAR = 1e-3
+
+
+class Component(NamedTuple):
+    """A component of a mixture, with its weight.
+
+    group: Components of one group are alike: scales of one robust noise of one order of magnitude.
+    """
+
+    cpd: CPD
+    weight: float
+    group: int
+
+
+class Scales(MixtureCPD):
+    """A CPD of robust noise as a mixture of Gaussians of covariances v R, v being the `factors`."""
+
+    factors: Array
+
+    def __init__(self, cpd: ConditionalGaussian, weights: Array, factors: Array) -> None:
+        parts = [cpd._scaled(factor) for factor in factors.tolist()]
+        parts[int(factors.argmax())]._set(_farthest=True)
+        super().__init__(parts, weights)
+        self._set(factors=factors)
+
+
+def is_farthest(cpd: CPD) -> bool:
+    """Whether a CPD is the largest scale of a robust noise."""
+    return bool(cpd.__dict__.get("_farthest", False))
+
+
+def too_far(cpd: CPD, where: str) -> str:
+    """The text of the error for a reading that is of the largest scale; `where` tells which."""
+    return (
+        f"a reading of {cpd.child!r}{where} is more than a million deviations of {cpd!r} from all "
+        "that is expected, farther than its robust noise is known: is it a number in other units, "
+        "or one that stands for none, as NaN does?"
+    )
+
+
+def flat(cpd: CPD) -> list[Component]:
+    """The components of a mixture; mixtures of mixtures are one mixture."""
+    if isinstance(cpd, Scales):
+        _, groups = np.unique(np.floor(np.log10(cpd.factors)), return_inverse=True)
+        each = zip(cpd.parts, cpd.weights.tolist(), groups.tolist(), strict=True)
+        return [Component(part, weight, group) for part, weight, group in each]
     if not isinstance(cpd, MixtureCPD):
-        yield cpd, 1.0
-        return
+        return [Component(cpd, 1.0, 0)]
+    found: list[Component] = []
     for part, weight in zip(cpd.parts, cpd.weights.tolist(), strict=True):
-        yield from ((own, weight * share) for own, share in flat(part))
+        first = found[-1].group + 1 if found else 0
+        found += [
+            own._replace(weight=weight * own.weight, group=first + own.group) for own in flat(part)
+        ]
+    return found
 
 
 def components(cpd: CPD) -> Sequence[CPD]:
     """The components of a CPD, or of its cases; the CPD where it is neither mixture nor chosen."""
-    return [part for case in cases_of(cpd).values() for part, _ in flat(case)]
+    return [part.cpd for case in cases_of(cpd).values() for part in flat(case)]
 
 
 def in_scales(cpd: CPD, why: str) -> CPD:
@@ -88,14 +139,14 @@ def in_scales(cpd: CPD, why: str) -> CPD:
         return cpd if same else MixtureCPD(parts, cpd.weights)
     if not isinstance(cpd, ConditionalGaussian) or cpd.noise is None:
         return cpd
-    scales = cpd.noise.scales(cpd.child.dimension)
+    scales = cpd.noise._checked_scales(cpd.child.dimension)
     if scales is None:
         raise ModelError(
             f"{cpd!r} has robust noise, {cpd.noise!r}, which is no mixture of Gaussians of several "
             f"scales, {why}: take pgm.StudentT(dof) of ½ to 30 degrees of freedom, or make "
-            "outliers a state of a discrete variable, with a case of larger noise",
+            "outliers a state of a discrete variable, with a case of larger noise; a noise of your "
+            "own may have scales()",
             variable=cpd.child,
             cpd=cpd,
         )
-    weights, factors = scales
-    return MixtureCPD([cpd._scaled(factor) for factor in factors.tolist()], weights)
+    return Scales(cpd, *scales)

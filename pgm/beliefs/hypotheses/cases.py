@@ -13,7 +13,7 @@ which all runs share, and so all of a single run, is repeated nowhere, and has o
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -277,6 +277,16 @@ class Batch:
         begin = given.first + first
         plan = ChainPlan.make(self._graph, part, given.lineariser, first=begin, prior=False)
         return MomentChain(plan, given.schedule, keep=self._keep, certain=Certain())
+
+
+def settled_of(batches: Iterable[Batch], runs: int) -> tuple[list[Array], Mask]:
+    """The largest moves of batches at each relinearisation, (runs,), and whether all settled."""
+    residuals: list[Array] = []
+    converged = np.ones(runs, dtype=bool)
+    for batch in batches:
+        moved, own = batch.settled()
+        residuals, converged = largest(residuals, moved), converged & own
+    return residuals, converged
 
 
 def _width(bound: BoundEvidence, rows: Array) -> int:

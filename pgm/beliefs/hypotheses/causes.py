@@ -13,11 +13,11 @@ import numpy as np
 
 from pgm.compile import DynamicGraph, compile
 from pgm.cpds import CPD, TableCPD
-from pgm.cpds.caused import cases_of, caused, flat, has_mixtures, is_mixture
+from pgm.cpds.caused import cases_of, caused, flat, has_mixtures, is_farthest, is_mixture
 from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.evidence.values import SUM, OneOf
-from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.networks import DynamicBayesianNetwork
 
 
@@ -34,21 +34,31 @@ class Components(OneOf):
         The number of the case that each is of, (components,).
     log_weights : ndarray
         The logarithms of their weights in their case, (components,).
+    groups : ndarray of int
+        The group of each, (components,): scales of one order of magnitude are alike.
+    farthest : ndarray of bool
+        Those that are the largest scale of a robust noise, (components,).
     """
 
     parts: tuple[CPD, ...]
     cases: Integers
     log_weights: Array
+    groups: Integers
+    farthest: Mask
 
     def __init__(self, cpd: CPD) -> None:
-        mixtures = [list(flat(case)) for case in cases_of(cpd).values()]
-        parts = [part for own in mixtures for part, _ in own]
-        weights = np.array([weight for own in mixtures for _, weight in own])
-        super().__init__(len(parts), weights, 0.0, 0.0, None, None, SUM)
+        mixtures = [flat(case) for case in cases_of(cpd).values()]
+        every = [part for own in mixtures for part in own]
+        weights = np.array([part.weight for part in every])
+        super().__init__(len(every), weights, 0.0, 0.0, None, None, SUM)
+        number = np.repeat(np.arange(len(mixtures)), [len(own) for own in mixtures])
+        places = np.stack([number, [part.group for part in every]])
         self._set(
-            parts=tuple(parts),
-            cases=np.repeat(np.arange(len(mixtures)), [len(own) for own in mixtures]),
+            parts=tuple(part.cpd for part in every),
+            cases=number,
             log_weights=np.log(weights),
+            groups=np.unique(places, axis=1, return_inverse=True)[1].reshape(-1),
+            farthest=np.array([is_farthest(part.cpd) for part in every]),
             dimension=cpd.child.dimension,
         )
 
@@ -84,9 +94,20 @@ def with_causes(graph: DynamicGraph, bound: BoundEvidence) -> tuple[DynamicGraph
 
 
 def network_with_causes(model: DynamicBayesianNetwork) -> DynamicBayesianNetwork:
-    """A network whose states have causes in the place of mixtures; the same without any."""
+    """A network whose states have causes in the place of mixtures; the same without any.
+
+    It is kept with the network, so that a filter and its beliefs that are copied together have one.
+    """
     if not has_mixtures([*model.prior, *model.transition]):
         return model
+    known: DynamicBayesianNetwork | None = model.__dict__.get("_with_causes")
+    if known is None:
+        known = _made(model)
+        model._set(_with_causes=known)
+    return known
+
+
+def _made(model: DynamicBayesianNetwork) -> DynamicBayesianNetwork:
     names = {v.name for v in model.variables}
     prior, transition = list[CPD](), list[CPD]()
     for cpd in model.prior:

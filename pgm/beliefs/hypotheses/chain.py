@@ -36,7 +36,9 @@ from pgm.beliefs.hypotheses.roles import Roles
 from pgm.beliefs.hypotheses.sightings import OpenSensor
 from pgm.beliefs.hypotheses.trials import Trials
 from pgm.beliefs.modes.points import cut
+from pgm.beliefs.moments.steps.chain import largest
 from pgm.beliefs.moments.steps.readings import Moments
+from pgm.cpds.caused import FAR
 from pgm.errors import ModelError, NumericalError
 from pgm.kernels import merging, roots
 from pgm.kernels.arrays import Array, Integers, Mask, components_last, sandwich
@@ -45,7 +47,8 @@ from pgm.kernels.semirings import log_sum
 
 # Members further apart than this, by their KL divergence, may begin a component each.
 APART = 0.05
-# So many components are kept between the open sightings of a step, where they differ.
+# So many components are kept between the open sightings of a step, where they differ; beside robust
+# noise, where a first reading may be an outlier that the next ones tell, so many of each regime.
 _BETWEEN = 16
 # And so many at the most where no candidate is seen twice in a step.
 _ASSIGNMENTS = 2**12
@@ -91,7 +94,7 @@ class HypothesisChain:
                 "mix=True mixes the Gaussians of all states of the step before, and motions are "
                 "chosen by these (.previous): leave mix out"
             )
-        self._open = [OpenSensor(given, regimes, reading) for reading in roles.open]
+        self._open = [OpenSensor(given, regimes, reading, self.angles) for reading in roles.open]
         self._exclusive = any(sensor.exclusive for sensor in self._open)
         self.kept: list[Kept] = []
         self.associations: dict[OpenSensor, list[Array]] = {}
@@ -230,7 +233,9 @@ class HypothesisChain:
     @property
     def _most(self) -> int:
         """How many components are kept between the open sightings of a step, at the most."""
-        return max(self.settings.count, self.regimes.size, _BETWEEN)
+        scaled = any(sensor.scaled for sensor in self._open)
+        between = _BETWEEN * (self.regimes.size if scaled else 1)
+        return max(self.settings.count, self.regimes.size, between)
 
     def _all_taken(self, step: int, pairs: Pairs) -> tuple[list[Stage], Members, Array]:
         """The stages of a step but the last one, whose members are given all measurements.
@@ -301,10 +306,14 @@ class HypothesisChain:
         `used` are the candidates that each component has given already; see `OpenSensor.tried`.
         """
         size = self.size
-        found = sensor.tried(step, row, Moments(known.mean, known.cov), known.memory, used)
+        found = sensor.tried(step, row, known, used)
         sources, alternatives, runs = found.logs.shape
         shape = sources * alternatives, runs
         logs = known.logs[:, None] + found.logs
+        if found.beyond is not None:
+            far = log_sum(known.logs + found.beyond, 0) > log_sum(logs, (0, 1)) + np.log(FAR)
+            if far.any():
+                sensor.refuse_far(step, far)
         counts = found.counts
         if isinstance(known.counts, np.ndarray):
             counts = known.counts[:, None] + counts
@@ -397,7 +406,11 @@ class HypothesisChain:
 
     def settled(self) -> tuple[list[Array], Mask]:
         """The largest moves at each relinearisation, (runs,), and whether a run settled."""
-        return self._trials.settled()
+        residuals, converged = self._trials.settled()
+        for sensor in self._open:
+            moved, own = sensor.settled()
+            residuals, converged = largest(residuals, moved), converged & own
+        return residuals, converged
 
     def reversed(self, step: int, pairs: Pairs, known: Moments) -> Conditional:
         """The motion to a step, reversed; as of `Trials`."""

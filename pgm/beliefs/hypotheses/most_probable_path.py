@@ -42,12 +42,14 @@ class Path(NamedTuple):
 def most_probable_path(model: DynamicBayesianNetwork, bound: BoundEvidence, count: int) -> Path:
     """The most probable path of a network's discrete variables among so many that are kept."""
     asked = Asked(count, mix=False, prune=True)
-    chain = chain_of(model, bound, asked, TAYLOR, Filtering())
-    components = [each.cpd for each in chain.roles.open if is_mixture(each.cpd)]
+    components = [cpd for cpd in (*model.prior, *model.transition) if is_mixture(cpd)]
+    if not components:
+        chain = chain_of(model, bound, asked, TAYLOR, Filtering())
+        components = [each.cpd for each in chain.roles.open if is_mixture(each.cpd)]
     if components:
         raise GraphError(
-            f"{components[0]!r} is a mixture, or has robust noise, and the component of each of "
-            "its readings is on no path of discrete variables: make it a state of one, with a "
+            f"{components[0]!r} is a mixture, or has robust noise, and the component that each of "
+            "its values is of is on no path of discrete variables: make it a state of one, with a "
             "pgm.SwitchingCPD; or take pgm.smooth, which sums over them"
         )
     if chain.roles.open:

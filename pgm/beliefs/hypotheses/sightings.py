@@ -16,10 +16,12 @@ from typing import NamedTuple, NoReturn
 
 import numpy as np
 
-from pgm.beliefs.hypotheses.cases import Batch, Given, case_numbers, seen
+from pgm.beliefs.hypotheses.cases import Batch, Given, case_numbers, seen, settled_of
 from pgm.beliefs.hypotheses.causes import Components
-from pgm.beliefs.hypotheses.counts import Counts
+from pgm.beliefs.hypotheses.counts import Counts, best_of
+from pgm.beliefs.hypotheses.records import Belief
 from pgm.beliefs.hypotheses.regimes import Regimes
+from pgm.beliefs.hypotheses.unsound import infinite, replaced, unsound
 from pgm.beliefs.moments.steps.chain import MomentChain
 from pgm.beliefs.moments.steps.readings import Moments
 from pgm.beliefs.moments.steps.readings import Reading as Read
@@ -27,10 +29,11 @@ from pgm.beliefs.moments.steps.vector import vector
 from pgm.compile import compile
 from pgm.cpds import CPD, SwitchingCPD
 from pgm.cpds.by_run import kind_of, stacked
-from pgm.errors import EvidenceError
+from pgm.cpds.caused import too_far
+from pgm.errors import EvidenceError, NumericalError
 from pgm.evidence import Reading
 from pgm.evidence.values import JOINT, LIKELIHOOD, OneOf, UnknownVariable
-from pgm.kernels import mahalanobis
+from pgm.kernels import mahalanobis, merging
 from pgm.kernels.arrays import Array, Integers, Mask, components_first, components_last, sandwich
 from pgm.kernels.semirings import log_sum
 from pgm.variables import Variable
@@ -45,12 +48,15 @@ class Tried(NamedTuple):
     logs: The logarithms of the alternatives' probabilities times their densities.
     counts: How many components an alternative makes certain.
     mean, cov: (n, sources, k + 1, runs) and (n, n, ...).
+    beyond: The logarithm of what alternatives of the largest scale of a robust noise have of that,
+        (sources, runs); None without any.
     """
 
     logs: Array
     counts: Counts
     mean: Array
     cov: Array
+    beyond: Array | None = None
 
 
 class OpenSensor:
@@ -63,7 +69,7 @@ class OpenSensor:
         The candidates with their probabilities.
     """
 
-    def __init__(self, given: Given, regimes: Regimes, reading: Reading) -> None:
+    def __init__(self, given: Given, regimes: Regimes, reading: Reading, angles: Integers) -> None:
         assert reading.unknown is not None
         if reading.unknown[1].count > _BITS and reading.unknown[1].association == JOINT:
             raise EvidenceError(
@@ -73,7 +79,7 @@ class OpenSensor:
                 variable=reading.cpd.child,
                 cpd=reading.cpd,
             )
-        self.reading, self._given = reading, given
+        self.reading, self._given, self._angles = reading, given, angles
         self.parent: Variable = reading.unknown[0]
         self.unknown: OneOf = reading.unknown[1]
         self._batches: dict[int, list[Batch]] = {}
@@ -88,6 +94,11 @@ class OpenSensor:
     def exclusive(self) -> bool:
         """Whether no candidate is seen twice in a step."""
         return self.unknown.association == JOINT
+
+    @property
+    def scaled(self) -> bool:
+        """Whether the sensor has robust noise, whose scales are components."""
+        return isinstance(self.unknown, Components) and bool(self.unknown.farthest.any())
 
     def probabilities(self, rows: Sequence[Array]) -> Iterator[Array]:
         """The probabilities of candidates, of spurious and of new sightings, (runs, k + 2), each.
@@ -132,16 +143,15 @@ class OpenSensor:
             step=step,
         )
 
-    def tried(
-        self, step: int, row: int, sources: Moments, regime: Integers, used: Integers | None
-    ) -> Tried:
-        """A sighting under each alternative, of sources of moments (n, sources, runs).
+    def tried(self, step: int, row: int, known: Belief, used: Integers | None) -> Tried:
+        """A sighting under each alternative, of the components so far, its sources.
 
-        `regime` is the number of each source's, (sources, runs).
+        What `known` has for memories are regimes.
         `row` counts the sightings of the step. Candidates that are `used`, as bits (sources, runs),
         are none any more. With ``association="likelihood"`` each source takes its likeliest
         alternative alone.
         """
+        sources = Moments(known.mean, known.cov)
         (size, copies), count = sources.mean.shape[:2], self.unknown.count
         runs = self._given.bound.runs
         shape = copies, count + 1, runs
@@ -150,7 +160,7 @@ class OpenSensor:
         mean = np.broadcast_to(sources.mean[:, :, None], (size, *shape)).copy()
         cov = np.broadcast_to(sources.cov[:, :, :, None], (size, size, *shape)).copy()
         logs = np.empty(shape)
-        logs[:, :-1] = np.moveaxis(self._log_shares[regime], -1, 1)
+        logs[:, :-1] = np.moveaxis(self._log_shares[known.memory], -1, 1)
         uniform = np.where(measured, log_sum(self.unknown.log_outliers, 0), -np.inf)
         logs[:, -1] = np.where(measured, uniform, log_sum(self.unknown.log_shares[-2:], 0))
         counts = np.zeros(shape, dtype=np.intp)
@@ -160,10 +170,19 @@ class OpenSensor:
             before, part, chain = self._read(batch, step, row, sources)
             after, density = chain.take(self._given.first + step, before, [part])
             assert chain.certain is not None
-            mean[:, :, which] = after.mean.reshape(size, *own)
-            cov[:, :, :, which] = after.cov.reshape(size, size, *own)
+            after = Moments(after.mean.reshape(size, *own), after.cov.reshape(size, size, *own))
             density = np.broadcast_to(density, chain.plan.batch).reshape(own)
             density = np.where(self._within(part, before).reshape(own), density, -np.inf)
+            bad = unsound(after, density)
+            if bad is not None:
+                alive = bad & (known.logs[:, None] + logs[:, which] > -np.inf)
+                if alive.any():
+                    chain.check = True
+                    chain.take(self._given.first + step, before, [part])
+                    raise infinite(self._given, "belief", step, alive)
+                density = np.where(bad, -np.inf, density)
+                after = replaced(after, bad)
+            mean[:, :, which], cov[:, :, :, which] = after
             logs[:, which] += density
             certain = np.broadcast_to(chain.certain.count, chain.plan.batch)
             counts[:, which] = certain.reshape(own)
@@ -177,7 +196,58 @@ class OpenSensor:
         if not isinstance(self.unknown, Components):
             lost = (logs == -np.inf).all(axis=(0, 1))
             logs[:, -1] = np.where(lost, 0.0, logs[:, -1])
-        return Tried(logs, counts if counts.any() else 0, mean, cov)
+        found = Tried(logs, counts if counts.any() else 0, mean, cov)
+        return self._grouped(found) if self.scaled else found
+
+    def _grouped(self, tried: Tried) -> Tried:
+        """A sighting under each group of components, of which each source makes one Gaussian.
+
+        Scales of one order of magnitude are too much alike to be kept as many.
+        """
+        assert isinstance(self.unknown, Components)
+        groups, farthest = self.unknown.groups, self.unknown.farthest
+        count = int(groups.max()) + 2  # the last one is of what no component explains
+        far = np.append(farthest, np.False_)
+        beyond = log_sum(tried.logs[:, far], 1)
+        logs, mean, cov = (
+            np.moveaxis(part, axis, axis - 1)
+            for part, axis in ((tried.logs, 1), (tried.mean, 2), (tried.cov, 3))
+        )
+        counts = tried.counts
+        if isinstance(counts, np.ndarray):
+            counts = np.moveaxis(counts, 1, 0)
+        owner = np.append(groups, count - 1)[:, None, None]
+        owner = np.broadcast_to(owner, logs.shape)
+        logs, counts = best_of(logs, counts, owner, count)
+        whole = merging.merged(logs, owner, count, mean, cov, self._angles)
+        if isinstance(counts, np.ndarray):
+            counts = np.moveaxis(counts, 0, 1)
+        logs, mean, cov = (
+            np.moveaxis(part, axis - 1, axis)
+            for part, axis in ((whole.logs, 1), (whole.mean, 2), (whole.cov, 3))
+        )
+        return Tried(logs, counts, mean, cov, beyond)
+
+    def refuse_far(self, step: int, far: Mask) -> NoReturn:
+        """Raise the NumericalError for a reading that is farther off than its robust noise reaches.
+
+        `far` marks the runs.
+        """
+        run, cpd = self._given.bound.first_run + int(far.argmax()), self.reading.cpd
+        step += self._given.first
+        raise NumericalError(
+            too_far(cpd, f" at step {step}, run {run},"),
+            variable=cpd.child,
+            cpd=cpd,
+            step=step,
+            run=run,
+        )
+
+    def settled(self) -> tuple[list[Array], Mask]:
+        """The largest moves at each relinearisation, (runs,), and whether a run settled."""
+        return settled_of(
+            [batch for each in self._batches.values() for batch in each], self._given.bound.runs
+        )
 
     def _read(
         self, batch: Batch, step: int, row: int, sources: Moments

@@ -7,18 +7,18 @@ the batches as runs, predicted or updated by them, and put together again; and m
 
 from __future__ import annotations
 
-from typing import NamedTuple, NoReturn
+from typing import NamedTuple
 
 import numpy as np
 
-from pgm.beliefs.hypotheses.cases import Batch, Choices, Given, motions, sensors, starts
+from pgm.beliefs.hypotheses.cases import Batch, Choices, Given, motions, sensors, settled_of, starts
 from pgm.beliefs.hypotheses.counts import Counts
 from pgm.beliefs.hypotheses.records import Pairs
 from pgm.beliefs.hypotheses.regimes import Regimes
 from pgm.beliefs.hypotheses.roles import Roles
-from pgm.beliefs.moments.steps.chain import MomentChain, largest
+from pgm.beliefs.hypotheses.unsound import infinite, replaced, unsound
+from pgm.beliefs.moments.steps.chain import MomentChain
 from pgm.beliefs.moments.steps.readings import Moments
-from pgm.errors import NumericalError
 from pgm.kernels import moments
 from pgm.kernels.arrays import Array, Integers, Mask, components_last
 from pgm.kernels.moments import Conditional
@@ -113,17 +113,19 @@ class Trials:
         Where others have none the error names the CPD whose function has no value at a component of
         `before`, as of `moved`.
         """
-        if np.isfinite(pairs.mean.sum() + pairs.cov.sum()):
+        own = Moments(pairs.mean, pairs.cov)
+        bad = unsound(own)
+        if bad is None:
             return pairs
-        bad = ~_finite(pairs.mean, pairs.cov)
         alive = bad & (pairs.logs > -np.inf)
         if alive.any():
             self.moved(step, *before, before.mean.shape[1], check=True)
-            self._infinite("prediction", step, alive)
-        mean, cov = _replaced(pairs.mean, pairs.cov, bad)
+            raise infinite(self.given, "prediction", step, alive)
+        mean, cov = replaced(own, bad)
         moved = pairs.moved
-        if moved is not None:
-            moved = Moments(*_replaced(*moved, ~_finite(*moved)))
+        lost = None if moved is None else unsound(moved)
+        if moved is not None and lost is not None:
+            moved = replaced(moved, lost)
         return pairs._replace(mean=mean, cov=cov, moved=moved)
 
     def taken(self, step: int, pairs: Pairs) -> Taken | None:
@@ -161,16 +163,15 @@ class Trials:
         after, density = chain.take(chain.plan.first + local, own, parts)
         density = np.broadcast_to(density, chain.plan.batch).reshape(shape)
         after = Moments(after.mean.reshape(size, *shape), after.cov.reshape(size, size, *shape))
-        if not np.isfinite(density.sum() + after.mean.sum() + after.cov.sum()):
-            # A contradiction has the density −∞, and no other number is to be infinite.
-            bad = np.isnan(density) | (density == np.inf) | ~_finite(*after)
+        bad = unsound(after, density)
+        if bad is not None:
             alive = bad & (pairs.logs[:, batch.which] > -np.inf)
             if alive.any():
                 chain.check = True
                 chain.take(chain.plan.first + local, own, parts)
-                self._infinite("belief", step, alive)
+                raise infinite(self.given, "belief", step, alive)
             density = np.where(bad, -np.inf, density)
-            after = Moments(*_replaced(*after, bad))
+            after = replaced(after, bad)
         assert chain.certain is not None
         certain = chain.certain.count
         if np.any(certain):
@@ -186,14 +187,9 @@ class Trials:
 
     def settled(self) -> tuple[list[Array], Mask]:
         """The largest moves at each relinearisation, (runs,), and whether a run settled."""
-        residuals: list[Array] = []
-        converged = np.ones(self.runs, dtype=bool)
         every = [batch for batches in self._sensors.values() for batch in batches]
         every += [batch for batches in self._moved_by.values() for batch in batches]
-        for batch in every:
-            moved, own = batch.settled()
-            residuals, converged = largest(residuals, moved), converged & own
-        return residuals, converged
+        return settled_of(every, self.runs)
 
     def reversed(self, step: int, pairs: Pairs, known: Moments) -> Conditional:
         """The motion to a step, reversed: its components given each pair, (copies, S, runs, ...).
@@ -237,29 +233,6 @@ class Trials:
                 for part in back
             )
         )
-
-    def _infinite(self, what: str, step: int, bad: Mask) -> NoReturn:
-        """Raise the NumericalError for beliefs that are not finite."""
-        run = self.given.bound.first_run + int(bad.any(axis=(0, 1)).argmax())
-        step += self.given.first
-        raise NumericalError(
-            f"the {what} at step {step}, run {run}, is not finite under some state of the discrete "
-            "variables; are the belief before it, the measurements and the noises of a size that "
-            "float64 can hold?",
-            step=step,
-            run=run,
-        )
-
-
-def _finite(mean: Array, cov: Array) -> Mask:
-    """Whether moments (n, *batch) and (n, n, *batch) are finite, (*batch)."""
-    return np.asarray(np.isfinite(mean).all(axis=0) & np.isfinite(cov).all(axis=(0, 1)))
-
-
-def _replaced(mean: Array, cov: Array, bad: Mask) -> tuple[Array, Array]:
-    """Moments with N(0, I) where they are bad, (*batch)."""
-    eye = np.eye(len(mean)).reshape(len(mean), len(mean), *(1,) * bad.ndim)
-    return np.where(bad, 0.0, mean), np.where(bad, eye, cov)
 
 
 def _as_runs(mean: Array, cov: Array, which: Integers, copies: int, chain: MomentChain) -> Moments:

@@ -25,7 +25,7 @@ MOST = 2**18
 FEW = 2**13
 # From so many of the user's runs on it takes less time to solve configurations one by one, as all
 # runs of one have the same matrices.
-RUNS = 8
+RUNS = 60
 
 
 def fits(part: Part, states: Collection[Variable]) -> bool:

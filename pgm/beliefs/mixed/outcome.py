@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pgm.beliefs.discrete.outcome import DiscreteOutcome
+from pgm.beliefs.gaussian.outcome import GaussianOutcome
 from pgm.beliefs.mixed.configurations import FEW
 from pgm.beliefs.mixed.weighing import Weighed
 from pgm.clustergraph import ClusterGraph
@@ -18,7 +19,7 @@ from pgm.display import Summary
 from pgm.errors import EvidenceError, GraphError
 from pgm.factors import Gaussian, GaussianMixture, Table
 from pgm.factors.scope import Scope, as_scope, dimension, namesake, positions
-from pgm.kernels.arrays import Array, frozen
+from pgm.kernels.arrays import Array, Integers, Mask, frozen
 from pgm.posteriors.outcome import MIXTURES, Outcome
 from pgm.posteriors.posterior import require_variable
 from pgm.posteriors.status import FAR_APART, Status
@@ -165,11 +166,13 @@ class MixedOutcome(Outcome[Any]):
     @cached_property
     def status(self) -> Status:
         """How linearisations went: for each run the worst of configurations of a probability."""
-        every = [
-            (self._weights([k])[runs][:, which].T > 0.0, which, runs, belief)
-            for k, each in enumerate(self._parts)
-            for which, runs, belief in each.beliefs
-        ]
+        every: list[tuple[Mask, Integers, Integers, GaussianOutcome]] = []
+        for k, each in enumerate(self._parts):
+            if each.beliefs:
+                possible = self._weights([k]).T > 0.0
+                every += [
+                    (possible[which][:, own], which, own, b) for which, own, b in each.beliefs
+                ]
         runs = math.prod(self._lead)
         most = max((belief.status.iterations for *_, belief in every), default=1)
         converged, digits = np.ones(runs, dtype=bool), np.full(runs, np.inf)

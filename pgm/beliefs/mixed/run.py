@@ -16,12 +16,22 @@ from pgm.beliefs.mixed.weighing import Asked, Weighed, weighed
 from pgm.clustergraph import ClusterGraph
 from pgm.compile.methods import JunctionTree
 from pgm.cpds import CPD, ConditionalGaussian, SwitchingCPD
-from pgm.cpds.caused import caused, components, has_mixtures, in_scales, is_mixture
+from pgm.cpds.caused import (
+    FAR,
+    caused,
+    components,
+    has_mixtures,
+    in_scales,
+    is_farthest,
+    is_mixture,
+    too_far,
+)
 from pgm.errors import EvidenceError, NumericalError
 from pgm.evidence import Evidence
 from pgm.evidence.rows import as_rows, no_evidence_for, require_finite
 from pgm.evidence.static import BoundValues, bind_discrete, bind_values
 from pgm.factors.arrays import common_runs, flat
+from pgm.factors.axes import sizes
 from pgm.factors.scope import Scope
 from pgm.kernels.arrays import Array, Mask
 from pgm.networks import BayesianNetwork
@@ -83,6 +93,7 @@ def run(graph: ClusterGraph, evidence: Evidence, call: Call) -> MixedOutcome:
     beliefs, total = tabled.solved(logs, allowed)
     known = frozenset(asked.values)
     outcome = MixedOutcome(graph, beliefs, found, tabled.choices, known, lead, total)
+    _require_near(outcome, found)
     outcome.status._warn()
     return outcome
 
@@ -112,6 +123,23 @@ def _weighing(parts: Sequence[Part], observed: Collection[Variable]) -> set[CPD]
         for case in components(cpd)
         if isinstance(case, ConditionalGaussian) and case.noise is not None
     }
+
+
+def _require_near(outcome: MixedOutcome, parts: Sequence[Weighed]) -> None:
+    """Refuse readings farther off than their robust noise is known: of its largest scale."""
+    for k, each in enumerate(parts):
+        for cpd in each.part.cpds:
+            if not isinstance(cpd, SwitchingCPD):
+                continue
+            far = [k for k, case in enumerate(cpd.cases.values()) if is_farthest(case)]
+            if not far:
+                continue
+            columns = [each.part.boundary.index(v) for v in cpd.switches]
+            states = each.configurations[:, columns]
+            number = np.ravel_multi_index(tuple(states.T), sizes(cpd.switches))
+            share = outcome._weights([k])[:, np.isin(number, far)].sum(axis=1)
+            if (share > FAR).any():
+                raise NumericalError(too_far(cpd, ""), variable=cpd.child, cpd=cpd)
 
 
 def _in_scales(graph: ClusterGraph, robust: set[CPD]) -> ClusterGraph:
