@@ -45,6 +45,7 @@ QUESTIONS: dict[str, tuple[str, type[PgmError]]] = {
     "potential": ("potentials of clusters", GraphError),
     "predicted": ("marginals given the measurements before each step", Unanswered),
     "rejected": ("rejections by gates", Unanswered),
+    "sample": ("draws of all variables together", Unanswered),
     "weights": ("weights of measurements", Unanswered),
 }
 

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Generic
 
+import numpy as np
+
+from pgm.arguments import public
+from pgm.boundary import as_generator, as_lengths
 from pgm.clustergraph import Cluster
 from pgm.display import NoArray, Shown, Summary, Viewed
 from pgm.errors import EvidenceError
@@ -261,6 +266,57 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
         """
         found: B = self._ask("joint")(*variables)
         return found
+
+    @public
+    def sample(
+        self, size: int | tuple[int, ...] = (), *, rng: np.random.Generator | int
+    ) -> dict[Variable, Any]:
+        """Draws of all variables without evidence together, from their joint posterior.
+
+        Of a tree they are drawn cluster by cluster, each given those above it, and of a smoothed
+        chain step by step, from the last to the first: whole trajectories.
+
+        Parameters
+        ----------
+        size : int or tuple of int
+            How many draws of each run.
+        rng : numpy.random.Generator or int
+            The generator of draws, or its seed.
+
+        Returns
+        -------
+        dict
+            By variable (*size, *runs, d), and of discrete ones indices of states (*size, *runs).
+            Over time there is an axis of steps after those of runs: 0..T of a state, 1..T of a
+            hidden control.
+
+        Raises
+        ------
+        GraphError
+            If the graph has loops.
+        EvidenceError
+            If the posterior is of a filter or a fixed lag, whose beliefs at each step know other
+            measurements; or the family draws nothing.
+        ModelError
+            If `size` is no number of draws or would not fit into memory, or `rng` is neither a
+            generator nor a seed.
+
+        Examples
+        --------
+        >>> from pgm.examples import walk, x, z
+        >>> smoothed = pgm.smooth(walk, {z: [[4.0]]})
+        >>> drawn = smoothed.sample(10_000, rng=0)[x]
+        >>> drawn.shape, drawn.mean(axis=0).ravel().round(1)
+        ((10000, 2, 1), array([1., 2.]))
+
+        References
+        ----------
+        Frühwirth-Schnatter, Data augmentation and dynamic linear models, 1994; Koller & Friedman,
+        Probabilistic Graphical Models, 2009, section 12.1.
+        """
+        shape = as_lengths(size, "of each run")
+        found = self._ask("sample")(math.prod(shape), as_generator(rng))
+        return {v: values.reshape((*shape, *values.shape[1:])) for v, values in found.items()}
 
     def message(self, source: int | Cluster, target: int | Cluster) -> CanonicalForm | Table:
         """The message from one cluster to a neighbour, over their sepset, unnormalised.

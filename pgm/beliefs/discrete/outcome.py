@@ -15,6 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pgm.beliefs.discrete.allowed import AllowedBeliefs
+from pgm.beliefs.discrete.draws import draws
 from pgm.beliefs.discrete.entered_evidence import axes_left, entered, put_in
 from pgm.beliefs.discrete.first_beliefs import FirstBeliefs
 from pgm.beliefs.discrete.joints import holder, joint
@@ -27,7 +28,7 @@ from pgm.errors import EvidenceError, GraphError
 from pgm.factors import Table
 from pgm.factors.axes import States, sizes
 from pgm.factors.scope import Scope, as_scope, listed, namesake
-from pgm.kernels.arrays import Array, frozen
+from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.kernels.semirings import exp
 from pgm.posteriors.outcome import TABLES, Outcome
 from pgm.posteriors.posterior import require_variable
@@ -127,6 +128,12 @@ class DiscreteOutcome(Outcome[Table]):
                 "variables of one cluster have a joint; compile a junction tree"
             )
         return self._table(scope, self._beliefs.read(lambda t: joint(storage, t, scope)))
+
+    def sample(self, count: int, rng: np.random.Generator) -> dict[Variable, Integers]:
+        """So many draws of each hidden variable for each run, (count, *runs) of state indices."""
+        drawn = draws(self.graph, self._beliefs, count, rng)
+        lead = self._beliefs.evidence.lead
+        return {v: drawn[v].reshape(count, *lead) for v in self._hidden}
 
     def _require_room(self, scope: States, what: str) -> None:
         """Raise `GraphError` if tables over a scope, one for each run, take more than a gibibyte.

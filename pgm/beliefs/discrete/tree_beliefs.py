@@ -19,7 +19,7 @@ from pgm.beliefs.discrete.tree_passes import Calibrated, calibrate
 from pgm.beliefs.discrete.tree_plan import TreePlan, plan_for
 from pgm.clustergraph import ClusterGraph
 from pgm.evidence.static import BoundStates
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.semirings import exp
 from pgm.schedules.impossible import OF_RUNS
 from pgm.schedules.limits import Room, require_runs
@@ -93,10 +93,15 @@ class TreeBeliefs:
         The runs are the different ones, each once. ``plan.marginals.where[variable]`` is the slice
         of each marginal.
         """
-        given = self._read(self.plan.marginals.read) if self._given is None else self._given
+        given = self.read_each(self.plan.marginals.read) if self._given is None else self._given
         # Tables of parts of it are handed out as they are.
         given.flags.writeable = False
         return given
+
+    @property
+    def which(self) -> Integers | None:
+        """For each run the different one that it equals, (runs,); None if all are different."""
+        return self._distinct.which
 
     def marginal(self, variable: Discrete) -> Array:
         """The marginal of a variable given the evidence, (states, [runs])."""
@@ -109,9 +114,9 @@ class TreeBeliefs:
         sepsets, [runs]): the clusters' in the layout of `storage`, then the sepsets'. It returns an
         array (..., [runs]).
         """
-        return self._distinct.spread(self._read(reader))
+        return self._distinct.spread(self.read_each(reader))
 
-    def _read(self, reader: Callable[[Array], Array]) -> Array:
+    def read_each(self, reader: Callable[[Array], Array]) -> Array:
         """The result of a function of the calibrated tables, for the different runs, each once.
 
         `reader` is called with parts of these runs; it takes their tables in one flat array,

@@ -194,7 +194,8 @@ def conditionals(graph: ClusterGraph, plan: TreePlan) -> Array | None:
     They serve as potentials, for their product is that of all CPDs. With these potentials the
     message of a cluster to its parent is one everywhere if no evidence enters the cluster or those
     below it, and need not be sent. A root has no sepset: its table is scaled to the sum that the
-    product of all CPDs in its tree has. Returns None if an entry underflows.
+    product of all factors in its tree has. Returns None if an entry, or that sum, is no number of
+    float64.
     """
     try:
         with np.errstate(all="raise"):
@@ -210,7 +211,7 @@ def conditionals(graph: ClusterGraph, plan: TreePlan) -> Array | None:
                     sepsets[stack.columns] = [math.exp(-math.fsum(logs)) for logs in mine]
                 matrix = tables[stack.entries].reshape(stack.shape)
                 np.divide(matrix, stack.by_entry(sepsets[stack.columns]), out=matrix)
-    except FloatingPointError:
+    except (FloatingPointError, OverflowError):
         return None
     return tables[: plan.storage.entries]
 

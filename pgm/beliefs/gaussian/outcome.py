@@ -15,6 +15,7 @@ from typing import ClassVar
 import numpy as np
 
 from pgm.beliefs.gaussian.beliefs import Calibrated, runs_first
+from pgm.beliefs.gaussian.draws import draws
 from pgm.beliefs.gaussian.joints import joint_moments
 from pgm.beliefs.gaussian.messages import RowMessages
 from pgm.beliefs.gaussian.model import Model
@@ -177,6 +178,13 @@ class GaussianOutcome(Outcome[Gaussian]):
         beliefs = self._done.beliefs
         require_runs(wanted.size**2, len(beliefs.cov), f"the joint of {len(scope)} variables")
         return self._gaussian(scope, *joint_moments(self._plan, beliefs, wanted))
+
+    @quiet()
+    def sample(self, count: int, rng: np.random.Generator) -> dict[Variable, Array]:
+        """So many draws of each hidden variable for each run, (count, *runs, d)."""
+        drawn = draws(self, count, rng)
+        lead = self._model.lead
+        return {v: values.reshape(count, *lead, v.dimension) for v, values in drawn.items()}
 
     @cached_property
     def _messages(self) -> RowMessages:

@@ -16,6 +16,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pgm.beliefs.markov.chain import TINY, StateChain
+from pgm.beliefs.markov.draws import draws
 from pgm.beliefs.markov.impossible_runs import blank, blanked
 from pgm.beliefs.markov.joints import joint, pair, potential
 from pgm.beliefs.markov.marginals import Beliefs, StateMarginals
@@ -24,7 +25,7 @@ from pgm.beliefs.markov.shown_slices import ShownTables
 from pgm.clustergraph import Cluster
 from pgm.compile import DynamicGraph
 from pgm.display import Summary
-from pgm.errors import GraphError
+from pgm.errors import GraphError, Unanswered
 from pgm.factors import Table
 from pgm.factors.axes import discrete, require_axes, sizes
 from pgm.factors.scope import Scope
@@ -195,6 +196,19 @@ class StateOutcome(Outcome[Table]):
         values = joint(self._chain, self._plan, scope, self.kind)
         values = blank(values, self._lost, self.kind.last(end, self.graph.steps))
         return Table._plain(scope, frozen(self._over_runs(values, len(scope))))
+
+    def sample(self, count: int, rng: np.random.Generator) -> dict[Variable, Integers]:
+        """So many paths for each run: (count, *runs, steps) of state indices by hidden variable."""
+        if self.kind != SMOOTHED:
+            raise Unanswered(
+                f"draws of paths know all measurements, and this posterior is {self.kind}: take "
+                "pgm.smooth; of one step draw from its belief, posterior[x.at(3)].sample(...)"
+            )
+        drawn = draws(self, count, rng)
+        return {
+            v: np.moveaxis(own, 0, -1).reshape(count, *self._lead, len(own))
+            for v, own in drawn.items()
+        }
 
     def _over_runs(self, values: Array, axes: int) -> Array:
         """Values (sizes..., [runs]) with the user's axes of runs first; `axes` counts the sizes."""

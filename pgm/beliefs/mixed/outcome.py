@@ -13,6 +13,7 @@ import numpy as np
 from pgm.beliefs.discrete.outcome import DiscreteOutcome
 from pgm.beliefs.gaussian.outcome import GaussianOutcome
 from pgm.beliefs.mixed.configurations import FEW
+from pgm.beliefs.mixed.draws import draws
 from pgm.beliefs.mixed.weighing import Weighed
 from pgm.clustergraph import ClusterGraph
 from pgm.display import Summary
@@ -66,6 +67,18 @@ class MixedOutcome(Outcome[Any]):
                 "nor a mixture; ask for each kind by itself, or give the discrete ones evidence"
             )
         return self._tables.joint(*scope) if kinds.pop() else self._mixture(scope)
+
+    def sample(self, count: int, rng: np.random.Generator) -> dict[Variable, Any]:
+        """So many draws for each run: (count, *runs, d), or (count, *runs) of state indices."""
+        shape = count, *self._lead
+        return {
+            v: values.reshape((*shape, *values.shape[2:]))
+            for v, values in draws(self, count, rng).items()
+        }
+
+    @property
+    def _runs(self) -> int:
+        return math.prod(self._lead)
 
     def _require_hidden(self, variable: Variable) -> Variable:
         network = self.graph.network

@@ -11,9 +11,11 @@ import numpy as np
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
 from pgm.display import Summary
+from pgm.errors import Unanswered
 from pgm.factors import Gaussian, GaussianMixture
 from pgm.factors.scope import Scope
 from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.stochastic import Dense
 from pgm.posteriors.belief_kind import SMOOTHED
 from pgm.posteriors.belief_kind import Kind as Knows
 from pgm.posteriors.figures import Figures
@@ -141,6 +143,25 @@ class Found:
         found = Gaussian._make(each[0].scope, of_modes(mean, 1), of_modes(cov, 2))
         return GaussianMixture._make(weights, found, each[0].steps)
 
+    def sample(self, count: int, rng: np.random.Generator) -> dict[Variable, Array]:
+        """So many draws for each run, (count, *runs, ...), each of a mode by its weight."""
+        if self.drawn:
+            raise Unanswered(
+                "modes that draws adapted have no joint of all variables to be drawn from: leave "
+                "draws= out of pgm.Gaussians(...)"
+            )
+        each = [part.outcome.sample(count, rng) for part in self.parts]
+        lead, runs = np.shape(self.log_evidence), np.arange(self.index.shape[1])
+        mode = Dense(self.weights.T).draw(np.broadcast_to(runs, (count, runs.size)), rng)
+        at = np.arange(count)[:, None], self.index[mode, runs], runs
+        found: dict[Variable, Array] = {}
+        for variable in each[0]:
+            values = np.concatenate([own[variable] for own in each], axis=1)
+            rest = values.shape[2 + len(lead) :]
+            flat = values.reshape(*values.shape[:2], runs.size, *rest)
+            found[variable] = flat[at].reshape(count, *lead, *rest)
+        return found
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ModesOutcome(Outcome[GaussianMixture]):
@@ -174,6 +195,10 @@ class ModesOutcome(Outcome[GaussianMixture]):
     def joint(self, *variables: Variable) -> GaussianMixture:
         """The joint of hidden variables; over time at steps, ``x.at(3)``."""
         return self._found.mixture([part.outcome.joint(*variables) for part in self._found.parts])
+
+    def sample(self, count: int, rng: np.random.Generator) -> dict[Variable, Array]:
+        """So many draws for each run, each of a mode by its weight: as of the modes' outcomes."""
+        return self._found.sample(count, rng)
 
 
 class ChainModes(ModesOutcome):

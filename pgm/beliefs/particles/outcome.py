@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from types import MappingProxyType
 from typing import ClassVar
 
@@ -24,17 +25,19 @@ from pgm.beliefs.points.particle_belief import ParticleBelief
 from pgm.compile import DynamicGraph
 from pgm.cpds.mixture import UnidentifiedCPD
 from pgm.display import Summary
-from pgm.errors import EvidenceError
+from pgm.errors import EvidenceError, Unanswered
 from pgm.evidence import Reading
 from pgm.factors.scope import Scope, as_scope, listed
 from pgm.kernels.arrays import Array
+from pgm.kernels.stochastic import Dense
 from pgm.posteriors.associations import Found, collected
-from pgm.posteriors.belief_kind import FILTERED, Kind
+from pgm.posteriors.belief_kind import FILTERED, SMOOTHED, Kind
 from pgm.posteriors.hidden import require_step
 from pgm.posteriors.outcome import Outcome
 from pgm.posteriors.posterior import require_variable
 from pgm.posteriors.status import Status
 from pgm.posteriors.summaries import over_time
+from pgm.resources import require_memory
 from pgm.variables import Variable
 
 
@@ -109,6 +112,34 @@ class ParticleOutcome(Outcome[ParticleBelief]):
     def log_evidence_kind(self) -> str:
         """``particles``: neither exact nor linearised, but an estimate."""
         return "particles"
+
+    def sample(self, count: int, rng: np.random.Generator) -> dict[Variable, Array]:
+        """So many of a smoother's trajectories for each run: (count, *runs, steps, d)."""
+        if self.kind != SMOOTHED:
+            raise Unanswered(
+                "a smoother's particles are trajectories, which are drawn; this posterior is "
+                f"{self.kind}: take pgm.smooth"
+            )
+        last, lead = self._clouds[-1], self.log_evidence.shape
+        runs = last.runs
+        require_memory(
+            2 * count * runs * sum(cloud.states.shape[0] for cloud in self._clouds),
+            f"{count:,} trajectories in {runs:,} runs",
+            "draw fewer at a time",
+        )
+        places = np.empty((count, runs), dtype=np.intp)
+        for run, (first, end) in enumerate(pairwise(last.starts.tolist())):
+            weights = np.exp(last.log_weights[first:end])
+            by_weight = Dense(weights[None])
+            places[:, run] = first + by_weight.draw(np.zeros(count, dtype=np.intp), rng)
+        values = np.stack([cloud.states[:, places] for cloud in self._clouds])
+        drawn: dict[Variable, Array] = {}
+        for variable in self._hidden:
+            first = 0 if variable in self.graph.layout.states else 1
+            own = values[first:, self._model.places[variable]]
+            moved = np.moveaxis(own, (2, 3), (0, 1))
+            drawn[variable] = moved.reshape(count, *lead, *moved.shape[2:])
+        return drawn
 
     @cached_property
     def associations(self) -> Found:

@@ -24,6 +24,7 @@ import numpy as np
 from pgm.beliefs.moments.digits import adjoint
 from pgm.beliefs.moments.digits.adjoint_belief import Smooth
 from pgm.beliefs.moments.digits.careful_pass import Careful
+from pgm.beliefs.moments.outcomes.draws import draws
 from pgm.beliefs.moments.outcomes.innovated import Innovated
 from pgm.beliefs.moments.outcomes.marginals import Marginals
 from pgm.beliefs.moments.outcomes.shown_slices import ShownMoments
@@ -38,7 +39,7 @@ from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.clustergraph import Cluster
 from pgm.compile import DynamicGraph
 from pgm.display import Summary
-from pgm.errors import GraphError, NumericalError
+from pgm.errors import GraphError, NumericalError, Unanswered
 from pgm.factors import CanonicalForm, Gaussian
 from pgm.factors.scope import Scope, names
 from pgm.kernels import canonical
@@ -257,6 +258,32 @@ class ChainOutcome(Innovated, Outcome[Gaussian]):
             mean.reshape(*shape, -1),
             cov.reshape(*shape, *cov.shape[1:]),
         )
+
+    @quiet()
+    def sample(self, count: int, rng: np.random.Generator) -> dict[Variable, Array]:
+        """So many trajectories for each run: (count, *runs, steps, d) by hidden variable.
+
+        A NumericalError is raised if a belief has no finite root.
+        """
+        if self.kind != SMOOTHED:
+            raise Unanswered(
+                f"draws of trajectories know all measurements, and this posterior is {self.kind}: "
+                "take pgm.smooth; of one step draw from its belief, posterior[x.at(3)].sample(...)"
+            )
+        found = draws(self, count, rng)
+        if not np.isfinite(found).all():
+            raise NumericalError(
+                "there are no draws of a belief that is infinite, as under a flat prior that no "
+                "measurement bounds, or whose covariance is none; give its variables finite "
+                "variances"
+            )
+        layout, shape = self.graph.layout, (count, *self._lead)
+        drawn: dict[Variable, Array] = {}
+        for variable in self._hidden:
+            first = 0 if variable in layout.states else 1
+            own = np.moveaxis(found[first:, ..., layout.places[variable]], (2, 1), (0, 1))
+            drawn[variable] = own.reshape(*shape, *own.shape[2:])
+        return drawn
 
     @cached_property
     def _careful_slices(self) -> Sequence[Smooth] | None:
