@@ -156,6 +156,21 @@ class ClusterGraph(Drawn, Immutable):
         graph._set(_shared=sepsets, is_tree=True)
         return graph
 
+    def _with(
+        self,
+        network: MarkovNetwork,
+        members: Sequence[Places],
+        shared: Mapping[Edge, Places],
+        assigned: Sequence[Sequence[int]],
+    ) -> ClusterGraph:
+        """A graph of another network with the structure of this one, which is not checked."""
+        graph = ClusterGraph.__new__(ClusterGraph)
+        variables = network.variables
+        sizes = tuple([size(tuple([variables[place] for place in held])) for held in members])
+        graph._set(network=network, _members=members, _assigned=assigned, sizes=sizes)
+        graph._set(_shared=shared, is_tree=self.is_tree, compiled=self.compiled)
+        return graph
+
     def _assign(self, network: MarkovNetwork, members: Sequence[Places]) -> None:
         extents = list(map(extent, network.variables))
         combine = math.prod if network.discrete else sum

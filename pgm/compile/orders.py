@@ -19,7 +19,7 @@ from pgm.display import InCode
 from pgm.errors import GraphError
 from pgm.factors.scope import Scope, listed, unknown_name
 from pgm.kernels.arrays import Mask
-from pgm.networks import MarkovNetwork
+from pgm.networks import BayesianNetwork, MarkovNetwork
 from pgm.variables import Variable
 
 
@@ -254,7 +254,12 @@ def _is_large(network: MarkovNetwork) -> bool:
 
 
 def _parents(network: MarkovNetwork) -> Mask:
-    """Which variables are parents; the others' neighbours are a family, joined to each other."""
+    """Which variables are parents; the others' neighbours are a family, joined to each other.
+
+    Where factors have no direction, all may be.
+    """
+    if not isinstance(network, BayesianNetwork):
+        return np.ones(len(network.variables), dtype=bool)
     found = np.zeros(len(network.variables), dtype=bool)
     found[list({place for _, *parents in network._families for place in parents})] = True
     return found

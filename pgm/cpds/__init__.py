@@ -6,6 +6,7 @@ from pgm.cpds.derivatives import Derivatives
 from pgm.cpds.gaussian import AffineCPD, GaussianCPD, LinearGaussianCPD, NonlinearGaussianCPD
 from pgm.cpds.mixture import MixtureCPD
 from pgm.cpds.repeated import plate
+from pgm.cpds.residual import NonlinearGaussianFactor
 from pgm.cpds.robust import Cauchy, Huber, RobustNoise, StudentT, TruncatedLeastSquares
 from pgm.cpds.sampled import SampledCPD
 from pgm.cpds.structured import Kronecker, shifts
@@ -25,6 +26,7 @@ __all__ = [
     "MixtureCPD",
     "Noise",
     "NonlinearGaussianCPD",
+    "NonlinearGaussianFactor",
     "RobustNoise",
     "SampledCPD",
     "StudentT",

@@ -56,7 +56,7 @@ def records(
         cell, −1, or an empty text that is no state's name. Categorical columns are the quickest.
         Cells of a continuous variable are numbers, (records,) of a scalar, (records, d) of a
         vector; NaN is a component not observed, of a variable on which no other depends.
-    network : BayesianNetwork or iterable of Variable
+    network : BayesianNetwork, MarkovNetwork or iterable of Variable
         Whose variables the columns are; a copy at a step is written like ``x[3]``.
     columns : iterable of str, optional
         Those that are read; all, if not given, each of which must be of a variable.

@@ -7,23 +7,25 @@ from functools import cached_property
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from pgm.arguments import public
 from pgm.boundary import as_tuple
-from pgm.cpds import CPD, TableCPD
+from pgm.cpds import CPD, ConditionalGaussian, NonlinearGaussianFactor, TableCPD
 from pgm.display import Drawn, Summary, titled
 from pgm.errors import ModelError
-from pgm.factors import Table
+from pgm.factors import CanonicalForm, Table
 from pgm.factors.scope import Scope, as_scope, listed, one_name_each, unknown_name
 from pgm.immutable import Immutable
 from pgm.networks import checks
 from pgm.resources import uncollected
-from pgm.variables import Variable
+from pgm.variables import Discrete, Variable
 
 if TYPE_CHECKING:
     import networkx as nx
 
-# A factor of a network: a table, or a CPD.
-Factor = Table | CPD
+# A factor of a network: a table, a canonical form, a residual's, or a CPD.
+Factor = Table | CanonicalForm | NonlinearGaussianFactor | CPD
 # Up to how many factors a network shows one by one.
 FEW = 12
 
@@ -41,20 +43,25 @@ class MarkovNetwork(Drawn, Immutable):
 
     Parameters
     ----------
-    factors : iterable of Table or TableCPD
-        In any order. Several may be over the same variables; one over none is a number. Variables
-        are those of the factors: one that no other factor has stands in a `Table.vacuous`.
+    factors : iterable of factors
+        In any order, of discrete variables `Table` and `TableCPD`; of continuous ones
+        `CanonicalForm`, `NonlinearGaussianFactor` and Gaussian CPDs. Several may be over the same
+        variables; a table over none is a number. Variables are those of the factors: one that no
+        other factor has stands in a `Table.vacuous`. Factors may leave directions open, as long as
+        all together leave none.
 
     Attributes
     ----------
-    factors : tuple of Table or CPD
+    factors : tuple
     variables : tuple of Variable
         All variables, as they come first in the factors.
+    discrete : bool
+        Whether they are discrete, or else continuous; a network of both is a `BayesianNetwork`.
 
     Raises
     ------
     ModelError
-        If a factor is none, has axes of runs, is over continuous variables, or there is no
+        If a factor is none, has axes of runs, some are discrete and some continuous, or there is no
         variable.
 
     References
@@ -80,7 +87,7 @@ class MarkovNetwork(Drawn, Immutable):
     mixed: bool
 
     def __init__(self, factors: Iterable[Factor]) -> None:
-        single = isinstance(factors, Table | CPD)
+        single = isinstance(factors, Factor)
         found = (factors,) if single else as_tuple(factors)
         if found is None:
             raise ModelError(f"a Markov network is a sequence of factors, not {titled(factors)}")
@@ -97,7 +104,8 @@ class MarkovNetwork(Drawn, Immutable):
                     f"have; name the steps, {variable.name}.at(0)",
                     variable=variable,
                 )
-        self._set(factors=found, variables=variables, discrete=True, mixed=False)
+        discrete = _of_one_kind(found)
+        self._set(factors=found, variables=variables, discrete=discrete, mixed=False)
 
     # Graphs of the network are made and used by place: numbers are compared sooner than variables.
     @cached_property
@@ -202,22 +210,42 @@ class MarkovNetwork(Drawn, Immutable):
 
 
 def _require_factor(factor: Any) -> None:
-    if not isinstance(factor, Table | CPD):
-        raise ModelError(f"a Markov network holds factors, tables or CPDs, not {titled(factor)}")
-    if isinstance(factor, Table):
-        if factor.log_scale.shape:
-            raise ModelError(
-                f"{factor!r} is a stack of tables, with the axes of runs {factor.log_scale.shape}; "
-                "a factor is one table, and evidence has the runs",
-            )
-        return
-    if not isinstance(factor, TableCPD) or factor.function is not None:
+    if not isinstance(factor, Factor):
         raise ModelError(
-            f"{factor!r}: the factors of a Markov network are tables of discrete variables; "
-            "networks of continuous ones are BayesianNetworks of CPDs",
+            "a Markov network holds factors: tables, canonical forms, NonlinearGaussianFactors or "
+            f"CPDs, not {titled(factor)}"
+        )
+    lead = {Table: "log_scale", CanonicalForm: "g"}.get(type(factor))
+    if lead is not None and (shape := np.shape(getattr(factor, lead))):
+        raise ModelError(
+            f"{titled(factor)} is a stack of factors, with the axes of runs {shape}; a factor is "
+            "one, and evidence has the runs"
+        )
+    if isinstance(factor, TableCPD) and factor.function is not None:
+        raise ModelError(
+            f"{factor!r}: its table is a function of inputs, which dynamic networks alone take",
             variable=factor.child,
             cpd=factor,
         )
+    if isinstance(factor, CPD) and not isinstance(factor, TableCPD | ConditionalGaussian):
+        raise ModelError(
+            f"{factor!r}: the CPDs of a Markov network are tables, or Gaussian; others stand in a "
+            "BayesianNetwork",
+            variable=factor.child,
+            cpd=factor,
+        )
+
+
+def _of_one_kind(factors: Iterable[Factor]) -> bool:
+    """Whether factors are over discrete variables; a ModelError if some are continuous too."""
+    kinds = {isinstance(v, Discrete): factor for factor in factors for v in factor.scope}
+    if len(kinds) > 1:
+        raise ModelError(
+            f"the factors {titled(kinds[True])} and {titled(kinds[False])} are of discrete and of "
+            "continuous variables: a network of both is a BayesianNetwork, where discrete "
+            "variables choose CPDs (pgm.SwitchingCPD)"
+        )
+    return True in kinds
 
 
 def product(factors: Sequence[Factor]) -> str:

@@ -20,7 +20,7 @@ from pgm.viewer.numbers import (
     Limits,
     Numbers,
     Run,
-    cpd,
+    factor,
     listed,
     lower,
     number,
@@ -89,7 +89,7 @@ def drawn(
 def _cluster(writer: Writer, cluster: Cluster, values: list[dict[Variable, str]]) -> dict[str, Any]:
     belief = writer.belief(cluster)
     hidden = writer.scopes[cluster.index]
-    families = zip(cluster.cpds, cluster.families, strict=True)
+    families = zip(cluster.factors, cluster.families, strict=True)
     return {
         "index": cluster.index,
         "scope": writer.names(hidden),
@@ -99,7 +99,7 @@ def _cluster(writer: Writer, cluster: Cluster, values: list[dict[Variable, str]]
             for v in cluster.scope
             if v not in hidden
         ],
-        "cpds": [cpd(each, family) for each, family in families],
+        "cpds": [factor(each, family) for each, family in families],
         "belief": belief,
         "potential": writer.factors(writer.posterior.potential, cluster.index, scope=hidden),
     }

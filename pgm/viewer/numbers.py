@@ -14,6 +14,7 @@ from pgm.cpds import CPD
 from pgm.errors import GraphError
 from pgm.inference import Status
 from pgm.kernels.arrays import Array
+from pgm.networks.markov import Factor
 from pgm.variables import Discrete, Variable
 
 Run = tuple[int, ...]
@@ -185,6 +186,17 @@ def cpd(given: CPD, family: Iterable[Variable] | None = None) -> dict[str, Any]:
         "kind": type(given).__name__,
         "child": _place(child),
         "given": [_place(parent) for parent in parents],
+    }
+
+
+def factor(given: Factor, family: Iterable[Variable]) -> dict[str, Any]:
+    """A factor: a CPD, or one without direction, whose variables stand where parents do."""
+    if isinstance(given, CPD):
+        return cpd(given, family)
+    return {
+        "kind": type(given).__name__,
+        "child": None,
+        "given": [_place(variable) for variable in family],
     }
 
 

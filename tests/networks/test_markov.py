@@ -222,10 +222,9 @@ def test_what_a_query_leaves_out_may_be_impossible():
     [
         ([], "at least one variable"),
         ([pgm.Table((), 3.0)], "at least one variable"),
-        ([1], "holds factors, tables or CPDs, not 1"),
+        ([1], "or CPDs, not 1"),
         (5, "a sequence of factors, not 5"),
-        ([pgm.Table(A, [[1, 1]], lead=1)], "a factor is one table"),
-        ([pgm.GaussianCPD(pgm.Variable("x"), 0, 1)], "are tables of discrete variables"),
+        ([pgm.Table(A, [[1, 1]], lead=1)], "is a stack of factors"),
         ([pgm.Table.vacuous(v) for v in (A, pgm.Discrete("a", 3))], "two different variables"),
         ([pgm.Table.vacuous(A.previous)], "of a step before"),
     ],

@@ -6,6 +6,7 @@ their distances from the prior's means, in the prior's standard deviations. The 
 of the factor's information matrix, AᵀA. The rows of A and r together are the factor's *rows*.
 """
 
+from pgm.beliefs.gaussian.markov import run_factors
 from pgm.beliefs.gaussian.run import linearised, run
 
-__all__ = ["linearised", "run"]
+__all__ = ["linearised", "run", "run_factors"]

@@ -28,6 +28,7 @@ from pgm.factors import Gaussian
 from pgm.factors.scope import Scope, angle_mask, as_scope
 from pgm.kernels.arrays import Array, Index, Integers
 from pgm.kernels.moments import Conditional
+from pgm.networks import BayesianNetwork
 from pgm.schedules.convergence import is_iterated
 from pgm.schedules.options import Call
 from pgm.schedules.schedule import Calibration, Loopy
@@ -45,6 +46,11 @@ def run(
         raise GraphError(
             f"{call.schedule!r} sends messages round loops, and starts= weighs modes by their "
             "evidence, which a tree has: compile a junction tree, pgm.compile(network)"
+        )
+    if not isinstance(graph.network, BayesianNetwork):
+        raise ModelError(
+            "starts= are points that the CPDs of a Bayesian network make of white noise, and a "
+            "MarkovNetwork has none; infer it from several points, start={variable: mean}"
         )
     for cpd in graph.network.cpds:
         cpd.require_proper("starts= are points of the prior")

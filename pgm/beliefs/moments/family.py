@@ -48,7 +48,7 @@ class Moments(BeliefFamily[Gaussian]):
         self, graph: ClusterGraph, evidence: Evidence, call: Call
     ) -> Outcome[Gaussian]:
         """The moments of a network without time."""
-        return gaussian.run(graph, evidence, call.schedule, call.lineariser, call.start)
+        return gaussian.run_factors(graph, evidence, call.schedule, call.lineariser, call.start)
 
     def online(self, model: DynamicBayesianNetwork, options: dict[str, Any]) -> MomentSteps:
         """The steps of a Kalman filter, in machine code where that was asked for."""

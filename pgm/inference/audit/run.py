@@ -15,6 +15,7 @@ from pgm.inference.audit.innovation_checks import checks
 from pgm.inference.audit.result import Audit
 from pgm.inference.audit.switching import SwitchingDraws
 from pgm.inference.audit.tree import TreeDraws
+from pgm.networks import BayesianNetwork
 from pgm.posteriors.outcome import (
     BALANCED,
     CHAIN,
@@ -144,6 +145,11 @@ def audit(
     if outcome is None or outcome.form not in _DRAWS:
         raise ModelError(_advice(posterior))
     graph = outcome.graph
+    if outcome.form == NETWORK and not isinstance(graph.network, BayesianNetwork):
+        raise ModelError(
+            "an audit draws by the CPDs of a Bayesian network, parents before children, and weighs "
+            "with its priors; of a MarkovNetwork there are none"
+        )
     for cpd in graph.network.cpds if outcome.form == NETWORK else graph.model.prior:
         cpd.require_proper("an audit draws from the posterior, and weighs with the prior")
     draws: ChainDraws | TreeDraws | SwitchingDraws = _DRAWS[outcome.form].make(outcome)

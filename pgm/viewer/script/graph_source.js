@@ -203,5 +203,6 @@ class GraphSource {
 function cpdText(given, step) {
   const placed = ([name, lag]) => (step === null ? name : `${name}[${step - lag}]`);
   const parents = given.given.map(placed).join(", ");
+  if (!given.child) return `φ(${parents})  ${given.kind}`;
   return `p(${placed(given.child)}${parents ? ` | ${parents}` : ""})  ${given.kind}`;
 }

@@ -1,0 +1,102 @@
+"""Inference in a continuous Markov network, as in the Bayesian one that measures its residuals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from pgm.beliefs.gaussian.outcome import GaussianOutcome
+from pgm.beliefs.gaussian.run import run
+from pgm.beliefs.gaussian.undirected import Directed, directed, side
+from pgm.clustergraph import Cluster, ClusterGraph
+from pgm.evidence import Evidence
+from pgm.evidence.rows import no_evidence_for
+from pgm.factors import CanonicalForm
+from pgm.kernels.arrays import Array, frozen
+from pgm.linearisers import Lineariser
+from pgm.networks import BayesianNetwork
+from pgm.networks.markov import Factor
+from pgm.schedules.schedule import Schedule
+from pgm.schedules.starting_points import Start
+from pgm.variables import Variable
+
+
+def run_factors(
+    graph: ClusterGraph,
+    evidence: Evidence,
+    schedule: Schedule | None,
+    lineariser: Lineariser,
+    start: Start | None = None,
+) -> GaussianOutcome:
+    """The posterior of a continuous network of any factors; of CPDs alone as by `run`."""
+    if isinstance(graph.network, BayesianNetwork):
+        return run(graph, evidence, schedule, lineariser, start)
+    made = graph.derived(directed)
+    known = graph.network._places
+    for variable in evidence:
+        if variable not in known:
+            raise no_evidence_for(variable, known)
+    zero = {v: np.zeros(v.dimension) for v in made.residuals}
+    found = run(made.graph, {**evidence, **zero}, schedule, lineariser, start)
+    own = {field.name: getattr(found, field.name) for field in fields(found)}
+    return MarkovOutcome(**(own | {"graph": graph}), _made=made)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MarkovOutcome(GaussianOutcome):
+    """The beliefs of a network of factors, whose log-evidence is ln Z, the factors' integral."""
+
+    _made: Directed | None = None
+
+    @property
+    def _levels(self) -> Array:
+        assert self._made is not None
+        return self._made.levels
+
+    @property
+    def log_evidence(self) -> Array:
+        """The value ln Z, (...), of all factors with the evidence put in."""
+        return frozen(np.asarray(super().log_evidence + self._levels.sum()))
+
+    def entered(self, run: int) -> dict[Variable, Array]:
+        """The values that were given, by variable, (d,) each."""
+        assert self._made is not None
+        found = super().entered(run)
+        return {v: value for v, value in found.items() if v not in self._made.residuals}
+
+    @property
+    def weights(self) -> Mapping[Any, Array]:
+        """By factor of robust noise, (*runs): the weight of its residual."""
+        assert self._made is not None
+        by_child: dict[Factor, Array] = {}
+        for child, weight in super().weights.items():
+            factor = self._made.residuals.get(child)
+            if factor is not None:
+                by_child[factor] = weight
+        return by_child
+
+    def message(self, source: int | Cluster, target: int | Cluster) -> CanonicalForm:
+        """The message from one cluster to a neighbour, over their sepset, unnormalised."""
+        found = super().message(source, target)
+        if not self.graph.is_tree:
+            return found
+        i, j = self.graph.index(source), self.graph.index(target)
+        return _raised(found, self._levels[side(self.graph, i, j)].sum())
+
+    def belief(self, cluster: int | Cluster) -> CanonicalForm:
+        """The belief of a cluster over its variables without evidence, unnormalised."""
+        found = super().belief(cluster)
+        k = self.graph.index(cluster)
+        return _raised(found, self._levels[side(self.graph, k, -1)].sum())
+
+    def potential(self, cluster: int | Cluster) -> CanonicalForm:
+        """The potential of a cluster: the product of its factors, with their evidence put in."""
+        return _raised(super().potential(cluster), self._levels[self.graph.index(cluster)])
+
+
+def _raised(form: CanonicalForm, level: float) -> CanonicalForm:
+    """A canonical form with a level added to its logarithm."""
+    return CanonicalForm._make(form.scope, form.K, form.h, form.g + level)

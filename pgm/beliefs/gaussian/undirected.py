@@ -1,0 +1,210 @@
+r"""A Gaussian Markov network as a Bayesian one: its factors as measurements of flat priors.
+
+A factor is a *residual* r = A x − y or r(x) that is observed to be zero: N(0; r(x), R). A CPD stays
+one where its child has no other and no cycle arises; each variable that no CPD is left for has a
+flat prior. A canonical form is, with K = AᵀA and h = Aᵀ y,
+
+    exp(−½ xᵀK x + hᵀx + g) = N(0; A x − y, I) exp(g + ½ yᵀy + r/2 ln 2π),
+
+r being the rank of K. A flat prior stands for the factor (2π)^(−1/2) a component, as log-densities
+have it. So each factor, and each variable, has a *level*: what its numbers here lack of its
+logarithm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import count
+
+import numpy as np
+
+from pgm.clustergraph import ClusterGraph
+from pgm.cpds import CPD, AffineCPD, GaussianCPD, LinearGaussianCPD, NonlinearGaussianCPD
+from pgm.cpds.conditional import ConditionalGaussian
+from pgm.cpds.residual import NonlinearGaussianFactor
+from pgm.errors import ModelError
+from pgm.factors import CanonicalForm
+from pgm.factors.scope import names
+from pgm.kernels.arrays import LOG_2PI, Array
+from pgm.networks import BayesianNetwork, MarkovNetwork
+from pgm.networks.markov import Factor
+from pgm.variables import Variable
+
+
+@dataclass(frozen=True, eq=False)
+class Directed:
+    """A Markov network's graph with measurements in the place of its factors.
+
+    Attributes
+    ----------
+    graph : ClusterGraph
+        Its clusters are those of the network's graph, each with the residuals of its factors too.
+    residuals : dict of Variable
+        Those that are observed to be zero, with the factors that they are of.
+    levels : ndarray
+        By cluster, (clusters,).
+    """
+
+    graph: ClusterGraph
+    residuals: dict[Variable, Factor]
+    levels: Array
+
+
+def directed(graph: ClusterGraph) -> Directed:
+    """The Bayesian network of a Markov network's graph."""
+    network = graph.network
+    taken = {v.name for v in network.variables}
+    names_left = (name for k in count(1) if (name := f"residual {k}") not in taken)
+    kept = _directed(network)
+    cpds: list[CPD] = []
+    residuals: dict[Variable, Factor] = {}
+    # Of each cluster the children of its CPDs, and its level.
+    children = [list[Variable]() for _ in graph._members]
+    levels = np.zeros(len(graph._members))
+    for k, assigned in enumerate(graph._assigned):
+        for number in assigned:
+            factor = network.factors[number]
+            if number in kept:
+                assert isinstance(factor, CPD)
+                cpd: CPD | None = factor
+            else:
+                cpd, level = _measurement(factor, next(names_left))
+                levels[k] += level
+            if cpd is None:
+                continue
+            cpds.append(cpd)
+            children[k].append(cpd.child)
+            if number not in kept:
+                residuals[cpd.child] = factor
+    explained = {network.factors[number].scope[0] for number in kept}
+    homes: dict[int, int] = {}
+    for k, members in enumerate(graph._members):
+        for place in members:
+            homes.setdefault(place, k)
+    for place, variable in enumerate(network.variables):
+        if variable not in explained:
+            size = variable.dimension
+            cpds.append(GaussianCPD(variable, np.zeros(size), np.full(size, np.inf)))
+            children[homes[place]].append(variable)
+            levels[homes[place]] += 0.5 * LOG_2PI * size
+    return Directed(_widened(graph, BayesianNetwork(cpds), children), residuals, levels)
+
+
+def _widened(
+    graph: ClusterGraph, network: BayesianNetwork, children: Sequence[Sequence[Variable]]
+) -> ClusterGraph:
+    """A graph's clusters and sepsets, with residuals too, and the CPDs of these children each."""
+    place, variables = network._places, graph.network.variables
+    moved = [place[v] for v in variables]
+    members = [
+        tuple(sorted({*(moved[k] for k in held), *map(place.__getitem__, own)}))
+        for held, own in zip(graph._members, children, strict=True)
+    ]
+    shared = {e: tuple(sorted(moved[k] for k in held)) for e, held in graph._shared.items()}
+    return graph._with(network, members, shared, [[place[v] for v in own] for own in children])
+
+
+def _directed(network: MarkovNetwork) -> set[int]:
+    """The numbers of the CPDs that may stay: one a child, and none on a cycle."""
+    kept: set[int] = set()
+    above: dict[Variable, tuple[Variable, ...]] = {}
+    for number, cpd in enumerate(network.factors):
+        if not isinstance(cpd, CPD) or cpd.child in above:
+            continue
+        waiting, seen = [*cpd.parents], set(cpd.parents)
+        while waiting:
+            new = [v for v in above.get(waiting.pop(), ()) if v not in seen]
+            seen.update(new)
+            waiting += new
+        if cpd.child not in seen:
+            kept.add(number)
+            above[cpd.child] = cpd.parents
+    return kept
+
+
+def _measurement(factor: Factor, name: str) -> tuple[CPD | None, float]:
+    """A factor as a CPD of a residual of some name, None of a mere number, and its level."""
+    if isinstance(factor, NonlinearGaussianFactor):
+        residual = factor._cpd.child
+        child = Variable(name, residual.components, residual.angles)
+        return factor._cpd._copy(lambda v: child if v == residual else v), 0.0
+    if isinstance(factor, CanonicalForm):
+        return _of_form(factor, name)
+    assert isinstance(factor, ConditionalGaussian)
+    return _of_cpd(factor, name), 0.0
+
+
+def _of_form(form: CanonicalForm, name: str) -> tuple[CPD | None, float]:
+    """A canonical form as a linear measurement; a ModelError if it has no root, or a slope."""
+    values, vectors = np.linalg.eigh(form.K)
+    most = np.abs(values).max(initial=0.0)
+    if (values < -1e-9 * most).any():
+        raise ModelError(
+            f"the canonical form over {names(form.scope)} has the negative eigenvalue "
+            f"{values.min():.3g}: it grows without bound; multiply it into another factor that "
+            "bounds it, and give their product"
+        )
+    some = values > 1e-13 * most
+    root = vectors[:, some].T * np.sqrt(values[some])[:, None]
+    target = (vectors[:, some].T @ form.h) / np.sqrt(values[some])
+    slope = vectors[:, ~some].T @ form.h
+    if (np.abs(slope) > 1e-9 * np.abs(form.h).max(initial=0.0)).any():
+        raise ModelError(
+            f"the canonical form over {names(form.scope)} has a slope, {np.abs(slope).max():.3g}, "
+            "along a direction of no information, where it grows without bound; multiply it into "
+            "another factor that bounds it, and give their product"
+        )
+    rank = len(root)
+    level = float(form.g) + 0.5 * float(target @ target) + 0.5 * rank * LOG_2PI
+    if not rank:
+        return None, level
+    parts = np.split(root, np.cumsum([v.dimension for v in form.scope])[:-1], axis=1)
+    child = Variable(name, tuple(f"r{k}" for k in range(rank)) if rank > 1 else ())
+    given = dict(zip(form.scope, parts, strict=True))
+    return LinearGaussianCPD(child, given, offset=-target, cov=np.eye(rank)), level
+
+
+def _of_cpd(cpd: ConditionalGaussian, name: str) -> CPD:
+    """A CPD as a measurement of its child less its mean, whose residual is of the child's kind."""
+    flat = isinstance(cpd.cov, np.ndarray) and not np.isfinite(cpd.cov).all()
+    if cpd._lead() or flat:
+        raise ModelError(
+            f"{cpd!r} differs by run, or has an infinite variance, and another CPD of "
+            f"{cpd.child!r} is a factor too, or its parents depend on it: give one run's numbers",
+            variable=cpd.child,
+            cpd=cpd,
+        )
+    y = cpd.child
+    child = Variable(name, y.components, y.angles)
+    if isinstance(cpd, AffineCPD):
+        given = {y: np.eye(y.dimension)} | {p: -matrix for p, matrix in cpd.matrices.items()}
+        return LinearGaussianCPD(child, given, offset=-cpd.offset, cov=cpd.cov, noise=cpd.noise)
+    assert isinstance(cpd, NonlinearGaussianCPD)
+    own = _Less(cpd)
+    return NonlinearGaussianCPD(
+        child, (y, *cpd.given), own, cov=cpd.cov, lineariser=cpd.lineariser, noise=cpd.noise
+    )
+
+
+class _Less:
+    """The residual of a nonlinear CPD: its child less its function."""
+
+    def __init__(self, cpd: NonlinearGaussianCPD) -> None:
+        self._function = cpd.function
+
+    def __call__(self, child: Array, *given: Array) -> Array:
+        found: Array = child - self._function(*given)
+        return found
+
+
+def side(graph: ClusterGraph, source: int, target: int) -> Sequence[int]:
+    """The clusters on the source's side of the edge to a target, of a tree."""
+    found, waiting = {source}, [source]
+    while waiting:
+        at = waiting.pop()
+        for other in graph._neighbours[at]:
+            if other not in found and not (at == source and other == target):
+                found.add(other)
+                waiting.append(other)
+    return sorted(found)

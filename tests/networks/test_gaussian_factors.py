@@ -1,0 +1,255 @@
+"""Markov networks of continuous variables: drawn ones against dense linear algebra; refusals."""
+
+import networkx as nx
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import pgm
+
+A, B, C, D = pgm.variables("a b c d")
+
+
+def width(scope):
+    return sum(v.dimension for v in scope)
+
+
+class Line:
+    """A linear function of several variables, M x + b, of which nobody knows that it is linear."""
+
+    def __init__(self, matrix, offset):
+        self.matrix, self.offset = matrix, offset
+
+    def __call__(self, *parts):
+        return np.concatenate(parts, axis=-1) @ self.matrix.T + self.offset
+
+
+def drawn(rng):
+    """A network of vectors: forms with flat directions, residuals, CPDs, on cycles too.
+
+    Beside it, its rows: by factor the scope, and (K, h, g) there.
+    """
+    count = int(rng.integers(1, 6))
+    sizes = rng.integers(1, 4, size=count).tolist()
+    every = [pgm.Variable(f"x{k}", tuple("abc"[:d]) if d > 1 else ()) for k, d in enumerate(sizes)]
+    factors, dense = [], []
+
+    def residual(scope, matrix, offset, cov):
+        weight = np.linalg.inv(cov)
+        level = -0.5 * (offset @ weight @ offset + np.linalg.slogdet(2.0 * np.pi * cov)[1])
+        dense.append((scope, matrix.T @ weight @ matrix, -matrix.T @ weight @ offset, level))
+
+    for _ in range(int(rng.integers(1, 7))):
+        most = int(rng.integers(1, min(3, count) + 1))
+        scope = [every[k] for k in rng.permutation(count)[:most]]
+        child, *parents = scope
+        size, own = width(scope), child.dimension
+        match int(rng.integers(4)):
+            case 0:
+                root = rng.normal(size=(int(rng.integers(0, size + 1)), size))
+                slope, level = root.T @ rng.normal(size=len(root)), rng.normal()
+                factors.append(pgm.CanonicalForm(scope, root.T @ root, slope, level))
+                dense.append((scope, root.T @ root, slope, level))
+            case 1:
+                rows = int(rng.integers(1, 4))
+                matrix, offset = rng.normal(size=(rows, size)), rng.normal(size=rows)
+                root = rng.normal(size=(rows, rows))
+                cov = root @ root.T + 0.1 * np.eye(rows)
+                factors.append(pgm.NonlinearGaussianFactor(scope, Line(matrix, offset), cov))
+                residual(scope, matrix, offset, cov)
+            case what:
+                matrices = {p: rng.normal(size=(own, p.dimension)) for p in parents}
+                offset, cov = rng.normal(size=own), rng.uniform(0.1, 2.0) * np.eye(own)
+                if not parents:
+                    factors.append(pgm.GaussianCPD(child, offset, cov))
+                elif what == 2:
+                    factors.append(pgm.LinearGaussianCPD(child, matrices, offset=offset, cov=cov))
+                else:
+                    line = Line(np.hstack(list(matrices.values())), offset)
+                    factors.append(pgm.NonlinearGaussianCPD(child, parents, line, cov=cov))
+                matrix = np.hstack([np.eye(own), *(-m for m in matrices.values())])
+                residual(scope, matrix, -offset, cov)
+    for v in every:
+        if rng.random() < 0.8:
+            form = rng.uniform(0.1, 2.0) * np.eye(v.dimension), rng.normal(size=v.dimension), 0.3
+            factors.append(pgm.CanonicalForm(v, *form))
+            dense.append(([v], *form))
+    return pgm.MarkovNetwork(factors), dense
+
+
+def solved(network, dense, evidence):
+    """Hidden variables, their mean and covariance, and ln Z; None where there is none."""
+    ends = np.cumsum([0, *(v.dimension for v in network.variables)])
+    places = {v: np.arange(ends[k], ends[k + 1]) for k, v in enumerate(network.variables)}
+    K, h, g = np.zeros((ends[-1], ends[-1])), np.zeros(ends[-1]), 0.0
+    for scope, matrix, slope, level in dense:
+        at = np.concatenate([places[v] for v in scope])
+        K[np.ix_(at, at)] += matrix
+        h[at] += slope
+        g += level
+    hidden = [v for v in network.variables if v not in evidence]
+    if evidence:
+        seen = np.concatenate([places[v] for v in evidence])
+        value = np.concatenate([*evidence.values()])
+        g += h[seen] @ value - 0.5 * value @ K[np.ix_(seen, seen)] @ value
+        h = h - K[:, seen] @ value
+    at = np.concatenate([np.zeros(0, int), *(places[v] for v in hidden)])
+    K, h = K[np.ix_(at, at)], h[at]
+    values = np.linalg.eigvalsh(K)
+    least = values.min(initial=np.inf) / max(values.max(initial=0.0), 1.0)
+    if least < 1e-6:  # improper but for rounding, or hard to tell from it
+        return hidden, None, None, None if least < 1e-12 else np.nan
+    cov = np.linalg.inv(K)
+    total = g + 0.5 * h @ cov @ h + 0.5 * np.linalg.slogdet(2.0 * np.pi * cov)[1]
+    return hidden, cov @ h, cov, total
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_drawn_networks_equal_dense_algebra(seed):
+    """A hundred networks each: moments, ln Z, beliefs and messages with their constants."""
+    rng = np.random.default_rng(seed)
+    for _ in range(100):
+        network, dense = drawn(rng)
+        every = network.variables
+        evidence = {v: rng.normal(size=v.dimension) for v in every if rng.random() < 0.2}
+        hidden, mean, cov, total = solved(network, dense, evidence)
+        graph = pgm.compile(network)
+        graph.check()
+        if total is None:
+            with pytest.raises(pgm.NumericalError, match="no proper belief"):
+                _ = pgm.infer(graph, evidence).log_evidence
+            continue
+        if np.isnan(total):
+            continue
+        posterior = pgm.infer(graph, evidence)
+        assert_allclose(posterior.log_evidence, total, rtol=1e-9, atol=1e-8)
+        at = 0
+        for v in hidden:
+            own = slice(at, at + v.dimension)
+            assert_allclose(posterior[v].mean, mean[own], rtol=1e-8, atol=1e-8)
+            assert_allclose(posterior[v].cov, cov[own, own], rtol=1e-7, atol=1e-9)
+            at += v.dimension
+        whole = 0.0
+        for part in nx.connected_components(graph.to_networkx()):
+            beliefs = [posterior.belief(k) for k in part]
+            each = [float(b.log_integral if b.scope else b.g) for b in beliefs]
+            assert_allclose(each, each[0], atol=1e-7)
+            whole += each[0]
+        assert_allclose(whole, total, rtol=1e-9, atol=1e-7)
+        for k in range(len(graph)):
+            found = posterior.potential(k)
+            level = float(found.g)
+            for other in graph.neighbours(k):
+                message = posterior.message(other, k)
+                level += float(message.g)
+                found = found * message if message.scope else found
+            due = posterior.belief(k)
+            assert_allclose(level, due.g, rtol=1e-8, atol=1e-6)
+            if due.scope:
+                assert_allclose(found.rearrange(due.scope).K, due.K, atol=1e-7)
+
+
+def test_a_network_of_all_methods_and_runs():
+    forms = [
+        pgm.CanonicalForm(pair, [[1.0, -0.4], [-0.4, 1.0]], [k, 0.5])
+        for k, pair in enumerate([(A, B), (B, C), (C, D), (D, A)])
+    ]
+    network = pgm.MarkovNetwork(forms)
+    exact = pgm.infer(pgm.compile(network), {A: [[1.0], [2.0]]})
+    assert exact.log_evidence.shape == (2,)
+    for method in (pgm.Bethe(), pgm.LTRIP(), pgm.JoinGraph(3)):
+        graph = pgm.compile(network, method=method)
+        found = pgm.infer(graph, {A: [[1.0], [2.0]]}, schedule=pgm.Flooding(200))
+        assert_allclose(found[C].mean, exact[C].mean, atol=1e-8)
+    drawn_ = exact.sample(20_000, rng=0)
+    assert_allclose(drawn_[B].mean(axis=0), exact[B].mean, atol=0.03)
+
+
+def test_angles_of_residuals_are_wrapped_and_robust_ones_weighed():
+    """A turn of nearly π between two headings, one of which is held; and a wrong one."""
+    p, q = (pgm.Variable(name, ("heading",), angles=("heading",)) for name in "pq")
+
+    def turned(p, q):
+        return q - p - 3.1
+
+    between = pgm.NonlinearGaussianFactor((p, q), turned, 0.01, angles=(True,))
+    held = pgm.NonlinearGaussianFactor(p, lambda p: p - 0.2, 1e-6, angles=[True])
+    network = pgm.MarkovNetwork([held, between])
+    start = {p: [0.0], q: [-3.0]}
+    found = pgm.infer(pgm.compile(network), {}, schedule=pgm.Calibration(20), start=start)
+    assert_allclose(found[q].mean, [3.3 - 2.0 * np.pi], atol=1e-6)
+    noise = pgm.Cauchy(2.385)
+    wrong = pgm.NonlinearGaussianFactor(q, lambda q: q - 1.0, 0.01, noise=noise)
+    robust = pgm.MarkovNetwork([held, between, wrong])
+    found = pgm.infer(pgm.compile(robust), {}, schedule=pgm.Calibration(100), start=start)
+    assert found.weights[wrong] < 0.05
+    assert found.log_evidence_kind == "linearised bound"
+
+
+def test_a_cycle_of_cpds_and_two_of_one_child():
+    loop = [pgm.LinearGaussianCPD(x, {y: 0.5}, cov=1.0) for x, y in ((A, B), (B, A))]
+    twice = pgm.GaussianCPD(A, 1.0, 0.5)
+    network = pgm.MarkovNetwork([*loop, twice, twice])
+    K = np.array([[1.25, -1.0], [-1.0, 1.25]]) + np.diag([4.0, 0.0])
+    joint = pgm.infer(pgm.compile(network), {}).joint(A, B)
+    assert_allclose(joint.cov, np.linalg.inv(K), rtol=1e-12)
+    assert_allclose(joint.mean, np.linalg.solve(K, [4.0, 0.0]), rtol=1e-12)
+
+
+def test_scales_and_certain_factors():
+    """Units a hundred million apart, and a relation without noise."""
+    exact = pgm.NonlinearGaussianFactor((A, B), lambda a, b: b - 2.0 * a, 0.0)
+    large = pgm.GaussianCPD(A, 1e8, 1e14)
+    network = pgm.MarkovNetwork([large, exact, pgm.GaussianCPD(B, 2.1e8, 1e14)])
+    found = pgm.infer(pgm.compile(network), {})
+    assert_allclose(found[B].mean, 2.0 * found[A].mean, rtol=1e-12)
+    assert_allclose(found[A].mean, [(1.0 + 4.2) / 5.0 * 1e8], rtol=1e-12)
+
+
+def test_pages_and_pictures(tmp_path):
+    network = pgm.MarkovNetwork(
+        [pgm.CanonicalForm((A, B), np.eye(2), [1.0, 0.0]), pgm.GaussianCPD(A, 0.0, 1.0)]
+    )
+    pgm.view(pgm.infer(pgm.compile(network), {}), path=tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text()
+    assert "CanonicalForm" in text
+    assert "<svg" in network._repr_html_()
+
+
+def test_what_is_refused():
+    sloping = pgm.CanonicalForm(A, [[0.0]], [1.0])
+    negative = pgm.CanonicalForm(A, [[-1.0]], [0.0])
+    proper = pgm.GaussianCPD(A, 0.0, 0.1)
+    for form, words in ((sloping, "has a slope, 1"), (negative, "the negative eigenvalue -1")):
+        with pytest.raises(pgm.ModelError, match=words):
+            pgm.infer(pgm.compile(pgm.MarkovNetwork([form, proper])), {})
+    network = pgm.MarkovNetwork([proper])
+    posterior = pgm.infer(pgm.compile(network), {})
+    with pytest.raises(pgm.ModelError, match="of a MarkovNetwork there are none"):
+        pgm.audit(posterior, rng=0)
+    with pytest.raises(pgm.ModelError, match="starts= are points that the CPDs"):
+        pgm.infer(pgm.compile(network), {}, belief=pgm.Gaussians(2, starts=4))
+    with pytest.raises(pgm.EvidenceError, match="which the network does not have"):
+        pgm.infer(pgm.compile(network), {B: 1.0})
+    state = pgm.Discrete("state", 2)
+    with pytest.raises(pgm.ModelError, match="of discrete and of continuous variables"):
+        pgm.MarkovNetwork([proper, pgm.Table(state, [1.0, 2.0])])
+    with pytest.raises(pgm.ModelError, match="is a stack of factors"):
+        pgm.MarkovNetwork([pgm.CanonicalForm(A, np.ones((2, 1, 1)), np.ones((2, 1)))])
+    with pytest.raises(pgm.ModelError, match="are tables, or Gaussian"):
+        pgm.MarkovNetwork([pgm.MixtureCPD([proper], [1.0])])
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"cov": [1.0, 1.0], "angles": (True,)}, "found 2 by cov=, 1 by angles="),
+        ({"cov": 1.0, "size": 0}, "size is how many components"),
+        ({"cov": 1.0, "angles": "yes"}, "angles is a mask"),
+        ({"cov": -1.0}, "whose residual is the child here"),
+        ({"cov": 1.0, "jacobian": {C: None}}, "not among its parents"),
+    ],
+)
+def test_residuals_that_do_not_fit(options, words):
+    with pytest.raises(pgm.ModelError, match=words):
+        pgm.NonlinearGaussianFactor((A, B), lambda a, b: a - b, **options)
