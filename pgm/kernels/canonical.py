@@ -160,7 +160,7 @@ def backward(
     # M⁻¹K = R (I + RᵀΣR)⁻¹ Rᵀ with M = I + KΣ, and for e = R q + r: M⁻¹e = R (I + RᵀΣR)⁻¹ q +
     # (r − R (I + RᵀΣR)⁻¹ RᵀΣ r). What evidence says has no r, and nothing is subtracted.
     white = solving.solve_lower(lower, transpose(root) @ matrix)
-    inside_range, outside = _split(root, rest)
+    inside_range, outside = split(root, rest)
     damped = solving.solve(lower, _column(inside_range) - transpose(spread) @ _column(outside))
     solved = outside + (root @ damped)[..., 0]
     log_integral = (
@@ -173,7 +173,7 @@ def backward(
     return transpose(white) @ white, apply(transpose(matrix), solved), log_integral
 
 
-def _split(root: Array, vector: Array) -> tuple[Array, Array]:
+def split(root: Array, vector: Array) -> tuple[Array, Array]:
     """Split v = `vector` (..., n) into R q, in the range of R, and a rest r; returns q and r.
 
     Both are (..., n). R = `root` (..., n, n) is lower triangular with a zero column for each

@@ -19,6 +19,7 @@ DAY = pgm.Discrete("day", 40)
 PLACE = pgm.Discrete("place", ("hall", "door", "kitchen"))
 HEARD = pgm.Discrete("heard", ("silence", "steps"))
 STEPS, RUNS = 40, 30
+APART = pgm.NonlinearGaussianFactor((A, B), lambda a, b: b - a - 1.0, cov=0.1)
 
 
 def robot(steps=STEPS):
@@ -73,7 +74,15 @@ def networks():
     )
     bad = pgm.Variable(HOSTILE, components=("<b>", HOSTILE))
     hostile = pgm.BayesianNetwork([pgm.GaussianCPD(bad, [0.0, 1e-30], np.diag([1e30, 0.0]))])
-    return {"linear": linear, "tables": tables, "large": large, "hostile": hostile}
+    bad_state = pgm.Discrete(HOSTILE, (HOSTILE, "<i>"))
+    return {
+        "linear": linear,
+        "tables": tables,
+        "large": large,
+        "hostile": hostile,
+        "undirected": pgm.MarkovNetwork([APART, pgm.CanonicalForm(A, [[1.0]], [0.0])]),
+        "undirected tables": pgm.MarkovNetwork([pgm.Table((bad_state, RAIN), np.eye(2))]),
+    }
 
 
 def factors():
@@ -126,6 +135,7 @@ def cpds():
         "nonlinear": robot()[0].transition[0],
         "derivatives": robot()[0].observation[0].derivatives,
         "robust": pgm.LinearGaussianCPD(B, {A: 1.0}, cov=1.0, noise=pgm.StudentT(4.0)),
+        "residual": APART,
         "switching": pgm.SwitchingCPD(
             linear.child, pgm.Discrete("mode", 60), dict.fromkeys(range(60), linear)
         ),

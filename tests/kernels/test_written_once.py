@@ -351,7 +351,7 @@ GAPS = listed(
     # Of infinite variances, which do not count.
     {"linearisation/costs.py": "squares"},
     # Of a stack in which some have no elimination, and of hypotheses that are impossible.
-    {"kernels/rows.py": "_eliminate_proper", "beliefs/hypotheses/trials.py": "_replaced"},
+    {"kernels/rows.py": "_eliminate_proper", "beliefs/hypotheses/unsound.py": "replaced"},
 )
 WEIGHED = listed(
     # Of points without values, and of eigenvalues.
@@ -387,7 +387,7 @@ SOLUTIONS = listed(
     # The losses of merging, and the coordinates of what is learnt of what was merged.
     {"kernels/merging.py": "_losses _principal _whitening"},
     # Information: canonical forms, rows of square roots, elements of a scan.
-    {"kernels/canonical.py": "_backward_indefinite _invertible_root _split backward combine"},
+    {"kernels/canonical.py": "_backward_indefinite _invertible_root backward combine split"},
     {"kernels/canonical.py": "from_affine from_moments marginalise to_moments"},
     {"kernels/rows.py": "_eliminate_proper _svd triangular"},
     {"kernels/elements.py": "_meet compose moved"},

@@ -220,7 +220,7 @@ def test_what_is_refused():
     sloping = pgm.CanonicalForm(A, [[0.0]], [1.0])
     negative = pgm.CanonicalForm(A, [[-1.0]], [0.0])
     proper = pgm.GaussianCPD(A, 0.0, 0.1)
-    for form, words in ((sloping, "has a slope, 1"), (negative, "the negative eigenvalue -1")):
+    for form, words in ((sloping, "has a slope, 1"), (negative, "is not positive semidefinite")):
         with pytest.raises(pgm.ModelError, match=words):
             pgm.infer(pgm.compile(pgm.MarkovNetwork([form, proper])), {})
     network = pgm.MarkovNetwork([proper])
@@ -253,3 +253,14 @@ def test_what_is_refused():
 def test_residuals_that_do_not_fit(options, words):
     with pytest.raises(pgm.ModelError, match=words):
         pgm.NonlinearGaussianFactor((A, B), lambda a, b: a - b, **options)
+
+
+def test_scales_far_apart():
+    """What is in kilometres is informed as surely as what is in micrometres beside it."""
+    form = pgm.CanonicalForm((A, B), np.diag([1e12, 1e-3]), [1e12, 5e-3])
+    found = pgm.infer(pgm.compile(pgm.MarkovNetwork([form])), {})
+    assert found[A].mean == pytest.approx([1.0], rel=1e-12)
+    assert found[B].mean == pytest.approx([5.0], rel=1e-12)
+    assert found[B].cov == pytest.approx(np.array([[1e3]]), rel=1e-12)
+    z = 0.5 * (1e12 + 25e-3) + np.log(2 * np.pi) - 0.5 * np.log(1e12 * 1e-3)
+    assert found.log_evidence == pytest.approx(z, rel=1e-15)

@@ -26,6 +26,7 @@ from pgm.cpds.residual import NonlinearGaussianFactor
 from pgm.errors import ModelError
 from pgm.factors import CanonicalForm
 from pgm.factors.scope import names
+from pgm.kernels import canonical, roots
 from pgm.kernels.arrays import LOG_2PI, Array
 from pgm.networks import BayesianNetwork, MarkovNetwork
 from pgm.networks.markov import Factor
@@ -137,29 +138,27 @@ def _measurement(factor: Factor, name: str) -> tuple[CPD | None, float]:
 
 def _of_form(form: CanonicalForm, name: str) -> tuple[CPD | None, float]:
     """A canonical form as a linear measurement; a ModelError if it has no root, or a slope."""
-    values, vectors = np.linalg.eigh(form.K)
-    most = np.abs(values).max(initial=0.0)
-    if (values < -1e-9 * most).any():
+    root = roots.root(form.K)
+    if not roots.is_proper(root):
         raise ModelError(
-            f"the canonical form over {names(form.scope)} has the negative eigenvalue "
-            f"{values.min():.3g}: it grows without bound; multiply it into another factor that "
-            "bounds it, and give their product"
+            f"the canonical form over {names(form.scope)} has a precision that is not positive "
+            "semidefinite: it grows without bound; multiply it into another factor that bounds "
+            "it, and give their product"
         )
-    some = values > 1e-13 * most
-    root = vectors[:, some].T * np.sqrt(values[some])[:, None]
-    target = (vectors[:, some].T @ form.h) / np.sqrt(values[some])
-    slope = vectors[:, ~some].T @ form.h
-    if (np.abs(slope) > 1e-9 * np.abs(form.h).max(initial=0.0)).any():
+    target, slope = canonical.split(root, form.h)
+    if slope.any():
         raise ModelError(
             f"the canonical form over {names(form.scope)} has a slope, {np.abs(slope).max():.3g}, "
             "along a direction of no information, where it grows without bound; multiply it into "
             "another factor that bounds it, and give their product"
         )
-    rank = len(root)
+    some = ~roots.determined(root)
+    rows, target = root.T[some], target[some]
+    rank = len(rows)
     level = float(form.g) + 0.5 * float(target @ target) + 0.5 * rank * LOG_2PI
     if not rank:
         return None, level
-    parts = np.split(root, np.cumsum([v.dimension for v in form.scope])[:-1], axis=1)
+    parts = np.split(rows, np.cumsum([v.dimension for v in form.scope])[:-1], axis=1)
     child = Variable(name, tuple(f"r{k}" for k in range(rank)) if rank > 1 else ())
     given = dict(zip(form.scope, parts, strict=True))
     return LinearGaussianCPD(child, given, offset=-target, cov=np.eye(rank)), level
