@@ -10,13 +10,17 @@ import typer
 
 import pgm
 from experiments.record import note
+from pgm import results
 
 
 def uai(
     file: Annotated[Path, typer.Argument(help="The network, of type BAYES or MARKOV.")],
-    task: Annotated[str, typer.Option(help="PR, MAR or MAP.")] = "MAR",
+    task: Annotated[str, typer.Option(help="PR, MAR, MAP or MMAP.")] = "MAR",
     evidence: Annotated[
         Path | None, typer.Option(help="The evidence; FILE.evid, where there is one.")
+    ] = None,
+    query: Annotated[
+        Path | None, typer.Option(help="What MMAP asks for; FILE.query, if not given.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Where it goes; printed, if not.")] = None,
 ) -> None:
@@ -27,7 +31,14 @@ def uai(
     read = pgm.read_uai_evidence(given, network) if given else {}
     known: dict[pgm.Variable, int] = dict(read.items())
     graph = pgm.compile(network)
-    answer = pgm.most_probable(graph, known) if task == "MAP" else pgm.infer(graph, known)
+    answer: results.MostProbable | results.Posterior
+    if task == "MAP":
+        answer = pgm.most_probable(graph, known)
+    elif task == "MMAP":
+        asked = pgm.read_uai_query(query or file.with_name(f"{file.name}.query"), network)
+        answer = pgm.most_probable(graph, known, variables=asked)
+    else:
+        answer = pgm.infer(graph, known)
     text = io.StringIO()
     pgm.write_uai_result(task, answer, network, text, evidence=known)
     if out is None:

@@ -38,18 +38,18 @@ def eliminate(query: QueryPlan, evidence: BoundStates) -> Array:
     """
     try:
         with np.errstate(all="raise"):
-            table = elimination.eliminate(query.sums, *_tables(query, evidence, SUM_PRODUCT))
+            table = elimination.eliminate(query.sums, *tables(query, evidence, SUM_PRODUCT))
             result: Array = table / table.sum(axis=tuple(range(table.ndim - 1)))
             return result
     except FloatingPointError:
-        table = elimination.eliminate(query.sums, *_tables(query, evidence, LOG_SUM_PRODUCT))
+        table = elimination.eliminate(query.sums, *tables(query, evidence, LOG_SUM_PRODUCT))
         axes = tuple(range(table.ndim - 1))
         with np.errstate(invalid="ignore", under="ignore"):
             probabilities: Array = np.exp(table - LOG_SUM_PRODUCT.total(table, axes))
             return probabilities
 
 
-def _tables(
+def tables(
     query: QueryPlan, evidence: BoundStates, semiring: Semiring
 ) -> tuple[Callable[[int], Array], TableAlgebra]:
     """The tables of a query, made as its plan takes them, and their algebra.
@@ -159,7 +159,7 @@ def _contradiction(query: QueryPlan, run: int) -> tuple[list[Discrete], States]:
     """
     plan, factors = query.sums, query.requisite.factors
     evidence = some_runs(query.requisite.evidence, slice(run, run + 1))
-    made = elimination.results(plan, *_tables(query, evidence, LOG_SUM_PRODUCT))
+    made = elimination.results(plan, *tables(query, evidence, LOG_SUM_PRODUCT))
     first = len(plan.scopes)
     for number, table in enumerate(made):  # noqa: B007, used after the loop
         if (table == -np.inf).all():

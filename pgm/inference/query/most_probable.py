@@ -14,11 +14,11 @@ have the variables in the order of this mapping. A run is one set of evidence of
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +26,7 @@ import numpy.typing as npt
 from pgm.arguments import public
 from pgm.beliefs.discrete.impossible import require_possible
 from pgm.beliefs.discrete.place import steps
+from pgm.beliefs.discrete.run import of_tree
 from pgm.beliefs.discrete.run_pieces import Distinct, some_runs, tree_pieces
 from pgm.beliefs.discrete.tree_passes import collect, enter
 from pgm.beliefs.discrete.tree_plan import Stack, TreePlan, plan_for
@@ -40,9 +41,11 @@ from pgm.display import LEFT_OUT, Listing, Shown, Summary, few, titled
 from pgm.errors import EvidenceError, GraphError
 from pgm.evidence import Evidence
 from pgm.evidence.static import BoundStates, bind_discrete
-from pgm.factors.axes import discrete
+from pgm.factors.axes import States, discrete
 from pgm.factors.scope import namesake
 from pgm.immutable import Immutable
+from pgm.inference.query.marginal_map import summed_out
+from pgm.inference.query.question import wanted
 from pgm.kernels.arrays import Array, Integers, Mask, frozen
 from pgm.kernels.semirings import MAX_PRODUCT
 from pgm.posteriors.posterior import require_variable
@@ -65,15 +68,16 @@ LISTED = 10
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MostProbable(Shown, Immutable):
-    """The most probable assignment of all discrete variables, given evidence.
+    """The most probable assignment of discrete variables, given evidence.
 
     Attributes
     ----------
     assignment : mapping of Discrete
-        The name of each variable's state, also of variables with evidence. Where the evidence has
-        axes of runs, the indices of the states, (*runs), whose names `states` gives. For a dynamic
-        network of steps 0 to T, the indices of each hidden variable's states by step, (*runs, T+1);
-        for a control, which has no step 0, (*runs, T).
+        The name of each variable's state, also of variables with evidence; or, if some variables
+        were asked for, of those, in their order. Where the evidence has axes of runs, the indices
+        of the states, (*runs), whose names `states` gives. For a dynamic network of steps 0 to T,
+        the indices of each hidden variable's states by step, (*runs, T+1); for a control, which has
+        no step 0, (*runs, T).
     log_probability : ndarray
         (*runs): ln p(assignment, evidence), natural logarithms.
     exact : ndarray of bool
@@ -165,6 +169,7 @@ def most_probable(
     graph: ClusterGraph,
     evidence: Evidence,
     *,
+    variables: Variable | Iterable[Variable] | None = None,
     memory: float | None = None,
     executor: Executor | None = None,
     paths: int | None = None,
@@ -174,9 +179,9 @@ def most_probable(
 
     .. math:: \arg\max_x p(x, \text{evidence})
 
-    Here x has a state for every variable. For a dynamic network of tables the assignment is the
-    most probable path of the hidden variables through all steps (Viterbi); measurements that were
-    not taken are summed over.
+    Here x has a state for every variable, or for each of `variables`. For a dynamic network of
+    tables the assignment is the most probable path of the hidden variables through all steps
+    (Viterbi); measurements that were not taken are summed over.
 
     Messages with maxima in place of sums are sent to the roots of the tree, and the states of the
     maxima are traced back from there. Of several equally probable assignments the same one is
@@ -195,6 +200,10 @@ def most_probable(
         The name or index of a state, an array of indices with −1 for "not observed in this run", or
         `soft` weights, which count as factors of the probability; for a dynamic network arrays by
         step, as for `infer`. Leading axes are runs.
+    variables : Discrete or iterable of Discrete, optional
+        Those whose states are asked for, not observed in all runs; all others are summed over (a
+        *marginal MAP*). It is exact, and needs wider tables than either question alone, since the
+        others have to be summed out first. Not for a dynamic network.
     memory : number, optional
         How many bytes the tables of all runs may take, besides the compiled graph, the evidence and
         the result; 2²⁸ (256 MiB), if not given. Of several workers each may take so much. Not for a
@@ -229,6 +238,8 @@ def most_probable(
     >>> found = pgm.most_probable(pgm.compile(rainy), {wet: "yes"})
     >>> found.assignment[rain]
     'yes'
+    >>> pgm.most_probable(pgm.compile(rainy), {wet: "yes"}, variables=rain)
+    MostProbable(rain yes; ln p -0.980829)
     """
     if not isinstance(graph, ClusterGraph):
         raise GraphError(
@@ -240,6 +251,11 @@ def most_probable(
             "records pgm.records(table, network) makes it"
         )
     mixed = isinstance(graph, DynamicGraph) and graph.model.mixed
+    if variables is not None and (executor is not None or isinstance(graph, DynamicGraph)):
+        raise GraphError(
+            "variables= are some of a network without time, one run after another; leave "
+            f"{'executor=' if executor is not None else 'it'} out"
+        )
     if paths is not None and not mixed:
         raise GraphError(
             f"paths={paths!r} says how many paths of modes are kept, and {titled(graph)} has no "
@@ -272,6 +288,11 @@ def most_probable(
     room = Room.of(memory, graph)
     bound = bind_discrete(frozenset(graph.network.variables), evidence)
     distinct = Distinct.of(bound)
+    if variables is not None:
+        known = frozenset(graph.network.variables)
+        asked = wanted(variables, known, bound, "most_probable")
+        with reporting(progress):
+            return _marginal_map(graph, asked, bound, distinct, room)
     plan = plan_for(graph, distinct.evidence.runs, room.batch)
     require_runs(len(plan.storage.homes), bound.runs, "the states of all variables")
     search = _Search(graph, distinct.evidence, distinct.evidence.runs, room.batch)
@@ -286,6 +307,38 @@ def most_probable(
     log_probability = frozen(log_tops.sum(axis=0).reshape(bound.lead))
     assignment = MappingProxyType(_assignment(plan, bound, states))
     return MostProbable(assignment, log_probability, _known(np.ones(bound.lead, dtype=bool)))
+
+
+def _marginal_map(
+    graph: ClusterGraph, asked: States, bound: BoundStates, distinct: Distinct, room: Room
+) -> MostProbable:
+    """The most probable states of some variables, with all others summed over.
+
+    The trees of the variables asked for leave constants out, so that ln p(states, evidence) is the
+    log-evidence of the whole network.
+    """
+    of_tree(graph, bound, room)  # impossible evidence is told here
+    states = np.empty((len(asked), distinct.evidence.runs), dtype=np.intp)
+    for run, tree in enumerate(summed_out(graph.network, asked, distinct.evidence)):
+        best = most_probable(tree, {})
+        states[:, run] = [v.index(cast(str, best.assignment[v])) for v in asked]
+    if distinct.which is not None:
+        states = states[:, distinct.which]
+    chosen = dict(zip(asked, states, strict=True))
+    weights = {v: soft for v, soft in bound.weights.items() if v not in chosen}
+    hard = {v: own if bound.lead else int(own[0]) for v, own in chosen.items()}
+    known = BoundStates(bound.lead, {**bound.states, **hard}, weights)
+    log_probability = of_tree(graph, known, room).log_evidence
+    for variable, soft in bound.weights.items():
+        if variable in chosen:
+            runs = np.arange(bound.runs) % len(soft)
+            levels = np.log(soft[runs, chosen[variable]])
+            log_probability = log_probability + levels.reshape(bound.lead)
+    return MostProbable(
+        MappingProxyType(_named(chosen, bound.lead)),
+        frozen(np.asarray(log_probability)),
+        _known(np.ones(bound.lead, dtype=bool)),
+    )
 
 
 def _most_probable_path(graph: DynamicGraph, evidence: Evidence) -> MostProbable:
@@ -395,11 +448,19 @@ def _assignment(
     ``plan.storage.homes``. The mapping has for each variable the name of its state or, where the
     evidence has axes of runs, the array of its indices, (*runs).
     """
-    found: dict[Discrete, str | Integers] = {}
     place = {variable: k for k, variable in enumerate(plan.storage.homes)}
-    for variable in discrete(plan.graph.network.variables):
-        own = states[place[variable]]
-        found[variable] = own.reshape(evidence.lead) if evidence.lead else variable.states[own[0]]
+    variables = discrete(plan.graph.network.variables)
+    return _named({v: states[place[v]] for v in variables}, evidence.lead)
+
+
+def _named(
+    states: Mapping[Discrete, Integers], lead: tuple[int, ...]
+) -> dict[Discrete, str | Integers]:
+    """States by variable, (runs,), by their names, or as indices (*runs) where there are runs."""
+    found: dict[Discrete, str | Integers] = {}
+    for variable, own in states.items():
+        found[variable] = own.reshape(lead) if lead else variable.states[own[0]]
+        own.flags.writeable = False
     return found
 
 

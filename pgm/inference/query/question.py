@@ -24,8 +24,8 @@ from pgm.errors import EvidenceError, GraphError, ModelError
 from pgm.evidence import Evidence
 from pgm.evidence.static import BoundStates, bind_discrete
 from pgm.factors import Table
-from pgm.factors.axes import States, as_states, sizes
-from pgm.factors.scope import listed, require_order, unknown_name
+from pgm.factors.axes import States, as_states, discrete, sizes
+from pgm.factors.scope import as_scope, listed, require_order, unknown_name
 from pgm.inference.query.elimination import NOTHING, eliminate, require_possible
 from pgm.inference.query.left_out import Contradiction, contradictions
 from pgm.inference.query.plan import QueryPlan
@@ -116,7 +116,7 @@ def query(
         )
     known = frozenset(asked.variables)
     bound = bind_discrete(known, evidence)
-    scope = _wanted(variables, known, bound)
+    scope = as_states(wanted(variables, known, bound, "query"))
     if bound.runs > 1:
         entries = math.prod(sizes(scope))
         limits.require_runs(entries, bound.runs, f"the joint over ({listed(scope)})")
@@ -178,8 +178,8 @@ def _discrete(network: Any) -> tuple[MarkovNetwork, ClusterGraph | None]:
     return asked, graph
 
 
-def _wanted(variables: Any, known: frozenset[Variable], evidence: BoundStates) -> States:
-    """The variables that the user asks for, as a tuple.
+def wanted(variables: Any, known: frozenset[Variable], evidence: BoundStates, what: str) -> States:
+    """The variables that the user asks for, in a call of `what`, as a tuple.
 
     `variables` is what the user gave, one variable or several; `known` are the network's variables.
     Raises an EvidenceError if no variable is asked for, or one that is not in the network or is
@@ -191,12 +191,12 @@ def _wanted(variables: Any, known: frozenset[Variable], evidence: BoundStates) -
     for variable in found:
         if not isinstance(variable, Variable) or variable not in known:
             raise EvidenceError(
-                f"query of {variable!r}, {unknown_name(variable, known)}",
+                f"{what} of {variable!r}, {unknown_name(variable, known)}",
                 variable=variable if isinstance(variable, Variable) else None,
             )
-    scope = as_states(found)
+    scope = discrete(as_scope(found))
     if not scope:
-        raise EvidenceError("query takes one or more variables")
+        raise EvidenceError(f"{what} takes one or more variables")
     observed = certain(evidence)
     for variable in scope:
         if variable in observed:

@@ -6,7 +6,7 @@ import itertools
 import math
 import re
 from array import array
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NoReturn
 
 import numpy as np
@@ -209,21 +209,81 @@ def read_uai_evidence(
             f"each of {observed} variables; one sample is read, not several",
             words.at - 1,
         )
-    variables = {v.name: v for v in network.variables if isinstance(v, Discrete)}
     evidence: dict[Discrete, int] = {}
+    variables = _by_name(network)
     for _ in range(observed):
-        name, state = str(words.count("an index")), words.count("a state")
-        variable = variables.get(name)
-        if variable is None:
-            words.fail(f"the network has no variable {name}; is it that of read_uai?", words.at - 2)
+        variable, state = words.variable(variables), words.count("a state")
         if state >= variable.size:
             words.fail(
-                f"the variable {name} has the states 0 to {variable.size - 1}, not {state}",
+                f"the variable {variable.name} has the states 0 to {variable.size - 1}, "
+                f"not {state}",
                 words.at - 1,
             )
         if evidence.setdefault(variable, state) != state:
-            words.fail(f"the variable {name} is observed in two states; keep one", words.at - 1)
+            words.fail(
+                f"the variable {variable.name} is observed in two states; keep one", words.at - 1
+            )
     return evidence
+
+
+@public
+def read_uai_query(
+    source: Source, network: MarkovNetwork, *, limit: int = LIMIT
+) -> tuple[Discrete, ...]:
+    """The variables that a marginal MAP asks for, for a network that `read_uai` read.
+
+    Parameters
+    ----------
+    source : str, Path or open file
+        Its numbers are how many variables are asked for, then the index of each.
+    network : BayesianNetwork or MarkovNetwork
+        Whose variables the indices are the names of.
+    limit : int, optional
+        How many bytes the file may hold, once unpacked.
+
+    Returns
+    -------
+    tuple of Discrete
+        As `most_probable` takes them, ``variables=``.
+
+    Raises
+    ------
+    FileError
+        If the file is no such question; the message names the line, what was found, what to do.
+    ModelError
+        If the network is none.
+
+    Examples
+    --------
+    >>> import io
+    >>> network = pgm.read_uai(io.StringIO("BAYES 1  2  1  1 0  2 0.25 0.75"))
+    >>> pgm.read_uai_query(io.StringIO("1  0"), network)
+    (0,)
+    """
+    if not isinstance(network, MarkovNetwork):
+        raise ModelError(
+            f"read_uai_query takes the network that is asked about, not {titled(network)}"
+        )
+    content = sources.read(source, limit)
+    refuse_others(content, "evidence")
+    words = Words(content, heading=False)
+    asked = words.count("the number of variables asked for")
+    if words.left != asked:
+        words.fail(
+            f"{words.left} numbers follow where {asked} are due, the index of each variable",
+            words.at - 1,
+        )
+    variables, found = _by_name(network), dict[Discrete, None]()
+    for _ in range(asked):
+        variable = words.variable(variables)
+        if variable in found:
+            words.fail(f"the variable {variable.name} is asked for twice; keep one", words.at - 1)
+        found[variable] = None
+    return tuple(found)
+
+
+def _by_name(network: MarkovNetwork) -> dict[str, Discrete]:
+    return {v.name: v for v in network.variables if isinstance(v, Discrete)}
 
 
 class Words:
@@ -260,6 +320,13 @@ class Words:
             self.fail(f"{found:.9g} stands where {what} is due", self.at)
         self.at += 1
         return int(found)
+
+    def variable(self, variables: Mapping[str, Discrete]) -> Discrete:
+        """The variable whose index is the next number, of those by their names."""
+        name = str(self.count("an index"))
+        if name not in variables:
+            self.fail(f"the network has no variable {name}; is it that of read_uai?", self.at - 1)
+        return variables[name]
 
     def take(self, count: int) -> Array:
         """The next numbers, of a table."""

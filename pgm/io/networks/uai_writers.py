@@ -21,7 +21,7 @@ from pgm.networks import BayesianNetwork, MarkovNetwork
 from pgm.variables import Discrete, Variable
 
 # What is asked of a problem: the partition function, marginals, the most probable assignment.
-TASKS = "PR", "MAR", "MAP"
+TASKS = "PR", "MAR", "MAP", "MMAP"
 
 
 @public
@@ -140,10 +140,11 @@ def write_uai_result(
     Parameters
     ----------
     task : str
-        ``"PR"``, log₁₀ of the partition function; ``"MAR"``, the marginals of all variables; or
-        ``"MAP"``, the most probable assignment.
+        ``"PR"``, log₁₀ of the partition function; ``"MAR"``, the marginals of all variables;
+        ``"MAP"``, the most probable assignment; or ``"MMAP"``, that of some variables, in the order
+        of the answer.
     answer : Posterior or MostProbable
-        What `infer` found, of PR and MAR, or `most_probable`, of MAP; of one run.
+        What `infer` found, of PR and MAR, or `most_probable`, of MAP and MMAP; of one run.
     network : BayesianNetwork or MarkovNetwork
         Variables are written by their indices as in `write_uai`.
     target : str, Path or open file
@@ -182,9 +183,17 @@ def write_uai_result(
     known = dict(evidence or {})
     if task == "PR":
         words = [repr(_single(answer.log_evidence, "log_evidence") / math.log(10.0))]
-    elif task == "MAP":
+    elif task in ("MAP", "MMAP"):
         _single(answer.log_probability, "log_probability")
-        words = [str(len(order)), *(str(v.index(answer.assignment[v])) for v in order)]
+        found = answer.assignment
+        lacking = [v for v in order if v not in found]
+        if task == "MAP" and lacking:
+            raise ModelError(
+                f"write_uai_result: the answer is of {len(found)} of {len(order)} variables, "
+                f"without {names(tuple(lacking))}; it is one to the task 'MMAP'"
+            )
+        asked = order if task == "MAP" else list(found)
+        words = [str(len(asked)), *(str(v.index(found[v])) for v in asked)]
     else:
         words = [str(len(order))]
         for variable in order:

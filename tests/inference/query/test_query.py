@@ -187,13 +187,13 @@ def test_a_name_and_an_index():
 def kernels(monkeypatch):
     """Record which semirings are used."""
     used = []
-    result = elimination._tables
+    result = elimination.tables
 
     def recorded(plan, evidence, semiring):
         used.append(semiring)
         return result(plan, evidence, semiring)
 
-    monkeypatch.setattr(elimination, "_tables", recorded)
+    monkeypatch.setattr(elimination, "tables", recorded)
     return used
 
 

@@ -127,14 +127,39 @@ def test_refusals_of_writers():
     posterior = pgm.infer(pgm.compile(coin), {side: [0, 1]})
     with pytest.raises(pgm.ModelError, match="a network of tables, not"):
         pgm.write_uai(pair, io.StringIO())
-    with pytest.raises(pgm.ModelError, match="one of PR, MAR, MAP, not 'MMAP'"):
-        pgm.write_uai_result("MMAP", posterior, coin, io.StringIO())
+    with pytest.raises(pgm.ModelError, match="one of PR, MAR, MAP, MMAP, not 'SUM'"):
+        pgm.write_uai_result("SUM", posterior, coin, io.StringIO())
     with pytest.raises(pgm.ModelError, match=r"is of the runs \(2,\)"):
         pgm.write_uai_result("PR", posterior, coin, io.StringIO())
     with pytest.raises(pgm.EvidenceError, match="has one state, by name or index, not 'edge'"):
         pgm.write_uai_evidence({side: "edge"}, coin, io.StringIO())
     with pytest.raises(pgm.EvidenceError, match="is not in the network"):
         pgm.write_uai_evidence({pgm.Discrete("other", 2): 0}, coin, io.StringIO())
+
+
+def test_questions():
+    """The variables that a marginal MAP asks for; an answer of some is none of all."""
+    net = pgm.read_uai(io.StringIO("MARKOV 3  2 2 2  2  2 0 1  2 1 2  4 3 1 1 3  4 1 2 2 1"))
+    asked = pgm.read_uai_query(io.StringIO("2  2 0"), net)
+    assert [v.name for v in asked] == ["2", "0"]
+    found = pgm.most_probable(pgm.compile(net), {}, variables=asked)
+    answer = io.StringIO()
+    pgm.write_uai_result("MMAP", found, net, answer)
+    task, count, *states = answer.getvalue().split()
+    assert (task, count) == ("MMAP", "2")
+    assert states[0] != states[1]  # 3 · 2 + 1 · 1 of 7, where equal states have 3 + 2
+    with pytest.raises(pgm.ModelError, match=r"of 2 of 3 variables, without \(1\); .* 'MMAP'"):
+        pgm.write_uai_result("MAP", found, net, io.StringIO())
+    for text, line, words in (
+        ("2\n0", 1, "1 numbers follow where 2 are due"),
+        ("1\n3", 2, "has no variable 3; is it that of read_uai"),
+        ("2\n0 0", 2, "0 is asked for twice"),
+    ):
+        with pytest.raises(pgm.FileError, match=words) as error:
+            pgm.read_uai_query(io.StringIO(text), net)
+        assert error.value.line == line
+    with pytest.raises(pgm.ModelError, match="takes the network that is asked about"):
+        pgm.read_uai_query(io.StringIO("0"), None)
 
 
 def numbers(path):
