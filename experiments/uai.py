@@ -40,7 +40,7 @@ def uai(
     else:
         answer = pgm.infer(graph, known)
     text = io.StringIO()
-    pgm.write_uai_result(task, answer, network, text, evidence=known)
+    pgm.write_uai_result(task, answer, network, text)
     if out is None:
         note(text.getvalue().rstrip())
     else:

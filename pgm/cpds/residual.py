@@ -100,7 +100,7 @@ class NonlinearGaussianFactor(Shown, Immutable):
         if not given:
             raise ModelError("a NonlinearGaussianFactor is of one variable or more")
         of = f"the NonlinearGaussianFactor of ({listed(given)})"
-        residual = _residual(of, cov, angles, size)
+        residual = _residual(of, given, cov, angles, size)
         try:
             cpd = NonlinearGaussianCPD(
                 residual,
@@ -126,7 +126,7 @@ class NonlinearGaussianFactor(Shown, Immutable):
         return Summary(self._title, parts)
 
 
-def _residual(of: str, cov: Any, angles: Any, size: Any) -> Variable:
+def _residual(of: str, given: Scope, cov: Any, angles: Any, size: Any) -> Variable:
     """The variable of a residual, of as many components as is told, of which some are angles."""
     told: dict[str, int] = {}
     shape = () if isinstance(cov, Noise) else np.shape(cov)
@@ -151,4 +151,7 @@ def _residual(of: str, cov: Any, angles: Any, size: Any) -> Variable:
     count = next(iter(told.values()), 1)
     names = tuple(f"r{k}" for k in range(count)) if count > 1 else ("residual",)
     turned = tuple(name for name, angle in zip(names, mask, strict=False) if angle)
-    return Variable("residual", components=names, angles=turned)
+    name = "residual"
+    while name in {v.name for v in given}:
+        name = f"{name} "
+    return Variable(name, components=names, angles=turned)

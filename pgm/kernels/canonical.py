@@ -11,6 +11,8 @@ most 10⁻¹³ A_jj is rounding and counts as zero, and so does its column of L:
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pgm.kernels import roots, solving
@@ -160,7 +162,7 @@ def backward(
     # M⁻¹K = R (I + RᵀΣR)⁻¹ Rᵀ with M = I + KΣ, and for e = R q + r: M⁻¹e = R (I + RᵀΣR)⁻¹ q +
     # (r − R (I + RᵀΣR)⁻¹ RᵀΣ r). What evidence says has no r, and nothing is subtracted.
     white = solving.solve_lower(lower, transpose(root) @ matrix)
-    inside_range, outside = split(root, rest)
+    inside_range, outside = _split(root, rest)
     damped = solving.solve(lower, _column(inside_range) - transpose(spread) @ _column(outside))
     solved = outside + (root @ damped)[..., 0]
     log_integral = (
@@ -173,7 +175,7 @@ def backward(
     return transpose(white) @ white, apply(transpose(matrix), solved), log_integral
 
 
-def split(root: Array, vector: Array) -> tuple[Array, Array]:
+def _split(root: Array, vector: Array) -> tuple[Array, Array]:
     """Split v = `vector` (..., n) into R q, in the range of R, and a rest r; returns q and r.
 
     Both are (..., n). R = `root` (..., n, n) is lower triangular with a zero column for each
@@ -187,6 +189,52 @@ def split(root: Array, vector: Array) -> tuple[Array, Array]:
     size = np.abs(vector) + apply(np.abs(root), np.abs(q))
     outside = fixed & (np.abs(found) > 1e-9 * size)
     return q, np.where(outside, found, 0.0)
+
+
+class Squares(NamedTuple):
+    """A canonical form as a square, exp(−½ |A x − y|² + slopeᵀx), but for a constant.
+
+    rows, target: A (r, n) and y (r,), r being the rank of K.
+    slope: (n,), along directions of no information; zero where h is in the range of K.
+    lost: The part of the least information that is kept by which rounding of the entries may have
+        changed it.
+    """
+
+    rows: Array
+    target: Array
+    slope: Array
+    lost: float
+
+
+def squares(precision: Array, h: Array) -> Squares | None:
+    """The square of one form K (n, n), h (n,); None where K is indefinite.
+
+    Eigenvalues are those of K in units in which its diagonal is one, so that what is known in
+    micrometres counts as what is known in kilometres. They are known to n roundings: one within
+    8 n of these, or no further above zero than another is below, is zero.
+    """
+    size, diagonal = len(precision), np.diagonal(precision)
+    absent = diagonal == 0.0
+    if (diagonal < 0.0).any() or precision[absent].any():
+        return None
+    unit = np.where(absent, 1.0, np.sqrt(diagonal))
+    values, axes = np.linalg.eigh(precision / unit[:, None] / unit)
+    rounding = size * float(np.finfo(np.float64).eps)
+    below = -float(values.min(initial=0.0))
+    if below > roots.INDEFINITE:
+        return None
+    some = values > max(8.0 * rounding, below)
+    root = np.sqrt(values[some])
+    scaled = h / unit
+    along = axes[:, ~some]
+    slope = along.T @ scaled
+    slope[np.abs(slope) <= 100.0 * rounding * (np.abs(along).T @ np.abs(scaled))] = 0.0
+    return Squares(
+        (axes[:, some] * root).T * unit,
+        (axes[:, some].T @ scaled) / root,
+        (along @ slope) * unit,
+        max(rounding, below) / float(values[some].min(initial=np.inf)),
+    )
 
 
 def _backward_indefinite(

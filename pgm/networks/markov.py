@@ -48,7 +48,8 @@ class MarkovNetwork(Drawn, Immutable):
         `CanonicalForm`, `NonlinearGaussianFactor` and Gaussian CPDs. Several may be over the same
         variables; a table over none is a number. Variables are those of the factors: one that no
         other factor has stands in a `Table.vacuous`. Factors may leave directions open, as long as
-        all together leave none.
+        all together leave none: of a `CanonicalForm` those of an eigenvalue within 8 n roundings of
+        zero, in units in which its n diagonal entries are one.
 
     Attributes
     ----------

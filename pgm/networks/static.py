@@ -10,7 +10,7 @@ import numpy as np
 
 from pgm.arguments import public
 from pgm.boundary import as_generator, as_mapping
-from pgm.cpds import CPD
+from pgm.cpds import CPD, GaussianCPD, TableCPD
 from pgm.cpds.base import Values
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
@@ -124,6 +124,41 @@ class BayesianNetwork(MarkovNetwork):
         return BayesianNetwork(by_child.values())
 
     @public
+    def do(self, values: Mapping[Variable, Any]) -> BayesianNetwork:
+        r"""The network after an intervention: some variables are set, whatever their parents.
+
+        .. math:: p(x \mid \text{do}(y)) = \prod_{k \notin y} p(x_k \mid \text{parents of } x_k)
+
+        Here y are the variables set, and parents among them have their values. A CPD of a variable
+        set has no parents, and one value: the network is *mutilated*. Other than evidence, what is
+        set says nothing of its former parents.
+
+        Parameters
+        ----------
+        values : mapping of Variable
+            The name or index of a state; of a continuous variable its value, (d,), or (runs, d).
+
+        Raises
+        ------
+        ModelError
+            If a variable has no CPD here, or cannot have that value.
+
+        References
+        ----------
+        Pearl, Causality, 2009, section 3.2.
+
+        Examples
+        --------
+        >>> from pgm.examples import rain, rainy, wet
+        >>> pgm.query(rainy, rain, {wet: "yes"})
+        Table(rain: no 0.25, yes 0.75)
+        >>> pgm.query(rainy.do({wet: "yes"}), rain)
+        Table(rain: no 0.5, yes 0.5)
+        """
+        given = as_mapping(values, "do", ModelError)
+        return self.replace(*(_set(self.cpd(v), value) for v, value in given.items()))
+
+    @public
     def sample(
         self,
         n: int | tuple[int, ...] | None = None,
@@ -177,5 +212,13 @@ class BayesianNetwork(MarkovNetwork):
         import networkx as nx  # here, since it is slow to import
 
         # networkx renamed it in 3.3.
-        separated = nx.is_d_separator if hasattr(nx, "is_d_separator") else nx.separated
+        separated = nx.is_d_separator if hasattr(nx, "is_d_separator") else nx.d_separated
         return bool(separated(self.to_networkx(), a, b, given))
+
+
+def _set(cpd: CPD, value: Any) -> CPD:
+    """The CPD of a variable that is set to a value."""
+    child = cpd.child
+    if isinstance(child, Discrete):
+        return TableCPD(child, table=np.eye(child.size)[child.index(value)])
+    return GaussianCPD(child, mean=value, cov=np.zeros((child.dimension, child.dimension)))

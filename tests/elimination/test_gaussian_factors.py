@@ -97,7 +97,7 @@ OWN = {
     "pgm.beliefs.markov.single_state": {"_apply"},
     "pgm.beliefs.markov.counts": {"_read"},
     "pgm.beliefs.discrete.sums": {"read", "total"},
-    "pgm.beliefs.discrete.tree_plan": {"given"},
+    "pgm.beliefs.discrete.tree_plan": {"given", "of"},
 }
 TABLES = ("pgm.elimination", "pgm.beliefs.discrete", "pgm.beliefs.markov", "pgm.inference.query")
 

@@ -387,8 +387,8 @@ SOLUTIONS = listed(
     # The losses of merging, and the coordinates of what is learnt of what was merged.
     {"kernels/merging.py": "_losses _principal _whitening"},
     # Information: canonical forms, rows of square roots, elements of a scan.
-    {"kernels/canonical.py": "_backward_indefinite _invertible_root backward combine split"},
-    {"kernels/canonical.py": "from_affine from_moments marginalise to_moments"},
+    {"kernels/canonical.py": "_backward_indefinite _invertible_root _split backward combine"},
+    {"kernels/canonical.py": "from_affine from_moments marginalise squares to_moments"},
     {"kernels/rows.py": "_eliminate_proper _svd triangular"},
     {"kernels/elements.py": "_meet compose moved"},
     {"beliefs/gaussian/potentials.py": "_factor", "beliefs/gaussian/joints.py": "_gain"},

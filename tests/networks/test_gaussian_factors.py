@@ -264,3 +264,110 @@ def test_scales_far_apart():
     assert found[B].cov == pytest.approx(np.array([[1e3]]), rel=1e-12)
     z = 0.5 * (1e12 + 25e-3) + np.log(2 * np.pi) - 0.5 * np.log(1e12 * 1e-3)
     assert found.log_evidence == pytest.approx(z, rel=1e-15)
+
+
+def infer(factors, evidence=(), **options):
+    graph = pgm.compile(pgm.MarkovNetwork(factors))
+    return pgm.infer(graph, dict(evidence), **options)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("size", [1e9, 1e12, 3e13])
+def test_nearly_flat_forms_are_told(size, turned):
+    """What entries hold few digits of is kept, with a number; exact by a quotient of integers."""
+    matrix = np.array([[size + 1.0, -size], [-size, size + 1.0]])
+    scope = (B, A) if turned else (A, B)
+    factors = [pgm.CanonicalForm(scope, matrix, [0.0, 0.0]), pgm.GaussianCPD(A, 5.0, 1.0)]
+    # (s + 1) (s + 2) − s² = 3 s + 2, in integers.
+    whole = int(size)
+    due = 5.0 * (whole + 1) / (3 * whole + 2)
+    if size < 1e10:
+        found = infer(factors)
+    else:
+        with pytest.warns(pgm.PrecisionWarning, match="nearly flat along a direction"):
+            found = infer(factors)
+    error = abs(float(found[A].mean[0]) - due) / float(found[A].std[0])
+    digits = 6.0 if found.status.digits is None else float(found.status.digits)
+    assert error < 10.0**-digits
+
+
+def test_forms_of_rank_two():
+    """Two squares of three variables, nearly of one direction, with any order of the scope."""
+    rng = np.random.default_rng(0)
+    for trial in range(50):
+        root = rng.normal(size=(2, 3))
+        root[:, 1] = root[:, 0] + 10.0 ** -(trial % 6) * root[:, 1]
+        target = rng.normal(size=2)
+        order = rng.permutation(3)
+        scope = tuple((A, B, C)[k] for k in order)
+        form = pgm.CanonicalForm(
+            scope, (root.T @ root)[np.ix_(order, order)], (root.T @ target)[order]
+        )
+        found = infer([form, *(pgm.GaussianCPD(v, 0.0, 100.0) for v in (A, B, C))])
+        joint = np.linalg.inv(root.T @ root + np.eye(3) / 100.0)
+        due = joint @ (root.T @ target)
+        for k, v in enumerate((A, B, C)):
+            assert abs(found[v].mean[0] - due[k]) < 1e-6 * np.sqrt(joint[k, k])
+
+
+def test_slopes_are_not_dropped():
+    form = pgm.CanonicalForm(
+        (A, B), 1e6 * np.array([[1.0, -1.0], [-1.0, 1.0]]), [1e13 + 500, -1e13]
+    )
+    with pytest.raises(pgm.ModelError, match="has a slope"):
+        infer([form, pgm.GaussianCPD(A, 0.0, 1.0)])
+
+
+def test_integrals_beyond_numbers():
+    with pytest.warns(pgm.PrecisionWarning), np.errstate(over="ignore"):
+        found = infer([pgm.CanonicalForm(A, [[1.0]], [1e160])])
+    with pytest.raises(pgm.NumericalError, match="beyond the range"):
+        found.log_evidence  # noqa: B018
+
+
+def stairs(a):
+    return np.floor(a * 100.0) / 100.0
+
+
+def test_the_order_of_factors_does_not_matter():
+    """A CPD that becomes a residual keeps its Jacobian, its shape's check and its noise."""
+    slope = {A: lambda a: np.ones((*a.shape[:-1], 1, 1))}
+    steps = pgm.NonlinearGaussianCPD(B, A, stairs, cov=0.01, jacobian=slope)
+    first, second = pgm.GaussianCPD(A, 0.005, 1.0), pgm.GaussianCPD(B, 1.0, 0.01)
+    schedule = pgm.Calibration(iterations=30, tolerance=0.01)
+    means = [
+        infer(factors, schedule=schedule)[A].mean[0]
+        for factors in ([first, steps, second], [second, first, steps])
+    ]
+    assert_allclose(means, 0.985, atol=0.02)
+    pair = pgm.Variable("pair", ("p", "q"))
+    short = pgm.NonlinearGaussianCPD(pair, A, lambda a: a, cov=np.eye(2))
+    known = pgm.GaussianCPD(pair, [0.0, 0.0], np.eye(2))
+    for factors in ([short, known, first], [known, short, first]):
+        with pytest.raises(pgm.ModelError, match="returned shape"):
+            infer(factors)
+    heavy = pgm.LinearGaussianCPD(B, {A: 1.0}, cov=0.1, noise=pgm.Cauchy(2.385))
+    many = pgm.Calibration(iterations=100)
+    near = pgm.GaussianCPD(B, 3.0, 1.0)
+    found = [
+        infer(factors, schedule=many) for factors in ([first, heavy, near], [near, first, heavy])
+    ]
+    assert_allclose(found[0][A].mean, found[1][A].mean, rtol=1e-9)
+    assert list(found[0].weights) == [heavy]
+
+
+def test_weights_of_observed_children():
+    heavy = pgm.LinearGaussianCPD(B, {A: 1.0}, cov=0.1, noise=pgm.Cauchy(2.385))
+    prior, flat = pgm.GaussianCPD(A, 0.0, 1.0), pgm.CanonicalForm(A, [[0.0]], [0.0])
+    many = pgm.Calibration(iterations=100)
+    found = infer([prior, heavy, flat], {B: 30.0}, schedule=many)
+    twin = pgm.infer(pgm.compile(pgm.BayesianNetwork([prior, heavy])), {B: 30.0}, schedule=many)
+    assert list(found.weights) == [heavy]
+    assert_allclose(found.weights[heavy], twin.weights[B], rtol=1e-6)
+    assert_allclose(found[A].mean, twin[A].mean, atol=1e-9)
+
+
+def test_a_variable_called_residual():
+    own = pgm.Variable("residual")
+    found = infer([pgm.NonlinearGaussianFactor(own, lambda a: a - 1.0, cov=1.0)])
+    assert_allclose(found[own].mean, [1.0])

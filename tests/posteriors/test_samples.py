@@ -282,3 +282,22 @@ def test_what_has_no_draws():
     one = posterior.sample(rng=0)
     assert one[v[0]].shape == ()
     assert_array_equal(one[v[2]], 0)
+
+
+@pytest.mark.parametrize("spread", [1.0, 1e4, 1e6])
+def test_components_nearly_determined_by_others(spread):
+    """A difference of a millimetre between two places known to a thousand kilometres."""
+    a, b, c, total = pgm.variables("a b c total")
+    net = pgm.BayesianNetwork(
+        [
+            pgm.GaussianCPD(a, 0.0, spread**2),
+            pgm.LinearGaussianCPD(b, {a: 1.0}, cov=1e-6),
+            pgm.LinearGaussianCPD(c, {b: 1.0}, cov=1e-6),
+            pgm.LinearGaussianCPD(total, {a: 1.0, c: 1.0}, cov=0.0),
+        ]
+    )
+    drawn = pgm.infer(pgm.compile(net), {}).sample(40_000, rng=0)
+    assert np.std(drawn[b] - drawn[a]) == pytest.approx(1e-3, rel=0.02)
+    assert np.std(drawn[c] - drawn[b]) == pytest.approx(1e-3, rel=0.02)
+    assert np.std(drawn[c]) == pytest.approx(spread, rel=0.02)
+    assert_allclose(drawn[total], drawn[a] + drawn[c], atol=1e-9 * spread)

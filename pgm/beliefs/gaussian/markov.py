@@ -12,6 +12,9 @@ from pgm.beliefs.gaussian.outcome import GaussianOutcome
 from pgm.beliefs.gaussian.run import run
 from pgm.beliefs.gaussian.undirected import Directed, directed, side
 from pgm.clustergraph import Cluster, ClusterGraph
+from pgm.cpds import NonlinearGaussianFactor
+from pgm.cpds.conditional import ConditionalGaussian
+from pgm.errors import NumericalError
 from pgm.evidence import Evidence
 from pgm.evidence.rows import no_evidence_for
 from pgm.factors import CanonicalForm
@@ -19,9 +22,16 @@ from pgm.kernels.arrays import Array, frozen
 from pgm.linearisers import Lineariser
 from pgm.networks import BayesianNetwork
 from pgm.networks.markov import Factor
+from pgm.posteriors.status import ENOUGH_DIGITS
 from pgm.schedules.schedule import Schedule
 from pgm.schedules.starting_points import Start
 from pgm.variables import Variable
+
+# Why digits are few, for a warning.
+NEARLY_FLAT = (
+    "a canonical form is nearly flat along a direction, and its entries hold few digits of what it "
+    "knows there; give it as Gaussian CPDs, or as residuals, which keep them"
+)
 
 
 def run_factors(
@@ -40,9 +50,13 @@ def run_factors(
         if variable not in known:
             raise no_evidence_for(variable, known)
     zero = {v: np.zeros(v.dimension) for v in made.residuals}
-    found = run(made.graph, {**evidence, **zero}, schedule, lineariser, start)
+    found = run(made.graph, {**evidence, **zero}, schedule, lineariser, start, warn=False)
+    status = found.status
+    if made.lost > 10.0**-ENOUGH_DIGITS:
+        status = status._losing(np.full(status.converged.size, made.lost), NEARLY_FLAT)
+    status._warn()
     own = {field.name: getattr(found, field.name) for field in fields(found)}
-    return MarkovOutcome(**(own | {"graph": graph}), _made=made)
+    return MarkovOutcome(**(own | {"graph": graph, "status": status}), _made=made)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -59,7 +73,13 @@ class MarkovOutcome(GaussianOutcome):
     @property
     def log_evidence(self) -> Array:
         """The value ln Z, (...), of all factors with the evidence put in."""
-        return frozen(np.asarray(super().log_evidence + self._levels.sum()))
+        value = np.asarray(super().log_evidence + self._levels.sum())
+        if not np.isfinite(value).all():
+            raise NumericalError(
+                "ln Z is beyond the range of float64: a factor is more than 1e150 deviations from "
+                "zero; give forms nearer the origin"
+            )
+        return frozen(value)
 
     def entered(self, run: int) -> dict[Variable, Array]:
         """The values that were given, by variable, (d,) each."""
@@ -74,7 +94,7 @@ class MarkovOutcome(GaussianOutcome):
         by_child: dict[Factor, Array] = {}
         for child, weight in super().weights.items():
             factor = self._made.residuals.get(child)
-            if factor is not None:
+            if factor is not None and _is_robust(factor):
                 by_child[factor] = weight
         return by_child
 
@@ -100,3 +120,8 @@ class MarkovOutcome(GaussianOutcome):
 def _raised(form: CanonicalForm, level: float) -> CanonicalForm:
     """A canonical form with a level added to its logarithm."""
     return CanonicalForm._make(form.scope, form.K, form.h, form.g + level)
+
+
+def _is_robust(factor: Factor) -> bool:
+    cpd = factor._cpd if isinstance(factor, NonlinearGaussianFactor) else factor
+    return isinstance(cpd, ConditionalGaussian) and cpd.noise is not None

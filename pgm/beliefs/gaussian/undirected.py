@@ -13,9 +13,12 @@ logarithm.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from graphlib import CycleError, TopologicalSorter
 from itertools import count
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +29,7 @@ from pgm.cpds.residual import NonlinearGaussianFactor
 from pgm.errors import ModelError
 from pgm.factors import CanonicalForm
 from pgm.factors.scope import names
-from pgm.kernels import canonical, roots
+from pgm.kernels import canonical
 from pgm.kernels.arrays import LOG_2PI, Array
 from pgm.networks import BayesianNetwork, MarkovNetwork
 from pgm.networks.markov import Factor
@@ -45,11 +48,15 @@ class Directed:
         Those that are observed to be zero, with the factors that they are of.
     levels : ndarray
         By cluster, (clusters,).
+    lost : float
+        The part of a canonical form's least information that rounding of its entries may have
+        changed, the largest of all forms.
     """
 
     graph: ClusterGraph
     residuals: dict[Variable, Factor]
     levels: Array
+    lost: float
 
 
 def directed(graph: ClusterGraph) -> Directed:
@@ -62,7 +69,7 @@ def directed(graph: ClusterGraph) -> Directed:
     residuals: dict[Variable, Factor] = {}
     # Of each cluster the children of its CPDs, and its level.
     children = [list[Variable]() for _ in graph._members]
-    levels = np.zeros(len(graph._members))
+    levels, lost = np.zeros(len(graph._members)), 0.0
     for k, assigned in enumerate(graph._assigned):
         for number in assigned:
             factor = network.factors[number]
@@ -70,8 +77,9 @@ def directed(graph: ClusterGraph) -> Directed:
                 assert isinstance(factor, CPD)
                 cpd: CPD | None = factor
             else:
-                cpd, level = _measurement(factor, next(names_left))
+                cpd, level, own = _measurement(factor, next(names_left))
                 levels[k] += level
+                lost = max(lost, own)
             if cpd is None:
                 continue
             cpds.append(cpd)
@@ -89,7 +97,8 @@ def directed(graph: ClusterGraph) -> Directed:
             cpds.append(GaussianCPD(variable, np.zeros(size), np.full(size, np.inf)))
             children[homes[place]].append(variable)
             levels[homes[place]] += 0.5 * LOG_2PI * size
-    return Directed(_widened(graph, BayesianNetwork(cpds), children), residuals, levels)
+    made = _widened(graph, BayesianNetwork(cpds), children)
+    return Directed(made, residuals, levels, lost)
 
 
 def _widened(
@@ -107,61 +116,71 @@ def _widened(
 
 
 def _directed(network: MarkovNetwork) -> set[int]:
-    """The numbers of the CPDs that may stay: one a child, and none on a cycle."""
-    kept: set[int] = set()
-    above: dict[Variable, tuple[Variable, ...]] = {}
+    """The numbers of the CPDs that may stay: one a child, and none on a cycle.
+
+    One of robust noise does not: as a measurement it may weigh a child without evidence.
+    """
+    first: dict[Variable, int] = {}
     for number, cpd in enumerate(network.factors):
-        if not isinstance(cpd, CPD) or cpd.child in above:
-            continue
-        waiting, seen = [*cpd.parents], set(cpd.parents)
+        if isinstance(cpd, ConditionalGaussian) and cpd.noise is None:
+            first.setdefault(cpd.child, number)
+    above = {child: network.factors[number].scope[1:] for child, number in first.items()}
+    order = TopologicalSorter({v: [p for p in above[v] if p in above] for v in above})
+    with suppress(CycleError):
+        order.prepare()
+        return set(first.values())
+    kept: dict[Variable, int] = {}
+    for child, number in first.items():
+        waiting, seen = [*above[child]], set(above[child])
         while waiting:
-            new = [v for v in above.get(waiting.pop(), ()) if v not in seen]
+            at = waiting.pop()
+            new = [v for v in above[at] if v not in seen] if at in kept else []
             seen.update(new)
             waiting += new
-        if cpd.child not in seen:
-            kept.add(number)
-            above[cpd.child] = cpd.parents
-    return kept
+        if child not in seen:
+            kept[child] = number
+    return set(kept.values())
 
 
-def _measurement(factor: Factor, name: str) -> tuple[CPD | None, float]:
-    """A factor as a CPD of a residual of some name, None of a mere number, and its level."""
+def _measurement(factor: Factor, name: str) -> tuple[CPD | None, float, float]:
+    """A factor as a CPD of a residual of some name, None of a mere number; its level; what is lost.
+
+    See `Directed`.
+    """
     if isinstance(factor, NonlinearGaussianFactor):
         residual = factor._cpd.child
         child = Variable(name, residual.components, residual.angles)
-        return factor._cpd._copy(lambda v: child if v == residual else v), 0.0
+        return factor._cpd._copy(lambda v: child if v == residual else v), 0.0, 0.0
     if isinstance(factor, CanonicalForm):
         return _of_form(factor, name)
     assert isinstance(factor, ConditionalGaussian)
-    return _of_cpd(factor, name), 0.0
+    return _of_cpd(factor, name), 0.0, 0.0
 
 
-def _of_form(form: CanonicalForm, name: str) -> tuple[CPD | None, float]:
+def _of_form(form: CanonicalForm, name: str) -> tuple[CPD | None, float, float]:
     """A canonical form as a linear measurement; a ModelError if it has no root, or a slope."""
-    root = roots.root(form.K)
-    if not roots.is_proper(root):
+    square = canonical.squares(form.K, form.h)
+    if square is None:
         raise ModelError(
             f"the canonical form over {names(form.scope)} has a precision that is not positive "
             "semidefinite: it grows without bound; multiply it into another factor that bounds "
             "it, and give their product"
         )
-    target, slope = canonical.split(root, form.h)
+    rows, target, slope, lost = square
     if slope.any():
         raise ModelError(
             f"the canonical form over {names(form.scope)} has a slope, {np.abs(slope).max():.3g}, "
             "along a direction of no information, where it grows without bound; multiply it into "
             "another factor that bounds it, and give their product"
         )
-    some = ~roots.determined(root)
-    rows, target = root.T[some], target[some]
     rank = len(rows)
     level = float(form.g) + 0.5 * float(target @ target) + 0.5 * rank * LOG_2PI
     if not rank:
-        return None, level
+        return None, level, lost
     parts = np.split(rows, np.cumsum([v.dimension for v in form.scope])[:-1], axis=1)
     child = Variable(name, tuple(f"r{k}" for k in range(rank)) if rank > 1 else ())
     given = dict(zip(form.scope, parts, strict=True))
-    return LinearGaussianCPD(child, given, offset=-target, cov=np.eye(rank)), level
+    return LinearGaussianCPD(child, given, offset=-target, cov=np.eye(rank)), level, lost
 
 
 def _of_cpd(cpd: ConditionalGaussian, name: str) -> CPD:
@@ -181,8 +200,15 @@ def _of_cpd(cpd: ConditionalGaussian, name: str) -> CPD:
         return LinearGaussianCPD(child, given, offset=-cpd.offset, cov=cpd.cov, noise=cpd.noise)
     assert isinstance(cpd, NonlinearGaussianCPD)
     own = _Less(cpd)
+    jacobian = {p: _Negative(derivative) for p, derivative in cpd.jacobian.items()}
     return NonlinearGaussianCPD(
-        child, (y, *cpd.given), own, cov=cpd.cov, lineariser=cpd.lineariser, noise=cpd.noise
+        child,
+        (y, *cpd.given),
+        own,
+        cov=cpd.cov,
+        jacobian={y: own.by_child, **jacobian} if jacobian else None,
+        lineariser=cpd.lineariser,
+        noise=cpd.noise,
     )
 
 
@@ -190,11 +216,28 @@ class _Less:
     """The residual of a nonlinear CPD: its child less its function."""
 
     def __init__(self, cpd: NonlinearGaussianCPD) -> None:
-        self._function = cpd.function
+        self._function, self._size = cpd.function, cpd.child.dimension
 
-    def __call__(self, child: Array, *given: Array) -> Array:
-        found: Array = child - self._function(*given)
-        return found
+    def __call__(self, child: Array, *given: Array) -> Any:
+        value = self._function(*given)
+        # One of another shape is refused by those who called, and not spread over the child here.
+        if np.shape(value)[-1:] != (self._size,):
+            return value
+        return child - value
+
+    def by_child(self, child: Array, *_: Array) -> Array:
+        """The derivative by the child."""
+        return np.broadcast_to(np.eye(self._size), (*child.shape, self._size))
+
+
+class _Negative:
+    """The derivative of a residual by a parent."""
+
+    def __init__(self, derivative: Callable[..., Any]) -> None:
+        self._derivative = derivative
+
+    def __call__(self, child: Array, *given: Array) -> Any:
+        return -np.asarray(self._derivative(*given))
 
 
 def side(graph: ClusterGraph, source: int, target: int) -> Sequence[int]:

@@ -130,7 +130,8 @@ class MostProbable(Shown, Immutable):
     def _title(self) -> str:
         lead = self.log_probability.shape
         if lead:
-            return f"MostProbable({len(self.assignment)} variables, runs {lead})"
+            count = len(self.assignment)
+            return f"MostProbable({count} variable{'s' * (count != 1)}, runs {lead})"
         if self._over_time:
             steps = max(np.shape(state)[-1] for state in self.assignment.values())
             return (

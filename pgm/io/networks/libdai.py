@@ -84,11 +84,14 @@ def read_fg(source: Source, *, limit: int = LIMIT) -> MarkovNetwork:
                     f"the variable {label} has {size} states here, and {variable.size} before",
                     start,
                 )
-        values = np.zeros(math.prod(sizes))
+        values, seen = np.zeros(math.prod(sizes)), set[int]()
         for _ in range(words.count("the number of entries")):
             place = words.count("the place of an entry")
             if place >= values.size:
                 words.fail(f"a place {place} of {values.size} entries", words.at - 1)
+            if place in seen:
+                words.fail(f"the place {place} is given twice; keep one entry", words.at - 1)
+            seen.add(place)
             (value,) = words.take(1).tolist()
             if not 0.0 <= value < math.inf:
                 words.fail(f"{value:.9g} is no entry of a factor; correct it", words.at - 1)

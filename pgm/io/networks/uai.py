@@ -12,13 +12,13 @@ from typing import NoReturn
 import numpy as np
 
 from pgm.arguments import public
-from pgm.display import titled
-from pgm.errors import FileError, ModelError
+from pgm.errors import FileError
 from pgm.factors import Table
 from pgm.io import sources
 from pgm.io.networks.assembly import AXES, Assembly
 from pgm.io.networks.cursor import ITEM, numbers, shown
 from pgm.io.networks.formats import UAI, refuse_others
+from pgm.io.networks.uai_writers import numbered
 from pgm.io.sources import LIMIT, Content, Source, line_of
 from pgm.kernels.arrays import Array
 from pgm.networks import MarkovNetwork
@@ -169,7 +169,7 @@ def read_uai_evidence(
         Its numbers are how many variables are observed, then an index and a state of each; files
         of before 2010 say first that this is one sample.
     network : BayesianNetwork or MarkovNetwork
-        Whose variables the indices are the names of.
+        Whose variables are told by their indices as in `write_uai`.
     limit : int, optional
         How many bytes the file may hold, once unpacked.
 
@@ -183,7 +183,7 @@ def read_uai_evidence(
     FileError
         If the file is no such evidence; the message names the line, what was found, what to do.
     ModelError
-        If the network is none.
+        If the network is none of tables.
 
     Examples
     --------
@@ -192,10 +192,7 @@ def read_uai_evidence(
     >>> pgm.read_uai_evidence(io.StringIO("1  0 1"), network)
     {0: 1}
     """
-    if not isinstance(network, MarkovNetwork):
-        raise ModelError(
-            f"read_uai_evidence takes the network that the evidence is of, not {titled(network)}"
-        )
+    variables = _by_index(network, "read_uai_evidence")
     content = sources.read(source, limit)
     refuse_others(content, "evidence")
     words = Words(content, heading=False)
@@ -210,7 +207,6 @@ def read_uai_evidence(
             words.at - 1,
         )
     evidence: dict[Discrete, int] = {}
-    variables = _by_name(network)
     for _ in range(observed):
         variable, state = words.variable(variables), words.count("a state")
         if state >= variable.size:
@@ -237,7 +233,7 @@ def read_uai_query(
     source : str, Path or open file
         Its numbers are how many variables are asked for, then the index of each.
     network : BayesianNetwork or MarkovNetwork
-        Whose variables the indices are the names of.
+        Whose variables are told by their indices as in `write_uai`.
     limit : int, optional
         How many bytes the file may hold, once unpacked.
 
@@ -251,7 +247,7 @@ def read_uai_query(
     FileError
         If the file is no such question; the message names the line, what was found, what to do.
     ModelError
-        If the network is none.
+        If the network is none of tables.
 
     Examples
     --------
@@ -260,10 +256,7 @@ def read_uai_query(
     >>> pgm.read_uai_query(io.StringIO("1  0"), network)
     (0,)
     """
-    if not isinstance(network, MarkovNetwork):
-        raise ModelError(
-            f"read_uai_query takes the network that is asked about, not {titled(network)}"
-        )
+    variables = _by_index(network, "read_uai_query")
     content = sources.read(source, limit)
     refuse_others(content, "evidence")
     words = Words(content, heading=False)
@@ -273,7 +266,7 @@ def read_uai_query(
             f"{words.left} numbers follow where {asked} are due, the index of each variable",
             words.at - 1,
         )
-    variables, found = _by_name(network), dict[Discrete, None]()
+    found = dict[Discrete, None]()
     for _ in range(asked):
         variable = words.variable(variables)
         if variable in found:
@@ -282,8 +275,9 @@ def read_uai_query(
     return tuple(found)
 
 
-def _by_name(network: MarkovNetwork) -> dict[str, Discrete]:
-    return {v.name: v for v in network.variables if isinstance(v, Discrete)}
+def _by_index(network: MarkovNetwork, where: str) -> dict[str, Discrete]:
+    """The variables of a network by their indices in its files."""
+    return {str(k): variable for k, variable in enumerate(numbered(network, where))}
 
 
 class Words:

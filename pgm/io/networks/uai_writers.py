@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
 
 from pgm.arguments import public
+from pgm.beliefs.discrete.outcome import DiscreteOutcome
 from pgm.cpds import TableCPD
 from pgm.display import titled
 from pgm.errors import EvidenceError, ModelError
 from pgm.factors import Table
 from pgm.factors.scope import names
+from pgm.inference.query.most_probable import MostProbable
 from pgm.io import sources
 from pgm.io.sources import Source
 from pgm.kernels.arrays import Array
 from pgm.networks import BayesianNetwork, MarkovNetwork
+from pgm.posteriors.posterior import Posterior
 from pgm.variables import Discrete, Variable
 
 # What is asked of a problem: the partition function, marginals, the most probable assignment.
@@ -132,15 +135,14 @@ def write_uai_result(
     answer: Any,
     network: MarkovNetwork,
     target: Source,
-    *,
-    evidence: Mapping[Variable, Any] | None = None,
 ) -> None:
     """Write the answer to a problem of the inference competitions as they ask for it.
 
     Parameters
     ----------
     task : str
-        ``"PR"``, log₁₀ of the partition function; ``"MAR"``, the marginals of all variables;
+        ``"PR"``, log₁₀ of the partition function; ``"MAR"``, the marginals of all variables, of
+        which those observed have all their probability in one state;
         ``"MAP"``, the most probable assignment; or ``"MMAP"``, that of some variables, in the order
         of the answer.
     answer : Posterior or MostProbable
@@ -149,17 +151,14 @@ def write_uai_result(
         Variables are written by their indices as in `write_uai`.
     target : str, Path or open file
         See `write_bif`.
-    evidence : mapping of Discrete, optional
-        That of the answer, for MAR: an observed variable has all its probability in one state.
 
     Raises
     ------
     FileError
         See `write_bif`.
     ModelError
-        If the task is none of these, or the answer is of several runs.
-    EvidenceError
-        If the evidence is not the answer's.
+        If the task is none of these, or the answer is none to it, of several runs, or of another
+        network.
 
     Examples
     --------
@@ -167,7 +166,7 @@ def write_uai_result(
     >>> from pgm.examples import rainy, wet
     >>> file = io.StringIO()
     >>> posterior = pgm.infer(pgm.compile(rainy), {wet: "yes"})
-    >>> pgm.write_uai_result("MAR", posterior, rainy, file, evidence={wet: "yes"})
+    >>> pgm.write_uai_result("MAR", posterior, rainy, file)
     >>> print(file.getvalue())
     MAR
     2 2 0.25 0.75 2 0.0 1.0
@@ -180,25 +179,13 @@ def write_uai_result(
     if task not in TASKS:
         raise ModelError(f"write_uai_result: the task is one of {', '.join(TASKS)}, not {task!r}")
     order = numbered(network, "write_uai_result")
-    known = dict(evidence or {})
     if task == "PR":
-        words = [repr(_single(answer.log_evidence, "log_evidence") / math.log(10.0))]
-    elif task in ("MAP", "MMAP"):
-        _single(answer.log_probability, "log_probability")
-        found = answer.assignment
-        lacking = [v for v in order if v not in found]
-        if task == "MAP" and lacking:
-            raise ModelError(
-                f"write_uai_result: the answer is of {len(found)} of {len(order)} variables, "
-                f"without {names(tuple(lacking))}; it is one to the task 'MMAP'"
-            )
-        asked = order if task == "MAP" else list(found)
-        words = [str(len(asked)), *(str(v.index(found[v])) for v in asked)]
+        found = _posterior(answer, task, order)
+        words = [repr(_single(found.log_evidence, "log_evidence") / math.log(10.0))]
+    elif task == "MAR":
+        words = _marginals(_posterior(answer, task, order), order)
     else:
-        words = [str(len(order))]
-        for variable in order:
-            shares = _marginal(answer, variable, known)
-            words += [str(variable.size), *map(repr, shares.tolist())]
+        words = _states(answer, task, order)
     sources.write(target, f"{task}\n{' '.join(words)}\n")
 
 
@@ -222,7 +209,9 @@ def entries(factor: Table | TableCPD) -> Array:
     logs = factor.log_values if isinstance(factor, Table) else np.log(values)
     with np.errstate(over="ignore", under="ignore"):
         found: Array = np.exp(logs)
-    if not np.isfinite(found).all() or ((found == 0.0) & np.isfinite(logs)).any():
+    # Numbers below the smallest normal one have lost digits.
+    few = (found < np.finfo(np.float64).tiny) & np.isfinite(logs)
+    if not np.isfinite(found).all() or few.any():
         raise ModelError(
             f"the factor over {names(factor.scope)} has the log-scale {scale:.6g}, and entries "
             "that are no numbers of float64, as a file has them; give it another log-scale"
@@ -248,11 +237,57 @@ def _single(value: Array, what: str) -> float:
     return float(value)
 
 
-def _marginal(posterior: Any, variable: Discrete, known: Mapping[Variable, Any]) -> Array:
-    if variable in known:
-        own: Array = np.eye(variable.size)[_state(variable, known[variable])]
-        return own
-    table = posterior[variable]
-    _single(table.log_scale, "posterior")
-    found: Array = table.probabilities
-    return found
+def _posterior(answer: Any, task: str, order: Sequence[Discrete]) -> DiscreteOutcome:
+    """The outcome of inference in the network whose variables are in `order`."""
+    outcome = answer._outcome if isinstance(answer, Posterior) else None
+    if not isinstance(outcome, DiscreteOutcome):
+        raise _no_answer(task, "infer", answer)
+    _require_known(outcome.graph.network.variables, order)
+    return outcome
+
+
+def _marginals(found: DiscreteOutcome, order: Sequence[Discrete]) -> list[str]:
+    """The marginals of all variables, those observed with all probability in one state."""
+    _single(found.log_evidence, "posterior")
+    words, known = [str(len(order))], found.entered(0)
+    for variable in order:
+        state = known.get(variable)
+        if state is None:
+            shares = found[variable].probabilities
+        else:
+            shares = np.eye(variable.size)[variable.index(state)]
+        words += [str(variable.size), *map(repr, shares.tolist())]
+    return words
+
+
+def _states(answer: Any, task: str, order: Sequence[Discrete]) -> list[str]:
+    """The most probable states, of all variables or of those asked for."""
+    if not isinstance(answer, MostProbable):
+        raise _no_answer(task, "most_probable", answer)
+    _single(answer.log_probability, "log_probability")
+    found = cast(Mapping[Discrete, str], answer.assignment)
+    _require_known(found, order)
+    lacking = tuple(v for v in order if v not in found)
+    if task == "MAP" and lacking:
+        raise ModelError(
+            f"write_uai_result: the answer is of {len(found)} of {len(order)} variables, without "
+            f"{names(lacking)}; it is one to the task 'MMAP'"
+        )
+    asked = order if task == "MAP" else list(found)
+    return [str(len(asked)), *(str(v.index(found[v])) for v in asked)]
+
+
+def _no_answer(task: str, call: str, answer: Any) -> ModelError:
+    return ModelError(
+        f"write_uai_result: the answer to {task!r} is that of pgm.{call}, not {titled(answer)}"
+    )
+
+
+def _require_known(variables: Iterable[Variable], order: Sequence[Discrete]) -> None:
+    for variable in variables:
+        if variable not in order:
+            raise ModelError(
+                f"write_uai_result: the answer has {variable!r}, and the network has not; give "
+                "the network of the answer",
+                variable=variable,
+            )

@@ -55,7 +55,7 @@ def test_bayesian_networks_and_names():
     assert_array_equal(again.cpds[1].table, rainy.cpds[1].table)
     posterior = pgm.infer(pgm.compile(rainy), {wet: "yes"})
     answer = io.StringIO()
-    pgm.write_uai_result("MAR", posterior, rainy, answer, evidence={wet: "yes"})
+    pgm.write_uai_result("MAR", posterior, rainy, answer)
     assert answer.getvalue() == "MAR\n2 2 0.25 0.75 2 0.0 1.0\n"
     best = io.StringIO()
     found = pgm.most_probable(pgm.compile(rainy), {wet: "yes"})
@@ -109,6 +109,7 @@ def test_errors_of_markov_files_name_the_line(text, line, words):
         ("1\n\n1\n0\n0\n0", 3, "has no states"),
         ("2\n\n1\n0\n2\n0\n\n1\n0\n3\n0", 8, "has 3 states here, and 2 before"),
         ("1\n\n1\n0\n2\n1\n2 1.0", 7, "a place 2 of 2 entries"),
+        ("1\n\n1\n0\n2\n2\n1 2\n1 3", 8, "the place 1 is given twice"),
         ("1\n\n1\n0\n2\n1\n1 -1.0", 7, "-1 is no entry"),
         ("1\n\n1\n0\n2\n2\n1 1.0", 7, "the file ends"),
         ("1\n\n9\n0 1 2 3 4 5 6 7 8\n99 99 99 99 99 99 99 99 99\n0", 3, "raise the limit"),
@@ -158,8 +159,36 @@ def test_questions():
         with pytest.raises(pgm.FileError, match=words) as error:
             pgm.read_uai_query(io.StringIO(text), net)
         assert error.value.line == line
-    with pytest.raises(pgm.ModelError, match="takes the network that is asked about"):
+    with pytest.raises(pgm.ModelError, match="read_uai_query takes a network of tables, not None"):
         pgm.read_uai_query(io.StringIO("0"), None)
+
+
+def test_evidence_by_place():
+    """A network whose labels are not 0, 1, ... has its variables by place, there and back."""
+    net = pgm.read_fg(io.StringIO("1  2  1 2  2 2  4  0 2.0  1 1.0 2 1.0  3 2.0"))
+    second = net.variables[1]
+    file = io.StringIO()
+    pgm.write_uai_evidence({second: 1}, net, file)
+    assert pgm.read_uai_evidence(io.StringIO(file.getvalue()), net) == {second: 1}
+
+
+def test_answers_of_other_kinds():
+    from pgm.examples import coin, rainy, wet
+
+    graph = pgm.compile(rainy)
+    posterior, best = pgm.infer(graph, {wet: "yes"}), pgm.most_probable(graph, {})
+    for task, answer in (("PR", best), ("MAR", 3), ("MAP", posterior), ("MMAP", None)):
+        with pytest.raises(pgm.ModelError, match=f"the answer to '{task}' is that of pgm"):
+            pgm.write_uai_result(task, answer, rainy, io.StringIO())
+    with pytest.raises(pgm.ModelError, match="the answer has rain, and the network has not"):
+        pgm.write_uai_result("MAR", posterior, coin, io.StringIO())
+
+
+def test_numbers_below_the_smallest_are_refused():
+    own = pgm.Discrete("own", 2)
+    net = pgm.MarkovNetwork([pgm.Table(own, [1.0, 1.4], -743.9)])
+    with pytest.raises(pgm.ModelError, match="that are no numbers of float64"):
+        pgm.write_uai(net, io.StringIO())
 
 
 def numbers(path):
@@ -183,7 +212,7 @@ def test_published_answers(name):
     (due,) = numbers(beside["PR"])
     assert f"{float(answer.getvalue().split()[1]):.6g}" == f"{due:.6g}"
     answer = io.StringIO()
-    pgm.write_uai_result("MAR", posterior, network, answer, evidence=evidence)
+    pgm.write_uai_result("MAR", posterior, network, answer)
     found = np.array(answer.getvalue().split()[1:], dtype=float)
     assert_allclose(found, numbers(beside["MAR"]), atol=6e-7)
     published = list(map(int, numbers(beside["MAP"])))[1:]

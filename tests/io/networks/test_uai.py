@@ -143,5 +143,5 @@ def test_errors_of_evidence_name_the_line(text, line, message):
 
 
 def test_evidence_is_of_a_network():
-    with pytest.raises(pgm.ModelError, match="the network that the evidence is of, not None"):
+    with pytest.raises(pgm.ModelError, match="takes a network of tables, not None"):
         pgm.read_uai_evidence(io.StringIO("0"), None)
