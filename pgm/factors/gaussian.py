@@ -42,6 +42,7 @@ from pgm.factors.scope import (
     labels,
     listed,
     names,
+    parted,
     positions,
 )
 from pgm.immutable import Immutable
@@ -341,6 +342,30 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
             )
         offset = difference(other.mean, self.mean, self.angles)
         return self._exists(moments.kl(offset, self.cov, other.cov), "divergence")
+
+    def entropy(self) -> Array:
+        """The differential entropy ½ ln |2πe P| in nats, (...)."""
+        return self._exists(moments.entropy(self.cov), "entropy")
+
+    def mutual_information(self, *variables: Variable) -> Array:
+        """How much some variables of the scope tell of the others, in nats, (...).
+
+        −½ Σ ln(1 − ρ²) over the canonical correlations ρ of the two parts; ∞ where one determines a
+        direction of the other.
+
+        Examples
+        --------
+        >>> a, b = pgm.variables("a b")
+        >>> both = pgm.Gaussian((a, b), [0.0, 0.0], [[1.0, 0.8], [0.8, 1.0]])
+        >>> round(float(both.mutual_information(a)), 6)
+        0.510826
+        """
+        left = parted(self.scope, variables)
+        both = self.marginal(*variables, *left).cov
+        count = dimension(variables)
+        own, rest = slice(None, count), slice(count, None)
+        parts = both[..., own, own], both[..., own, rest], both[..., rest, rest]
+        return self._exists(moments.mutual_information(*parts), "mutual information")
 
     def _offset(self, x: npt.ArrayLike) -> Array:
         what = f"a point of the Gaussian over {names(self.scope)}"

@@ -291,3 +291,18 @@ def in_run(bad: Mask | np.bool_) -> str:
     """The index of the first bad run, for messages."""
     first = tuple(map(int, np.argwhere(bad)[0]))
     return f" (first in run {first[0] if len(first) == 1 else first})" if first else ""
+
+
+def parted(scope: Scope, variables: Scope) -> Scope:
+    """The variables of a scope but for some of them; a ModelError if either part has none."""
+    own = as_scope(variables, "one part of a scope")
+    for variable in own:
+        if variable not in scope:
+            raise ModelError(f"{variable!r} is not in the scope {names(scope)}", variable=variable)
+    left = tuple(v for v in scope if v not in own)
+    if not own or not left:
+        raise ModelError(
+            f"mutual information is of some variables of the scope {names(scope)} with the others; "
+            f"found {names(own)}, which leaves {names(left)}"
+        )
+    return left

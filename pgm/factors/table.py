@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from pgm.arguments import public
 from pgm.boundary import as_generator, as_lengths, as_mapping
-from pgm.display import NoArray, Shown, Summary
+from pgm.display import NoArray, Shown, Summary, titled
 from pgm.errors import ModelError, NumericalError
 from pgm.factors.axes import (
     States,
@@ -27,7 +27,7 @@ from pgm.factors.axes import (
     without,
 )
 from pgm.factors.listing import FramedTable, summary, title
-from pgm.factors.scope import names
+from pgm.factors.scope import names, parted
 from pgm.immutable import Immutable
 from pgm.kernels import tables as kernel
 from pgm.kernels.arrays import Array, Integers, frozen, unravelled
@@ -285,6 +285,40 @@ class Table(FramedTable, Shown, NoArray, Immutable):
     def probabilities(self) -> Array:
         """The values of `normalised`, (..., size of each variable...)."""
         return self.normalised().values
+
+    def entropy(self) -> Array:
+        """The entropy −Σ p ln p of the probabilities in nats, (...)."""
+        return kernel.entropy(self.probabilities, len(self.scope))
+
+    def kl(self, other: Table) -> Array:
+        """KL(self ‖ other) = Σ p ln(p/q) of the probabilities in nats, (...); ∞ where q alone is 0.
+
+        The other has the same variables, in any order.
+        """
+        if not isinstance(other, Table) or set(other.scope) != set(self.scope):
+            raise ModelError(
+                f"KL compares tables of the same variables, not {self._title} with "
+                f"{titled(other)}; take marginals first"
+            )
+        q = other.rearrange(self.scope).probabilities
+        return kernel.divergence(self.probabilities, q, len(self.scope))
+
+    def mutual_information(self, *variables: Variable) -> Array:
+        """How much some variables of the scope tell of the others, in nats, (...).
+
+        Σ p ln(p / (p₁ p₂)), p₁ and p₂ being the marginals of the two parts.
+
+        Examples
+        --------
+        >>> a, b = (pgm.Discrete(name, 2) for name in "ab")
+        >>> both = pgm.Table((a, b), [[0.4, 0.1], [0.1, 0.4]])
+        >>> round(float(both.mutual_information(a)), 6)
+        0.192745
+        """
+        left = parted(self.scope, variables)
+        own = self.normalised()
+        apart = own.marginal(*variables) * own.marginal(*left)
+        return own.kl(apart)
 
     def argmax(self) -> dict[Discrete, str] | dict[Discrete, Integers]:
         """The states of the largest entry, the first of equals: names; of stacks, indices (...)."""

@@ -177,3 +177,22 @@ def _assemble(mantissa: Array, power: Array, axes: int) -> tuple[Array, Array]:
     top = power.max(axis=_span(axes))
     values: Array = np.ldexp(mantissa, power - _per_table(top, axes))
     return values, np.where(top > NOWHERE // 2, top * LOG_2, 0.0)
+
+
+def entropy(probabilities: Array, axes: int) -> Array:
+    """−Σ p ln p over the last axes, (...)."""
+    from scipy.special import entr  # here, since it is slow to import
+
+    return _over(entr(probabilities), axes)
+
+
+def divergence(probabilities: Array, others: Array, axes: int) -> Array:
+    """Σ p ln(p/q) over the last axes, (...); ∞ where a p that is not zero has a q that is."""
+    from scipy.special import rel_entr  # here, since it is slow to import
+
+    return _over(rel_entr(probabilities, others), axes)
+
+
+def _over(values: Array, axes: int) -> Array:
+    found: Array = values.sum(axis=tuple(range(values.ndim - axes, values.ndim)))
+    return found

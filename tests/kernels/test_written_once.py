@@ -374,7 +374,10 @@ SOLUTIONS = listed(
     {"kernels/solving.py": "_solve left_open regression solve whiten", "kernels/roots.py": "root"},
     {"kernels/semidefinite.py": "semidefinite"},
     # Densities, divergences and draws.
-    {"kernels/moments.py": "kl principal_axes", "factors/gaussian_mixture.py": "modes"},
+    {
+        "kernels/moments.py": "_whitened kl mutual_information principal_axes",
+        "factors/gaussian_mixture.py": "modes",
+    },
     {"kernels/normal_density.py": "off whitened whitener", "factors/arrays.py": "covariance_fault"},
     {"cpds/conditional.py": "_robust", "beliefs/points/laws.py": "log_density"},
     {"linearisation/weights.py": "of", "posteriors/innovations.py": "whitened"},
