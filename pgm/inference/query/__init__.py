@@ -3,7 +3,8 @@
 It finds the part of the network that the joint depends on (`requisite`), plans an order of the
 other variables of that part (`plan`) and sums them out in this order (`elimination`). Whether the
 evidence on the rest of the network is possible is examined separately (`left_out`).
-`most_probable` has the likeliest values of all hidden variables.
+`most_probable` has the likeliest values of all hidden variables (`maximising`), of some
+(`marginal_map` sums the others out), or several assignments, one after another (`k_best`).
 """
 
 from pgm.inference.query.question import query

@@ -1,35 +1,24 @@
 """The most probable assignment of a discrete network, or path of a chain's discrete variables.
 
-Messages with maxima in place of sums go to the root of each tree, and the states of the maxima are
-traced back from there. A *plan* is the layout of a graph's tables and messages. A cluster's table
-is a matrix, with a *column* for each joint state of the variables that the cluster shares with its
-parent (a root has one column), and a *row* for each joint state of its other variables. A *stack*
-is some clusters of like shape and depth, whose matrices stand side by side in one. Tables and
-messages have logarithms as entries. *Tops*, (tops, runs), sum to ln p(assignment, evidence): there
-is one for each cluster, or several. That of a root is the largest entry of its table after all
-messages came in; all others are 0. The *home* of a variable is the smallest cluster that holds it.
-The mapping ``plan.storage.homes`` gives the home of each variable, and arrays (variables, runs)
-have the variables in the order of this mapping. A run is one set of evidence of a batch.
+The work itself is in `maximising`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import dataclass
+from itertools import islice
 from types import MappingProxyType
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from pgm.arguments import public
 from pgm.beliefs.discrete.impossible import require_possible
-from pgm.beliefs.discrete.place import steps
 from pgm.beliefs.discrete.run import of_tree
-from pgm.beliefs.discrete.run_pieces import Distinct, some_runs, tree_pieces
-from pgm.beliefs.discrete.tree_passes import collect, enter
-from pgm.beliefs.discrete.tree_plan import Stack, TreePlan, plan_for
+from pgm.beliefs.discrete.run_pieces import Distinct
+from pgm.beliefs.discrete.tree_plan import TreePlan, plan_for
 from pgm.beliefs.hypotheses.most_probable_path import most_probable_path as most_probable_modes
 from pgm.beliefs.markov.most_probable_path import most_probable_path
 from pgm.beliefs.markov.plan import SlicePlan, TableSlices
@@ -44,13 +33,14 @@ from pgm.evidence.static import BoundStates, bind_discrete
 from pgm.factors.axes import States, discrete
 from pgm.factors.scope import namesake
 from pgm.immutable import Immutable
+from pgm.inference.query.k_best import likeliest
 from pgm.inference.query.marginal_map import summed_out
+from pgm.inference.query.maximising import Search, in_parts
 from pgm.inference.query.question import wanted
 from pgm.kernels.arrays import Array, Integers, Mask, frozen
-from pgm.kernels.semirings import MAX_PRODUCT
 from pgm.posteriors.posterior import require_variable
 from pgm.posteriors.summaries import spread
-from pgm.progress import Progress, counted, reporting
+from pgm.progress import Progress, reporting
 from pgm.schedules.binding import bind_chain
 from pgm.schedules.limits import Room, require_runs
 from pgm.schedules.options import PATHS, Call, require
@@ -171,6 +161,7 @@ def most_probable(
     evidence: Evidence,
     *,
     variables: Variable | Iterable[Variable] | None = None,
+    count: int | None = None,
     memory: float | None = None,
     executor: Executor | None = None,
     paths: int | None = None,
@@ -205,6 +196,10 @@ def most_probable(
         Those whose states are asked for, not observed in all runs; all others are summed over (a
         *marginal MAP*). It is exact, and needs wider tables than either question alone, since the
         others have to be summed out first. Not for a dynamic network.
+    count : int, optional
+        How many assignments are asked for. The result has an axis of them, as of runs, the most
+        probable first; it is shorter where no more are possible. Of one set of evidence, of all
+        variables; not for a dynamic network.
     memory : number, optional
         How many bytes the tables of all runs may take, besides the compiled graph, the evidence and
         the result; 2²⁸ (256 MiB), if not given. Of several workers each may take so much. Not for a
@@ -252,6 +247,8 @@ def most_probable(
             "records pgm.records(table, network) makes it"
         )
     mixed = isinstance(graph, DynamicGraph) and graph.model.mixed
+    if count is not None:
+        _require_countable(graph, count, variables, executor)
     if variables is not None and (executor is not None or isinstance(graph, DynamicGraph)):
         raise GraphError(
             "variables= are some of a network without time, one run after another; leave "
@@ -294,11 +291,14 @@ def most_probable(
         asked = wanted(variables, known, bound, "most_probable")
         with reporting(progress):
             return _marginal_map(graph, asked, bound, distinct, room)
+    if count is not None:
+        with reporting(progress):
+            return _k_best(graph, bound, count, room)
     plan = plan_for(graph, distinct.evidence.runs, room.batch)
     require_runs(len(plan.storage.homes), bound.runs, "the states of all variables")
-    search = _Search(graph, distinct.evidence, distinct.evidence.runs, room.batch)
+    job = Search(graph, distinct.evidence, distinct.evidence.runs, room.batch)
     with reporting(progress):
-        found = _shared(Workers(executor), search)
+        found = in_parts(Workers(executor), job)
     states = np.concatenate([s for s, _ in found], axis=1, dtype=np.intp)
     log_tops = np.concatenate([t for _, t in found], axis=1)
     if distinct.which is not None:
@@ -340,6 +340,37 @@ def _marginal_map(
         frozen(np.asarray(log_probability)),
         _known(np.ones(bound.lead, dtype=bool)),
     )
+
+
+def _k_best(graph: ClusterGraph, bound: BoundStates, count: int, room: Room) -> MostProbable:
+    """The most probable assignments, along an axis."""
+    if bound.lead:
+        raise EvidenceError(
+            f"count={count} assignments are of one set of evidence, and this has the runs "
+            f"{bound.lead}; ask for each by itself"
+        )
+    plan = plan_for(graph, 1, room.batch)
+    free = tuple(
+        v for v in discrete(graph.network.variables) if v.size > 1 and v not in bound.states
+    )
+    found = list(islice(likeliest(graph, bound, free, room.batch), count))
+    levels = np.array([level for _, level in found])
+    require_possible(plan, bound, levels[None, :1])
+    states = np.stack([own for own, _ in found], axis=1)
+    every = BoundStates((len(found),), {}, {})
+    assignment = MappingProxyType(_assignment(plan, every, states))
+    return MostProbable(assignment, frozen(levels), _known(np.ones(len(found), dtype=bool)))
+
+
+def _require_countable(graph: Any, count: Any, variables: Any, executor: Any) -> None:
+    """Refuse a `count` that is none, or goes with what it does not go with."""
+    if not is_whole(count) or count < 1:
+        raise GraphError(f"count is how many assignments are asked for, 1 or more; found {count!r}")
+    if isinstance(graph, DynamicGraph) or variables is not None or executor is not None:
+        raise GraphError(
+            f"count={count} assignments are of all variables of a network without time, one after "
+            "another; leave count= out, or variables= and executor="
+        )
 
 
 def _most_probable_path(graph: DynamicGraph, evidence: Evidence) -> MostProbable:
@@ -392,54 +423,6 @@ def _most_probable_modes(graph: DynamicGraph, evidence: Evidence, count: int) ->
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Search:
-    """A search for the most probable assignment of some runs, in pieces that fit into memory.
-
-    graph: The cluster graph of the network, without loops.
-    evidence: The evidence of these runs.
-    runs: The number of runs of the whole call, of which other workers may search the rest. The plan
-        is chosen by this number, so that all workers have the same plan.
-    batch: The limit on the table entries, times runs, that are computed at once.
-    """
-
-    graph: ClusterGraph
-    evidence: BoundStates
-    runs: int
-    batch: int
-
-
-def _shared(workers: Workers, search: _Search) -> list[tuple[Integers, Array]]:
-    """Search all runs of `search`, divided into consecutive parts, one part for each worker.
-
-    Returns a pair for each part, in the order of the runs: the most probable states, (variables,
-    runs of the part), as indices; and the tops, (tops, runs of the part).
-    """
-    runs = search.runs
-    edges = [runs * k // workers.count for k in range(workers.count + 1)]
-    parts = [slice(*pair) for pair in pairwise(edges) if pair[0] < pair[1]]
-    if len(parts) == 1:
-        return [_search(search)]
-    jobs = [replace(search, evidence=some_runs(search.evidence, part)) for part in parts]
-    work = workers.each(_search, jobs, parts, large=False)
-    return [done.result() for done in counted(work, "parts of the runs", len(parts))]
-
-
-def _search(search: _Search) -> tuple[Integers, Array]:
-    """The most probable states, (variables, runs), and the tops, (tops, runs).
-
-    Variables are in the order of ``plan.storage.homes``; states are indices, in the smallest type
-    of integers that holds them all. The tops of a run sum to ln p(assignment, evidence).
-    """
-    plan = plan_for(search.graph, search.runs, search.batch)
-    homes = plan.storage.homes
-    least = np.min_scalar_type(max((variable.size for variable in homes), default=1) - 1)
-    pieces = tree_pieces(plan.storage.entries, search.evidence, search.batch)
-    found = [_maximise(plan, piece) for piece in pieces]
-    states = np.concatenate([states.astype(least) for states, _ in found], axis=1)
-    return states, np.concatenate([tops for _, tops in found], axis=1)
-
-
 def _assignment(
     plan: TreePlan, evidence: BoundStates, states: Integers
 ) -> dict[Discrete, str | Integers]:
@@ -463,59 +446,3 @@ def _named(
         found[variable] = own.reshape(lead) if lead else variable.states[own[0]]
         own.flags.writeable = False
     return found
-
-
-def _maximise(plan: TreePlan, evidence: BoundStates) -> tuple[Integers, Array]:
-    """The most probable states of some runs, (variables, runs), and the tops, (tops, runs).
-
-    Messages with maxima in place of sums go to the roots. Then, parents before children, the states
-    of the variables that a cluster shares with its parent pick a column of the cluster's table, and
-    the largest entry of the column gives the states of its other variables. States are indices;
-    variables are in the order of ``plan.storage.homes``.
-    """
-    runs = evidence.runs
-    start = enter(plan, evidence, MAX_PRODUCT)
-    done = collect(plan, start, MAX_PRODUCT)
-    tables = start.tables.reshape(-1, runs)
-    column = np.zeros((len(plan.graph), runs), dtype=np.intp)
-    entry = np.zeros((len(plan.graph), runs), dtype=np.intp)
-    for stack in plan.stacks:
-        if stack.down is None:
-            column[stack.clusters] = plan.first[stack.clusters][:, None]
-        local = column[stack.clusters] - stack.columns.start
-        row = _best_row(stack, tables[stack.entries], local)
-        width = stack.shape[1]
-        at = local * width + row if stack.axis else row * width + local
-        for product in stack.absorbed:
-            column[product.children] = product.columns(at)
-        own = stack.widths[:, None]
-        entry[stack.clusters] = row * own + local - stack.first[:, None]
-    return _decode(plan, entry), done.tops.reshape(-1, runs)
-
-
-def _best_row(stack: Stack, entries: Array, column: Integers) -> Integers:
-    """The row of the largest entry in one column of each cluster's table, (clusters, runs).
-
-    Of equal entries the first one counts. `entries`, (entries, runs), are the stack's tables;
-    `column`, (clusters, runs), is the index of each cluster's column in the stack's matrix.
-    """
-    runs = entries.shape[1]
-    matrix = entries.reshape(*stack.shape, runs)
-    by_column = matrix if stack.axis else matrix.swapaxes(0, 1)
-    best: Integers = by_column[column, :, np.arange(runs)].argmax(axis=-1)
-    return best
-
-
-def _decode(plan: TreePlan, entry: Integers) -> Integers:
-    """The states of all variables, (variables, runs), in the order of ``plan.storage.homes``.
-
-    `entry`, (clusters, runs), is for each cluster the index of the most probable entry of its
-    table, counted row by row of the cluster's matrix. Each variable's state is read from its home's
-    entry.
-    """
-    homes = plan.storage.homes
-    scopes = {home: plan.storage.places[home].scope for home in homes.values()}
-    strides = np.array([steps(scopes[home], 1)[variable] for variable, home in homes.items()])
-    sizes = np.array([variable.size for variable in homes])
-    states: Integers = entry[[*homes.values()]] // strides[:, None] % sizes[:, None]
-    return states

@@ -9,7 +9,6 @@ from typing import Any, cast
 import numpy as np
 
 from pgm.arguments import public
-from pgm.beliefs.discrete.outcome import DiscreteOutcome
 from pgm.cpds import TableCPD
 from pgm.display import titled
 from pgm.errors import EvidenceError, ModelError
@@ -237,16 +236,15 @@ def _single(value: Array, what: str) -> float:
     return float(value)
 
 
-def _posterior(answer: Any, task: str, order: Sequence[Discrete]) -> DiscreteOutcome:
-    """The outcome of inference in the network whose variables are in `order`."""
-    outcome = answer._outcome if isinstance(answer, Posterior) else None
-    if not isinstance(outcome, DiscreteOutcome):
+def _posterior(answer: Any, task: str, order: Sequence[Discrete]) -> Posterior[Table]:
+    """A posterior of the network whose variables are in `order`."""
+    if not isinstance(answer, Posterior) or answer.kind is not None:
         raise _no_answer(task, "infer", answer)
-    _require_known(outcome.graph.network.variables, order)
-    return outcome
+    _require_known(answer.graph.network.variables, order)
+    return answer
 
 
-def _marginals(found: DiscreteOutcome, order: Sequence[Discrete]) -> list[str]:
+def _marginals(found: Posterior[Table], order: Sequence[Discrete]) -> list[str]:
     """The marginals of all variables, those observed with all probability in one state."""
     _single(found.log_evidence, "posterior")
     words, known = [str(len(order))], found.entered(0)

@@ -180,6 +180,11 @@ def test_answers_of_other_kinds():
     for task, answer in (("PR", best), ("MAR", 3), ("MAP", posterior), ("MMAP", None)):
         with pytest.raises(pgm.ModelError, match=f"the answer to '{task}' is that of pgm"):
             pgm.write_uai_result(task, answer, rainy, io.StringIO())
+    from pgm.examples import still
+
+    over = pgm.smooth(still, {wet: [1, 1]})
+    with pytest.raises(pgm.ModelError, match="the answer to 'MAR' is that of pgm.infer"):
+        pgm.write_uai_result("MAR", over, rainy, io.StringIO())
     with pytest.raises(pgm.ModelError, match="the answer has rain, and the network has not"):
         pgm.write_uai_result("MAR", posterior, coin, io.StringIO())
 
