@@ -247,7 +247,7 @@ def _posterior(answer: Any, task: str, order: Sequence[Discrete]) -> Posterior[T
 def _marginals(found: Posterior[Table], order: Sequence[Discrete]) -> list[str]:
     """The marginals of all variables, those observed with all probability in one state."""
     _single(found.log_evidence, "posterior")
-    words, known = [str(len(order))], found.entered(0)
+    words, known = [str(len(order))], found._outcome.entered(0)
     for variable in order:
         state = known.get(variable)
         if state is None:

@@ -183,7 +183,7 @@ def test_answers_of_other_kinds():
     from pgm.examples import still
 
     over = pgm.smooth(still, {wet: [1, 1]})
-    with pytest.raises(pgm.ModelError, match="the answer to 'MAR' is that of pgm.infer"):
+    with pytest.raises(pgm.ModelError, match=r"the answer to 'MAR' is that of pgm\.infer"):
         pgm.write_uai_result("MAR", over, rainy, io.StringIO())
     with pytest.raises(pgm.ModelError, match="the answer has rain, and the network has not"):
         pgm.write_uai_result("MAR", posterior, coin, io.StringIO())
