@@ -108,13 +108,13 @@ def smallest_pivot(lower: Array) -> float:
     return float((pivots * pivots / np.where(total > 0.0, total, 1.0)).min(initial=1.0))
 
 
-def is_regular(cov: Array, least: float) -> bool:
+def is_regular(cov: Array, least: float, lower: Array | None = None) -> bool:
     """Whether each component's pivot is more than `least` times the component's variance.
 
     All covariances (..., n, n) of the stack are to pass; a component without a variance passes, an
-    indefinite matrix does not.
+    indefinite matrix does not. `lower` are their roots, where these are known.
     """
-    pivots = np.diagonal(root(cov), axis1=-2, axis2=-1)
+    pivots = np.diagonal(root(cov) if lower is None else lower, axis1=-2, axis2=-1)
     variance = variances(cov)
     certain = (variance == 0.0) & (pivots == 0.0)
     return bool(((pivots * pivots > least * variance) | certain).all())

@@ -56,8 +56,9 @@ def draws(outcome: GaussianOutcome, count: int, rng: np.random.Generator) -> dic
             if own:
                 given = tuple(v for v in scope if v in found)
                 joint = outcome.joint(*given, *own)
-                if roots.is_regular(joint.cov, HELD):
-                    found |= _given(joint, given, own, found, count, rng)
+                lower = roots.root(joint.cov)
+                if roots.is_regular(joint.cov, HELD, lower):
+                    found |= _given(joint, lower, given, own, found, count, rng)
                 else:
                     found |= _by_rows(outcome, k, given, own, found, count, rng)
     return found
@@ -65,16 +66,19 @@ def draws(outcome: GaussianOutcome, count: int, rng: np.random.Generator) -> dic
 
 def _given(
     joint: Gaussian,
+    lower: Array,
     given: Scope,
     own: Scope,
     drawn: dict[Variable, Array],
     count: int,
     rng: np.random.Generator,
 ) -> dict[Variable, Array]:
-    """Draws of some variables of a cluster given those of others, which are `drawn`."""
-    size = joint.mean.shape[-1]
-    mean, cov = joint.mean.reshape(-1, 1, size), joint.cov.reshape(-1, size, size)
-    lower, before = roots.root(cov), dimension(given)
+    """Draws of some variables of a cluster given those of others, which are `drawn`.
+
+    `lower` are the roots of the covariances of their joint, those of others first.
+    """
+    size, before = joint.mean.shape[-1], dimension(given)
+    mean, lower = joint.mean.reshape(-1, 1, size), lower.reshape(-1, size, size)
     white = rng.standard_normal((len(mean), count, size - before))
     values = mean[..., before:] + white @ transpose(lower[:, before:, before:])
     if given:
