@@ -21,7 +21,7 @@ import numpy as np
 from pgm.beliefs.discrete.tree_plan import plan_for
 from pgm.clustergraph import ClusterGraph
 from pgm.evidence.static import BoundStates
-from pgm.factors.axes import States
+from pgm.factors.axes import States, discrete
 from pgm.inference.query.maximising import Search, maxima
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Discrete
@@ -50,12 +50,20 @@ def likeliest(
 ) -> Iterator[tuple[Integers, float]]:
     """Assignments of one set of evidence, the most probable first, with ln p(assignment, evidence).
 
-    The states are indices, in the order of ``plan.storage.homes``. `free` are the variables whose
+    The states are indices, in the order of the network's variables. `free` are the variables whose
     states may differ; `batch` is the limit on table entries computed at once.
     """
-    places = {v: k for k, v in enumerate(plan_for(graph, 1, batch).storage.homes)}
+    variables = discrete(graph.network.variables)
+    places = {v: k for k, v in enumerate(variables)}
     order = [places[v] for v in free]
     numbers, waiting = count(), list[_Part]()
+
+    def searched(own: BoundStates, runs: int) -> tuple[Integers, Array]:
+        """The best states of some runs, (variables, runs), and their ln p, (runs,)."""
+        # Plans for one run and for many have the variables in orders of their own.
+        homes = {v: k for k, v in enumerate(plan_for(graph, runs, batch).storage.homes)}
+        states, tops = maxima(Search(graph, own, runs, batch))
+        return states[[homes[v] for v in variables]].astype(np.intp), tops.sum(axis=0)
 
     def divide(best: Integers, fixed: int, allowed: Mask) -> None:
         """Put the parts of what is left beside an assignment, with their maxima."""
@@ -69,22 +77,21 @@ def likeliest(
         if not some:
             return
         own = _evidence(evidence, free, best[order], some)
-        states, tops = maxima(Search(graph, own, len(some), batch))
+        states, levels = searched(own, len(some))
         for run, (k, mask) in enumerate(some):
-            level = float(tops[:, run].sum())
-            if level > -np.inf:
-                heappush(waiting, _Part(-level, next(numbers), states[:, run], k, mask))
+            if levels[run] > -np.inf:
+                lacking = -float(levels[run])
+                heappush(waiting, _Part(lacking, next(numbers), states[:, run], k, mask))
 
-    states, tops = maxima(Search(graph, evidence, 1, batch))
-    best = states[:, 0].astype(np.intp)
-    yield best, float(tops.sum())
+    states, levels = searched(evidence, 1)
+    best = states[:, 0]
+    yield best, float(levels[0])
     first = free[0].size if free else 0
     divide(best, 0, np.ones(first, dtype=bool))
     while waiting:
         part = heappop(waiting)
-        best = part.best.astype(np.intp)
-        yield best, -part.below
-        divide(best, part.fixed, part.allowed)
+        yield part.best, -part.below
+        divide(part.best, part.fixed, part.allowed)
 
 
 def _evidence(

@@ -357,8 +357,8 @@ def _k_best(graph: ClusterGraph, bound: BoundStates, count: int, room: Room) -> 
     levels = np.array([level for _, level in found])
     require_possible(plan, bound, levels[None, :1])
     states = np.stack([own for own, _ in found], axis=1)
-    every = BoundStates((len(found),), {}, {})
-    assignment = MappingProxyType(_assignment(plan, every, states))
+    by_variable = dict(zip(discrete(graph.network.variables), states, strict=True))
+    assignment = MappingProxyType(_named(by_variable, (len(found),)))
     return MostProbable(assignment, frozen(levels), _known(np.ones(len(found), dtype=bool)))
 
 

@@ -53,6 +53,21 @@ def test_all_assignments_in_turn(seed):
     assert found.exact.all()
 
 
+def test_large_tables():
+    """Plans for one run and for many lay tables out in ways of their own."""
+    rng = np.random.default_rng(0)
+    variables = [pgm.Discrete(f"v{k}", 3) for k in range(9)]
+    factors = [pgm.Table(variables[k : k + 6], rng.exponential(size=(3,) * 6)) for k in range(4)]
+    table = pgm.Table((), 1.0)
+    for factor in factors:
+        table = table * factor
+    found = pgm.most_probable(pgm.compile(pgm.MarkovNetwork(factors)), {}, count=50)
+    due = np.sort(table.log_values.ravel())[::-1][:50]
+    assert_allclose(found.log_probability, due, atol=1e-12)
+    at = tuple(found.assignment[v] for v in table.scope)
+    assert_allclose(table.log_values[at], due, atol=1e-12)
+
+
 def test_names_of_states():
     found = pgm.most_probable(pgm.compile(rainy), {wet: "yes"}, count=5)
     assert found.states(rain).tolist() == ["yes", "no"]
