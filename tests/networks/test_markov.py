@@ -232,3 +232,10 @@ def test_what_a_query_leaves_out_may_be_impossible():
 def test_what_is_no_network(factors, words):
     with pytest.raises(pgm.ModelError, match=words):
         pgm.MarkovNetwork(factors)
+
+
+def test_log_scales_beyond_numbers():
+    own = pgm.Discrete("own", 2)
+    far = [pgm.Table(own, [1.0, 2.0], 1e308)] * 2
+    with pytest.raises(pgm.NumericalError, match="the log-scales of factors add to more than"):
+        pgm.infer(pgm.compile(pgm.MarkovNetwork(far)), {})

@@ -18,6 +18,7 @@ from pgm.beliefs.discrete.place import LARGE, Place, View, by_state
 from pgm.beliefs.discrete.sums import Marginals
 from pgm.clustergraph import ClusterGraph
 from pgm.cpds import TableCPD
+from pgm.errors import NumericalError
 from pgm.factors import Table
 from pgm.factors.axes import States, discrete, spread
 from pgm.kernels.arrays import Array
@@ -77,7 +78,13 @@ class Storage:
     @cached_property
     def logs(self) -> Array:
         """The logarithms of the clusters' potentials, (entries,)."""
-        return self.potentials(LOG_SUM_PRODUCT)
+        try:
+            return self.potentials(LOG_SUM_PRODUCT)
+        except FloatingPointError:
+            raise NumericalError(
+                "the log-scales of factors add to more than float64 holds; take what they have in "
+                "common out of them"
+            ) from None
 
     @cached_property
     def marginals(self) -> Marginals:
