@@ -30,7 +30,15 @@ from pgm.display import (
     stacked,
 )
 from pgm.errors import ModelError, NumericalError
-from pgm.factors.arrays import IMPROPER, as_covariance, as_points, as_steps, as_vector, lead_index
+from pgm.factors.arrays import (
+    IMPROPER,
+    as_covariance,
+    as_points,
+    as_steps,
+    as_vector,
+    lead_index,
+    require_broadcast,
+)
 from pgm.factors.listing import Framed
 from pgm.factors.scope import (
     Scope,
@@ -340,6 +348,8 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
                 f"KL compares Gaussians of one scope, not {names(self.scope)} with "
                 f"{names(other.scope)}; take marginals first"
             )
+        what = f"KL from the Gaussian over {names(self.scope)}: another"
+        require_broadcast(other.mean.shape[:-1], self.mean.shape[:-1], what)
         offset = difference(other.mean, self.mean, self.angles)
         return self._exists(moments.kl(offset, self.cov, other.cov), "divergence")
 

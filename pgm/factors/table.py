@@ -300,8 +300,9 @@ class Table(FramedTable, Shown, NoArray, Immutable):
                 f"KL compares tables of the same variables, not {self._title} with "
                 f"{titled(other)}; take marginals first"
             )
-        q = other.rearrange(self.scope).probabilities
-        return kernel.divergence(self.probabilities, q, len(self.scope))
+        self._aligned(other)  # whose leading axes have to broadcast
+        logs = other.rearrange(self.scope)._log_probabilities
+        return kernel.divergence(self._log_probabilities, logs, len(self.scope))
 
     def mutual_information(self, *variables: Variable) -> Array:
         """How much some variables of the scope tell of the others, in nats, (...).
@@ -316,9 +317,19 @@ class Table(FramedTable, Shown, NoArray, Immutable):
         0.192745
         """
         left = parted(self.scope, variables)
-        own = self.normalised()
-        apart = own.marginal(*variables) * own.marginal(*left)
-        return own.kl(apart)
+        logs = self.rearrange((*variables, *left))._log_probabilities
+        one, other = (self.marginal(*part)._log_probabilities for part in (variables, left))
+        one = one.reshape(*one.shape, *(1,) * len(left))
+        lead, shape = self.log_scale.shape, other.shape[self.log_scale.ndim :]
+        other = other.reshape(*lead, *(1,) * len(variables), *shape)
+        return kernel.divergence(logs, one + other, len(self.scope))
+
+    @property
+    def _log_probabilities(self) -> Array:
+        self._positive()
+        total = self.log_total
+        found: Array = self.log_values - total.reshape(*total.shape, *(1,) * len(self.scope))
+        return found
 
     def argmax(self) -> dict[Discrete, str] | dict[Discrete, Integers]:
         """The states of the largest entry, the first of equals: names; of stacks, indices (...)."""

@@ -186,11 +186,20 @@ def entropy(probabilities: Array, axes: int) -> Array:
     return _over(entr(probabilities), axes)
 
 
-def divergence(probabilities: Array, others: Array, axes: int) -> Array:
-    """Σ p ln(p/q) over the last axes, (...); ∞ where a p that is not zero has a q that is."""
-    from scipy.special import rel_entr  # here, since it is slow to import
+def divergence(logs: Array, others: Array, axes: int) -> Array:
+    """Σ p ln(p/q) over the last axes, (...), of the logarithms of p and q, whose sums are one.
 
-    return _over(rel_entr(probabilities, others), axes)
+    ∞ where a p that is not zero has a q that is. The sum is of p ln(p/q) − p + q, which is never
+    negative: with d = ln(p/q) it is p (d + e⁻ᵈ − 1).
+    """
+    with np.errstate(invalid="ignore", over="ignore"):
+        apart = logs - others
+        near = np.exp(logs) * np.maximum(apart + np.expm1(-np.maximum(apart, -1.0)), 0.0)
+        far = np.exp(logs) * (apart - 1.0) + np.exp(others)
+        terms = np.where(apart > -1.0, near, far)
+    terms = np.where(logs == -np.inf, np.exp(others), terms)
+    found: Array = _over(terms, axes)
+    return found
 
 
 def _over(values: Array, axes: int) -> Array:

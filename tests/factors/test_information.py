@@ -36,6 +36,26 @@ def test_stacks_zeros_and_independence():
     assert abs(apart.mutual_information(DAY)) < 1e-15
 
 
+def test_small_entries_and_nearly_independent_parts():
+    """References in 60 digits; what is told is never negative, and never beyond ln(size)."""
+    for values, due in (
+        ([[1.0, 0.0], [0.0, 1e-200]], 4.605e-198),
+        ([[1.0, 1e-160], [0.0, 1e-170]], 3.674e-168),
+        ([[1.0, 1e-250], [1e-250, 1e-240]], 5.526e-238),
+        ([[0.25, 0.25 + 1e-9], [0.25 - 1e-9, 0.25]], 2.8e-34),
+    ):
+        found = pgm.Table((RAIN, DAY), values).mutual_information(RAIN)
+        assert 0.0 <= found < max(10.0 * due, 1e-25)
+    rng = np.random.default_rng(0)
+    for _ in range(100):
+        apart = np.outer(rng.random(2), rng.random(2))
+        assert 0.0 <= pgm.Table((RAIN, DAY), apart).mutual_information(RAIN) < 1e-30
+    faint = pgm.Table(RAIN, [1e100, 1e-300])
+    assert pgm.Table(RAIN, [0.5, 0.5]).kl(faint) == pytest.approx(-np.log(2.0) + 200 * np.log(10))
+    stacked = pgm.Table((RAIN, DAY), np.ones((3, 2, 2)), lead=3)
+    assert stacked.mutual_information(DAY).shape == (3,)
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_gaussians(seed):
     rng = np.random.default_rng(seed)
@@ -74,6 +94,10 @@ def test_what_is_refused():
         table.mutual_information(DAY)
     with pytest.raises(pgm.ModelError, match="KL compares tables of the same variables"):
         table.kl(pgm.Table(RAIN, [1.0, 1.0]))
+    with pytest.raises(pgm.ModelError, match="do not broadcast"):
+        pgm.Table(RAIN, np.ones((3, 2)), lead=3).kl(pgm.Table(RAIN, np.ones((2, 2)), lead=2))
+    with pytest.raises(pgm.ModelError, match="leading axes"):
+        pgm.Gaussian(a, np.zeros((3, 1)), 1.0).kl(pgm.Gaussian(a, np.zeros((2, 1)), 1.0))
     with pytest.raises(pgm.NumericalError, match="no entropy, since a covariance is singular"):
         pgm.Gaussian(a, 0.0, 0.0).entropy()
     with pytest.raises(pgm.NumericalError):

@@ -5,6 +5,7 @@ The work itself is in `maximising`.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import islice
@@ -104,12 +105,12 @@ class MostProbable(Shown, Immutable):
         Raises
         ------
         EvidenceError
-            If the network does not have the variable.
+            If the assignment does not have the variable.
         """
         if not isinstance(variable, Discrete) or variable not in self.assignment:
             require_variable(variable)
             raise EvidenceError(
-                f"{variable!r} is not in the network; its variables are {list(self.assignment)}"
+                f"{variable!r} is not in the assignment; its variables are {list(self.assignment)}"
                 f"{namesake(variable, self.assignment)}",
                 variable=variable,
             )
@@ -353,7 +354,7 @@ def _k_best(graph: ClusterGraph, bound: BoundStates, count: int, room: Room) -> 
     free = tuple(
         v for v in discrete(graph.network.variables) if v.size > 1 and v not in bound.states
     )
-    found = list(islice(likeliest(graph, bound, free, room.batch), count))
+    found = list(islice(likeliest(graph, bound, free, room.batch), min(count, sys.maxsize)))
     levels = np.array([level for _, level in found])
     require_possible(plan, bound, levels[None, :1])
     states = np.stack([own for own, _ in found], axis=1)
@@ -443,6 +444,10 @@ def _named(
     """States by variable, (runs,), by their names, or as indices (*runs) where there are runs."""
     found: dict[Discrete, str | Integers] = {}
     for variable, own in states.items():
-        found[variable] = own.reshape(lead) if lead else variable.states[own[0]]
-        own.flags.writeable = False
+        if lead:
+            by_run = own.reshape(lead)
+            by_run.flags.writeable = False
+            found[variable] = by_run
+        else:
+            found[variable] = variable.states[own[0]]
     return found

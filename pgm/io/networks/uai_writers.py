@@ -156,8 +156,8 @@ def write_uai_result(
     FileError
         See `write_bif`.
     ModelError
-        If the task is none of these, or the answer is none to it, of several runs, or of another
-        network.
+        If the task is none of these, or the answer is none to it, of several runs, or has other
+        variables than the network.
 
     Examples
     --------
@@ -175,7 +175,7 @@ def write_uai_result(
     ----------
     UAI 2014 inference competition: file formats.
     """
-    if task not in TASKS:
+    if not isinstance(task, str) or task not in TASKS:
         raise ModelError(f"write_uai_result: the task is one of {', '.join(TASKS)}, not {task!r}")
     order = numbered(network, "write_uai_result")
     if task == "PR":
@@ -240,7 +240,13 @@ def _posterior(answer: Any, task: str, order: Sequence[Discrete]) -> Posterior[T
     """A posterior of the network whose variables are in `order`."""
     if not isinstance(answer, Posterior) or answer.kind is not None:
         raise _no_answer(task, "infer", answer)
-    _require_known(answer.graph.network.variables, order)
+    variables = answer.graph.network.variables
+    _require_known(variables, order)
+    if len(variables) < len(order):
+        raise ModelError(
+            f"write_uai_result: the network has {len(order)} variables, and that of the answer "
+            f"{len(variables)}; give the network of the answer"
+        )
     return answer
 
 

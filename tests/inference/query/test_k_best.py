@@ -71,6 +71,8 @@ def test_large_tables():
 def test_names_of_states():
     found = pgm.most_probable(pgm.compile(rainy), {wet: "yes"}, count=5)
     assert found.states(rain).tolist() == ["yes", "no"]
+    assert not found.assignment[rain].flags.writeable
+    assert len(pgm.most_probable(pgm.compile(rainy), {}, count=10**30).log_probability) == 4
     assert found.states(wet).tolist() == ["yes", "yes"]
     assert_allclose(np.exp(found.log_probability), [0.375, 0.125])
 

@@ -106,7 +106,7 @@ def test_names_of_a_batch():
             assert found.states(variable)[0, run] == single.states(variable)
             assert single.states(variable) == single.assignment[variable]
     assert repr(found).splitlines()[0] == "MostProbable(8 variables, runs (1, 2))"
-    with pytest.raises(pgm.EvidenceError, match=r"stranger is not in the network; .*dyspnoea"):
+    with pytest.raises(pgm.EvidenceError, match=r"stranger is not in the assignment; .*dyspnoea"):
         found.states(pgm.Discrete("stranger", 2))
     with pytest.raises(pgm.EvidenceError, match="by variable, not by 'xray'"):
         found.states("xray")

@@ -180,6 +180,10 @@ def test_answers_of_other_kinds():
     for task, answer in (("PR", best), ("MAR", 3), ("MAP", posterior), ("MMAP", None)):
         with pytest.raises(pgm.ModelError, match=f"the answer to '{task}' is that of pgm"):
             pgm.write_uai_result(task, answer, rainy, io.StringIO())
+    small = pgm.read_uai(io.StringIO("MARKOV 1  2  1  1 0  2 1 3"))
+    large = pgm.read_uai(io.StringIO("MARKOV 2  2 2  2  1 0  1 1  2 1 3  2 1 1"))
+    with pytest.raises(pgm.ModelError, match="the network has 2 variables, and that of the an"):
+        pgm.write_uai_result("PR", pgm.infer(pgm.compile(small), {}), large, io.StringIO())
     from pgm.examples import still
 
     over = pgm.smooth(still, {wet: [1, 1]})
