@@ -313,3 +313,12 @@ def unravelled(index: Integers, shape: Sequence[int]) -> tuple[Integers, ...]:
     if np.ndim(index) < 2:
         return np.unravel_index(index, shape)
     return tuple(k.reshape(index.shape) for k in np.unravel_index(index.reshape(-1), shape))
+
+
+def ranks(labels: Integers) -> Integers:
+    """How many labels (n,) before each equal it, (n,)."""
+    order = np.argsort(labels, kind="stable")
+    ranked = labels[order]
+    found = np.empty_like(order)
+    found[order] = np.arange(order.size) - np.searchsorted(ranked, ranked)
+    return found

@@ -10,20 +10,25 @@ from __future__ import annotations
 import numpy as np
 
 from pgm.beliefs.discrete.allowed import AllowedBeliefs
+from pgm.beliefs.discrete.first_beliefs import FirstBeliefs
+from pgm.beliefs.discrete.loopy_messages import LoopyBeliefs
 from pgm.beliefs.discrete.storage import Storage, sepset_between
 from pgm.beliefs.discrete.tree_beliefs import TreeBeliefs
 from pgm.clustergraph import ClusterGraph
 from pgm.clustergraph.structure import Forest
 from pgm.errors import EvidenceError, GraphError
 from pgm.factors.axes import sizes
-from pgm.kernels.arrays import Array, Integers, unravelled
+from pgm.kernels.arrays import Array, Integers, ranks, unravelled
 from pgm.kernels.stochastic import Dense
 from pgm.resources import require_memory
 from pgm.variables import Discrete, Variable
 
 
 def draws(
-    graph: ClusterGraph, beliefs: object, count: int, rng: np.random.Generator
+    graph: ClusterGraph,
+    beliefs: TreeBeliefs | AllowedBeliefs | FirstBeliefs | LoopyBeliefs,
+    count: int,
+    rng: np.random.Generator,
 ) -> dict[Variable, Integers]:
     """So many draws of each variable's state, (count, runs), for each run of the evidence."""
     if not graph.is_tree:
@@ -37,8 +42,7 @@ def draws(
             "these runs out"
         )
     forest = Forest.of(graph)
-    evidence = beliefs.evidence  # type: ignore[attr-defined]
-    storage: Storage = beliefs.storage  # type: ignore[attr-defined]
+    evidence, storage = beliefs.evidence, beliefs.storage
     which = beliefs.which if isinstance(beliefs, TreeBeliefs) else None
     # Runs of equal evidence share their tables, and each has draws of its own.
     counts = np.ones(1, dtype=np.intp) if which is None else np.bincount(which)
@@ -56,25 +60,11 @@ def draws(
         found = np.stack([states[v] for v in storage.homes]).astype(np.float64)
         return found if tables.ndim > 1 else found[..., 0]
 
-    reading = beliefs.read_each if isinstance(beliefs, TreeBeliefs) else beliefs.read  # type: ignore[attr-defined]
+    reading = beliefs.read_each if isinstance(beliefs, TreeBeliefs) else beliefs.read
     found = reading(read)
     found = found.reshape(variables, most, count, -1).astype(np.intp)
-    if which is None:
-        own = found[:, 0]
-    else:
-        rank = _ranks(which)
-        own = found[:, rank, :, which].transpose(1, 2, 0)
+    own = found[:, 0] if which is None else found[:, ranks(which), :, which].transpose(1, 2, 0)
     return dict(zip(storage.homes, own, strict=True))
-
-
-def _ranks(which: Integers) -> Integers:
-    """How many runs before each equal it, (runs,)."""
-    order = np.argsort(which, kind="stable")
-    ranked = which[order]
-    first = np.searchsorted(ranked, ranked)
-    found = np.empty_like(which)
-    found[order] = np.arange(which.size) - first
-    return found
 
 
 def _drawn(

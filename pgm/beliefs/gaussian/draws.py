@@ -82,8 +82,7 @@ def _given(
     white = rng.standard_normal((len(mean), count, size - before))
     values = mean[..., before:] + white @ transpose(lower[:, before:, before:])
     if given:
-        seen = np.concatenate([drawn[v] for v in given], axis=-1).swapaxes(0, 1)
-        residual = seen - mean[..., :before]
+        residual = _joined(given, drawn) - mean[..., :before]
         whitened, _ = normal_density.whitened(lower[:, :before, :before], residual)
         values = values + whitened @ transpose(lower[:, before:, :before])
     return _parted(own, values)
@@ -116,14 +115,19 @@ def _by_rows(
     mean, scale = np.broadcast_to(frame.mean, (runs, frame.mean.shape[-1])), frame.scale
     known = np.zeros((runs, count, 0))
     if given:
-        seen = np.concatenate([drawn[v] for v in given], axis=-1).swapaxes(0, 1)
-        known = (seen - mean[:, None, places[size:]]) / scale[places[size:]]
+        offset = _joined(given, drawn) - mean[:, None, places[size:]]
+        known = offset / scale[places[size:]]
     for step in reversed(steps):
         offset = runs_first(step.offset)[:, None]
         white = np.sqrt(step.noise) * rng.standard_normal((runs, count, 1))
         known = np.concatenate([known @ transpose(step.gain) + offset + white, known], axis=-1)
     values = mean[:, None, places[:size]] + scale[places[:size]] * known[..., :size]
     return _parted(own, values)
+
+
+def _joined(given: Scope, drawn: dict[Variable, Array]) -> Array:
+    """Draws by variable, (count, runs, d), as those of all of them together, (runs, count, n)."""
+    return np.concatenate([drawn[v] for v in given], axis=-1).swapaxes(0, 1)
 
 
 def _parted(own: Scope, values: Array) -> dict[Variable, Array]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.arrays import Array, Integers, ranks
 from pgm.resources import require_memory
 from pgm.variables import Discrete, Variable
 
@@ -54,10 +54,7 @@ def _of_part(part: Weighed, number: Integers, rng: np.random.Generator) -> dict[
         if not draw.size:
             continue
         pair = here[draw, run] * own.size + run  # the belief's run
-        order = np.argsort(pair, kind="stable")
-        ranked = pair[order]
-        rank = np.empty_like(order)
-        rank[order] = np.arange(order.size) - np.searchsorted(ranked, ranked)
+        rank = ranks(pair)
         most = int(rank.max()) + 1
         size = sum(v.dimension for v in found)
         require_memory(

@@ -131,7 +131,7 @@ def _require_near(outcome: MixedOutcome, parts: Sequence[Weighed]) -> None:
         for cpd in each.part.cpds:
             if not isinstance(cpd, SwitchingCPD):
                 continue
-            far = [k for k, case in enumerate(cpd.cases.values()) if is_farthest(case)]
+            far = [n for n, case in enumerate(cpd.cases.values()) if is_farthest(case)]
             if not far:
                 continue
             columns = [each.part.boundary.index(v) for v in cpd.switches]
