@@ -1,95 +1,105 @@
-"""The variables that a marginal MAP does not ask for, summed out.
+"""The most probable states of some variables of a discrete network, all others summed over.
 
-Sums and maxima do not change places: all other variables leave first, however wide the tables that
-this makes. The factors left are a Markov network of the variables asked for.
+Where the tables of the sums fit, that is one elimination for many runs; else a search by run.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
-from pgm import elimination
-from pgm.beliefs.discrete.run_pieces import pieces
-from pgm.clustergraph import ClusterGraph
-from pgm.compile import compile
-from pgm.errors import GraphError, NumericalError
+from pgm.beliefs.discrete.run_pieces import pieces, tree_pieces
+from pgm.elimination.max_sum import MaxSumPlan, max_sum
+from pgm.elimination.plan import Label
 from pgm.evidence.static import BoundStates
-from pgm.factors import Table
 from pgm.factors.axes import States
-from pgm.factors.scope import listed
+from pgm.inference.query.branch_and_bound import Problem, Search
 from pgm.inference.query.elimination import tables
-from pgm.inference.query.plan import QueryPlan
+from pgm.inference.query.plan import QueryPlan, scopes_of
 from pgm.inference.query.requisite import Requisite
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.semirings import LOG_SUM_PRODUCT
 from pgm.networks import MarkovNetwork
-from pgm.resources import gibibytes
+from pgm.progress import counted
 from pgm.schedules import limits
 
-# How far below the largest entry a logarithm may be for its number to be one of a `Table`.
-DEEPEST = -690.0
 
+@dataclass(frozen=True, eq=False)
+class MarginalMap:
+    """The most probable states of some variables.
 
-def summed_out(
-    network: MarkovNetwork, wanted: States, evidence: BoundStates
-) -> Iterator[ClusterGraph]:
-    """Of each run, the junction tree of the factors left over the variables wanted.
-
-    Their product is p(wanted, evidence) but for a constant of the run; some run has evidence.
+    states: (variables, runs), indices.
+    missing: (runs,): how much higher ln p of other states may be; zero where these are the best.
     """
-    plan = QueryPlan.of(Requisite.of(network, wanted, evidence), wanted)
-    last = plan.sums.steps[-1]
-    # The last step would multiply what is left.
-    plan = replace(plan, sums=replace(plan.sums, steps=plan.sums.steps[:-1]))
-    _require_size(plan, wanted)
-    scopes = [tuple([plan.order[k] for k in scope]) for scope in last.scopes]
-    alone = [Table.vacuous(v) for v in wanted if not any(v in scope for scope in scopes)]
-    tree: ClusterGraph | None = None
-    for piece in pieces(evidence, limits.BATCH // max(plan.sums.peak, 1)):
-        left = _left(plan, last.factors, piece)
-        for run in range(piece.runs):
-            pairs = zip(scopes, left, strict=True)
-            factors = [_table(scope, logs[..., run % logs.shape[-1]]) for scope, logs in pairs]
-            own = MarkovNetwork([*factors, *alone])
-            # All runs have the same scopes, and trees of the same shape.
-            if tree is None:
-                tree = compile(own)
-            yield tree._with(own, tree._members, tree._shared, tree._assigned)
+
+    states: Integers
+    missing: Array
 
 
-def _left(plan: QueryPlan, factors: tuple[int, ...], evidence: BoundStates) -> list[Array]:
-    """The factors of a plan of some numbers, as logarithms, (sizes..., runs or 1)."""
-    given, algebra = tables(plan, evidence, LOG_SUM_PRODUCT)
-    first = len(plan.sums.scopes)
-    found = {}
-    for number, made in enumerate(elimination.results(plan.sums, given, algebra), first):
-        if number in factors:
-            found[number] = made
-    return [given(k) if k < first else found[k] for k in factors]
+def marginal_map(network: MarkovNetwork, wanted: States, evidence: BoundStates) -> MarginalMap:
+    """The most probable states of the variables wanted, given evidence that is possible."""
+    found = MarginalMap(
+        np.zeros((len(wanted), evidence.runs), dtype=np.intp), np.zeros(evidence.runs)
+    )
+    question = _Question.of(network, wanted, evidence)
+    if question.plan.early or question.plan.plan.cost > limits.LIMIT:
+        # A run by itself has more variables that are known.
+        each = tree_pieces(1, evidence, 1)
+        for run, piece in enumerate(counted(each, "runs", evidence.runs)):
+            alone = _Question.of(network, wanted, piece)
+            found.states[:, [run]], found.missing[run] = alone.searched(piece)
+        return found
+    first = 0
+    for piece in pieces(evidence, limits.BATCH // max(question.plan.plan.cost, 1)):
+        here = slice(first, first + piece.runs)
+        found.states[:, here] = question.answered(piece)
+        first += piece.runs
+    return found
 
 
-def _table(scope: States, logs: Array) -> Table:
-    """A factor of logarithms."""
-    top = logs.max()
-    below = logs - top
-    if ((below < DEEPEST) & (below > -np.inf)).any():
-        raise NumericalError(
-            f"what is left over ({listed(scope)}) when the other variables are summed out has "
-            f"entries e^{below[below > -np.inf].min():.0f} times its largest, which numbers of "
-            "float64 do not hold; ask for more variables, or for all"
-        )
-    return Table._make(scope, np.exp(below), top)
+@dataclass(frozen=True, eq=False)
+class _Question:
+    """A plan of maxima over the variables wanted, of sums over the others.
 
+    query: The tables that the plan multiplies; variables are places in its order.
+    """
 
-def _require_size(plan: QueryPlan, wanted: States) -> None:
-    """Raise a GraphError if the tables need more memory at a time than the limit allows."""
-    if plan.sums.peak > limits.LIMIT:
-        raise GraphError(
-            f"summing all variables but ({listed(wanted)}) out needs tables of "
-            f"{gibibytes(plan.sums.peak)} at a time, where {gibibytes(limits.LIMIT)} is the limit. "
-            "Ask for other variables too, or for all, or give evidence that parts the network",
-            variable=wanted[0],
-        )
+    wanted: States
+    plan: MaxSumPlan
+    query: QueryPlan
+
+    @classmethod
+    def of(cls, network: MarkovNetwork, wanted: States, evidence: BoundStates) -> _Question:
+        """The plan for the variables wanted given some evidence."""
+        requisite = Requisite.of(network, wanted, evidence)
+        hidden, (weighted, scopes) = requisite.hidden, scopes_of(requisite)
+        asked = {k for k, v in enumerate(hidden) if v in wanted}
+        plan = max_sum(scopes, [v.size for v in hidden], asked)
+        order = tuple(hidden[k] for k in plan.order)
+        return cls(wanted, plan, QueryPlan(requisite, order, weighted, plan.plan))
+
+    def answered(self, evidence: BoundStates) -> Integers:
+        """The states wanted, (variables, runs), of some runs; sums leave first."""
+        given, _ = tables(self.query, evidence, LOG_SUM_PRODUCT)
+        return self._in_turn(self.plan.attained(given, evidence.runs), evidence)
+
+    def searched(self, evidence: BoundStates) -> tuple[Integers, float]:
+        """The states wanted, (variables, 1), of one run, and how much higher others may be."""
+        given, _ = tables(self.query, evidence, LOG_SUM_PRODUCT)
+        plan = self.plan.plan
+        logs = [given(k)[..., 0] for k in range(len(plan.scopes))]
+        best = Search(Problem(plan.scopes, logs, plan.sizes, self.plan.maximised)).found()
+        states = {self.plan.order[x]: np.array([own]) for x, own in best.states.items()}
+        return self._in_turn(states, evidence), best.bound - best.level
+
+    def _in_turn(self, states: Mapping[Label, Integers], evidence: BoundStates) -> Integers:
+        """The states wanted, of those that are hidden and those that the evidence has."""
+        found = np.zeros((len(self.wanted), evidence.runs), dtype=np.intp)
+        hidden = self.query.requisite.hidden
+        chosen = {hidden[x]: own for x, own in states.items()}
+        for own, variable in zip(found, self.wanted, strict=True):
+            # One of a single state may be neither.
+            own[:] = chosen.get(variable, evidence.states.get(variable, 0))
+        return found

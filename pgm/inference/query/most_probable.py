@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import islice
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -35,7 +35,7 @@ from pgm.factors.axes import States, discrete
 from pgm.factors.scope import namesake
 from pgm.immutable import Immutable
 from pgm.inference.query.k_best import likeliest
-from pgm.inference.query.marginal_map import summed_out
+from pgm.inference.query.marginal_map import marginal_map
 from pgm.inference.query.maximising import Search, in_parts
 from pgm.inference.query.question import wanted
 from pgm.kernels.arrays import Array, Integers, Mask, frozen
@@ -73,7 +73,11 @@ class MostProbable(Shown, Immutable):
         (*runs): ln p(assignment, evidence), natural logarithms.
     exact : ndarray of bool
         (*runs): whether it is known that no other assignment is more probable. It is not known of a
-        path of modes where others were left out, or CPDs linearised.
+        path of modes where others were left out, or CPDs linearised, nor of some variables whose
+        search was given up.
+    bound : ndarray
+        (*runs): no assignment's ln p is above that, which is `log_probability` itself, but for
+        rounding, where `exact`. Infinity where nothing is known, of paths of modes.
 
     Examples
     --------
@@ -89,6 +93,7 @@ class MostProbable(Shown, Immutable):
     assignment: Mapping[Discrete, str | Integers]
     log_probability: Array
     exact: Mask
+    bound: Array
 
     def states(self, variable: Variable) -> str | npt.NDArray[np.str_]:
         """The name of a variable's most probable state.
@@ -132,7 +137,8 @@ class MostProbable(Shown, Immutable):
         shown = [f"{v!r} {state}" for v, state in list(self.assignment.items())[:LISTED]]
         if len(self.assignment) > LISTED:
             shown.append(f"... {len(self.assignment)} variables")
-        return f"MostProbable({', '.join(shown)}; ln p {self.log_probability:.6g})"
+        known = "" if self.exact else f", at most {self.bound:.6g}"
+        return f"MostProbable({', '.join(shown)}; ln p {self.log_probability:.6g}{known})"
 
     @property
     def _over_time(self) -> bool:
@@ -195,8 +201,10 @@ def most_probable(
         step, as for `infer`. Leading axes are runs.
     variables : Discrete or iterable of Discrete, optional
         Those whose states are asked for, not observed in all runs; all others are summed over (a
-        *marginal MAP*). It is exact, and needs wider tables than either question alone, since the
-        others have to be summed out first. Not for a dynamic network.
+        *marginal MAP*). The others have to be summed out first; where that makes tables too large,
+        branch and bound searches states of some of the variables. It is exact, unless so long a
+        search is given up: then `exact` is False, and `bound` tells how much is open. Not for a
+        dynamic network.
     count : int, optional
         How many assignments are asked for. The result has an axis of them, as of runs, the most
         probable first; it is shorter where no more are possible. Of one set of evidence, of all
@@ -227,7 +235,7 @@ def most_probable(
     References
     ----------
     Koller & Friedman, Probabilistic Graphical Models, 2009, section 13.3; Viterbi, Error bounds for
-    convolutional codes, 1967.
+    convolutional codes, 1967; Park & Darwiche, Solving MAP exactly using systematic search, 2003.
 
     Examples
     --------
@@ -307,8 +315,7 @@ def most_probable(
     states.flags.writeable = False
     require_possible(plan, bound, log_tops)
     log_probability = frozen(log_tops.sum(axis=0).reshape(bound.lead))
-    assignment = MappingProxyType(_assignment(plan, bound, states))
-    return MostProbable(assignment, log_probability, _known(np.ones(bound.lead, dtype=bool)))
+    return _best(_assignment(plan, bound, states), log_probability)
 
 
 def _marginal_map(
@@ -316,16 +323,14 @@ def _marginal_map(
 ) -> MostProbable:
     """The most probable states of some variables, with all others summed over.
 
-    The trees of the variables asked for leave constants out, so that ln p(states, evidence) is the
-    log-evidence of the whole network.
+    The search leaves constants out, so that ln p(states, evidence) is the log-evidence of the
+    whole network.
     """
     of_tree(graph, bound, room)  # impossible evidence is told here
-    states = np.empty((len(asked), distinct.evidence.runs), dtype=np.intp)
-    for run, tree in enumerate(summed_out(graph.network, asked, distinct.evidence)):
-        best = most_probable(tree, {})
-        states[:, run] = [v.index(cast(str, best.assignment[v])) for v in asked]
+    found = marginal_map(graph.network, asked, distinct.evidence)
+    states, missing = found.states, found.missing
     if distinct.which is not None:
-        states = states[:, distinct.which]
+        states, missing = states[:, distinct.which], missing[distinct.which]
     chosen = dict(zip(asked, states, strict=True))
     weights = {v: soft for v, soft in bound.weights.items() if v not in chosen}
     hard = {v: own if bound.lead else int(own[0]) for v, own in chosen.items()}
@@ -336,10 +341,12 @@ def _marginal_map(
             runs = np.arange(bound.runs) % len(soft)
             levels = np.log(soft[runs, chosen[variable]])
             log_probability = log_probability + levels.reshape(bound.lead)
+    missing = missing.reshape(bound.lead)
     return MostProbable(
         MappingProxyType(_named(chosen, bound.lead)),
         frozen(np.asarray(log_probability)),
-        _known(np.ones(bound.lead, dtype=bool)),
+        _known(np.asarray(missing == 0.0)),
+        frozen(np.asarray(log_probability + missing)),
     )
 
 
@@ -359,8 +366,7 @@ def _k_best(graph: ClusterGraph, bound: BoundStates, count: int, room: Room) -> 
     require_possible(plan, bound, levels[None, :1])
     states = np.stack([own for own, _ in found], axis=1)
     by_variable = dict(zip(discrete(graph.network.variables), states, strict=True))
-    assignment = MappingProxyType(_named(by_variable, (len(found),)))
-    return MostProbable(assignment, frozen(levels), _known(np.ones(len(found), dtype=bool)))
+    return _best(_named(by_variable, (len(found),)), frozen(levels))
 
 
 def _require_countable(graph: Any, count: Any, variables: Any, executor: Any) -> None:
@@ -388,9 +394,13 @@ def _most_probable_path(graph: DynamicGraph, evidence: Evidence) -> MostProbable
     for v, own in zip(plan.slice, path, strict=True):
         own.flags.writeable = False
         assignment[v] = own[:, 0 if v in plan.states else 1 :].reshape(*bound.lead, -1)
-    log_probability = np.array(log_probability).reshape(bound.lead)
-    exact = _known(np.ones(bound.lead, dtype=bool))
-    return MostProbable(MappingProxyType(assignment), frozen(log_probability), exact)
+    return _best(assignment, frozen(np.array(log_probability).reshape(bound.lead)))
+
+
+def _best(assignment: dict[Discrete, str | Integers], log_probability: Array) -> MostProbable:
+    """Assignments that are known to be the most probable ones."""
+    exact = _known(np.ones(log_probability.shape, dtype=bool))
+    return MostProbable(MappingProxyType(assignment), log_probability, exact, log_probability)
 
 
 def _known(exact: Mask) -> Mask:
@@ -417,11 +427,10 @@ def _most_probable_modes(graph: DynamicGraph, evidence: Evidence, count: int) ->
         own.flags.writeable = False
         path = own[:, 0 if variable in graph.layout.states else 1 :]
         assignment[variable] = path.reshape(*bound.lead, -1)
-    return MostProbable(
-        MappingProxyType(assignment),
-        frozen(np.array(found.log_probability).reshape(bound.lead)),
-        _known(found.exact.reshape(bound.lead)),
-    )
+    log_probability = frozen(np.array(found.log_probability).reshape(bound.lead))
+    exact = _known(found.exact.reshape(bound.lead))
+    at_most = frozen(np.where(exact, log_probability, np.inf))
+    return MostProbable(MappingProxyType(assignment), log_probability, exact, at_most)
 
 
 def _assignment(

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pgm.elimination import Plan, by_fill
+from pgm.elimination import Plan, Scope, by_fill
 from pgm.errors import GraphError
 from pgm.factors.axes import States
 from pgm.factors.scope import listed
@@ -40,12 +40,9 @@ class QueryPlan:
     @classmethod
     def of(cls, requisite: Requisite, wanted: States) -> QueryPlan:
         """The plan in the order of min-fill, `wanted` variables last."""
-        hidden, evidence = requisite.hidden, requisite.evidence
+        hidden = requisite.hidden
         place = {v: k for k, v in enumerate(hidden)}
-        soft = {v: None for v, s in evidence.states.items() if not isinstance(s, int)}
-        weighted = tuple(v for v in (soft | dict.fromkeys(evidence.weights)) if v in place)
-        scopes = [tuple([place[v] for v in scope]) for scope in requisite.open]
-        scopes += [(place[v],) for v in weighted]
+        weighted, scopes = scopes_of(requisite)
         asked = [place[v] for v in wanted if v in place]  # one of a single state is not
         order, sums = by_fill(scopes, [v.size for v in hidden], asked)
         return cls(requisite, tuple(hidden[k] for k in order), weighted, sums)
@@ -69,3 +66,16 @@ class QueryPlan:
             "schedule=pgm.Flooding()), but its beliefs are approximate",
             variable=scope[0],
         )
+
+
+def scopes_of(requisite: Requisite) -> tuple[States, list[Scope]]:
+    """The hidden variables with weights, and the scopes of a query's tables, then of the weights.
+
+    A variable is told by its place in ``requisite.hidden``.
+    """
+    place = {v: k for k, v in enumerate(requisite.hidden)}
+    evidence = requisite.evidence
+    soft = {v: None for v, s in evidence.states.items() if not isinstance(s, int)}
+    weighted = tuple(v for v in (soft | dict.fromkeys(evidence.weights)) if v in place)
+    scopes = [tuple([place[v] for v in scope]) for scope in requisite.open]
+    return weighted, [*scopes, *[(place[v],) for v in weighted]]

@@ -1,12 +1,18 @@
 """The most probable states of some variables, the others summed over, against all states' table."""
 
+import importlib
 import itertools
 
 import numpy as np
 import pytest
 
 import pgm
+from pgm.elimination import max_sum
 from pgm.examples import coin, pair, rainy, side, still, wet
+from pgm.schedules import limits
+
+# The function `pgm.inference.query` has the package's name.
+branch_and_bound = importlib.import_module("pgm.inference.query.branch_and_bound")
 
 
 def drawn(rng):
@@ -106,20 +112,117 @@ def test_what_is_refused():
         pgm.most_probable(pgm.compile(pair), {}, variables=side)
 
 
-def test_tables_that_are_too_wide():
-    """One variable that meets thirty joins them all when it is summed out first."""
+@pytest.fixture
+def small_tables(monkeypatch):
+    """Any table is too large to sum first, so that all has to be searched."""
+    monkeypatch.setattr(max_sum, "PREFERENCES", [4, 0])
+    monkeypatch.setattr(max_sum, "EXACT", 0)
+    monkeypatch.setattr(max_sum, "BOUND", 0)
+    monkeypatch.setattr(max_sum, "TRIES", 3)
+
+
+@pytest.mark.parametrize("seed", range(150))
+@pytest.mark.usefixtures("small_tables")
+def test_search(seed):
+    """A search by bounds finds what the table of all states has, ties and zeros among it."""
+    test_drawn_networks(seed)
+
+
+def grid(seed):
+    """A grid of 4 by 5, some of its variables, and the table of these."""
+    rng = np.random.default_rng(seed)
+    cells = [[pgm.Discrete(f"c{i}{j}", 2) for j in range(5)] for i in range(4)]
+    pairs = [pair for row in cells for pair in itertools.pairwise(row)]
+    pairs += [pair for column in zip(*cells, strict=True) for pair in itertools.pairwise(column)]
+    strength = rng.choice([0.3, 3.0])
+    drawn = [pgm.Table(pair, np.exp(strength * rng.normal(size=(2, 2)))) for pair in pairs]
+    network = pgm.MarkovNetwork(drawn)
+    every = list(itertools.chain(*cells))
+    asked = [every[k] for k in rng.permutation(20)[: rng.integers(1, 20)]]
+    return network, asked, joint(network, 0, {}, {}).marginal(*asked)
+
+
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.usefixtures("small_tables")
+def test_search_in_grids(seed):
+    """Sums in a grid are joined to many maxima."""
+    network, asked, table = grid(seed)
+    found = pgm.most_probable(pgm.compile(network), {}, variables=asked)
+    assert found.exact
+    assert found.log_probability == pytest.approx(table.log_values.max(), abs=1e-11)
+    assert found.bound == found.log_probability
+
+
+def star(seed, count):
+    """A hub that meets all others: summed out, it joins them."""
+    rng = np.random.default_rng(seed)
     hub = pgm.Discrete("hub", 2)
-    rim = [pgm.Discrete(f"r{k}", 2) for k in range(30)]
-    star = pgm.MarkovNetwork([pgm.Table((hub, v), [[1.0, 2.0], [3.0, 1.0]]) for v in rim])
-    graph = pgm.compile(star)
-    assert pgm.most_probable(graph, {}).assignment[hub] == "1"
-    with pytest.raises(pgm.GraphError, match=r"but \(r0, .* out needs tables of .* GiB at a time"):
-        pgm.most_probable(graph, {}, variables=rim)
+    rim = [pgm.Discrete(f"r{k}", 2) for k in range(count)]
+    factors = [pgm.Table((hub, v), rng.exponential(size=(2, 2))) for v in rim]
+    return rim, pgm.compile(pgm.MarkovNetwork(factors))
+
+
+def test_sums_that_join_forty_variables():
+    """A table of 2⁴⁰ entries is never made; no state that differs by one or two is better."""
+    rim, graph = star(0, 40)
+    found = pgm.most_probable(graph, {}, variables=rim)
+    assert found.exact
+    level = pgm.infer(graph, dict(found.assignment)).log_evidence
+    assert found.log_probability == pytest.approx(level, abs=1e-12)
+    pairs = [*itertools.combinations(range(40), 2), *[(k, k) for k in range(40)]]
+    states = np.tile([v.index(found.states(v)) for v in rim], (len(pairs), 1))
+    for run, two in enumerate(pairs):
+        states[run, [*{*two}]] ^= 1
+    others = pgm.infer(graph, dict(zip(rim, states.T, strict=True))).log_evidence
+    assert (others <= level + 1e-12).all()
+
+
+def test_runs_of_a_search():
+    """Runs are searched one by one, each by what it leaves open."""
+    rim, graph = star(1, 30)
+    known = {rim[0]: [0, -1], rim[1]: [1, -1]}
+    found = pgm.most_probable(graph, known, variables=rim[1:])
+    assert found.assignment[rim[1]][0] == 1
+    first = pgm.most_probable(graph, {rim[0]: 0, rim[1]: 1}, variables=rim[2:])
+    second = pgm.most_probable(graph, {}, variables=rim[1:])
+    due = [float(first.log_probability), float(second.log_probability)]
+    assert found.log_probability == pytest.approx(due, abs=1e-12)
+
+
+@pytest.mark.usefixtures("small_tables")
+def test_a_search_that_is_given_up(monkeypatch):
+    """The best so far is told, with a bound on what may be missing."""
+    exact = []
+    for seed in range(10):
+        network, asked, table = grid(seed)
+        graph = pgm.compile(network)
+        monkeypatch.setattr(branch_and_bound, "WORK", 0)
+        found = pgm.most_probable(graph, {}, variables=asked)
+        best = table.log_values.max()
+        assert found.log_probability <= best + 1e-11
+        assert best <= found.bound + 1e-11
+        if not found.exact:
+            assert found.log_probability < found.bound < np.inf
+            assert f"at most {found.bound:.6g}" in repr(found)
+        exact.append(bool(found.exact))
+    assert not all(exact)
+
+
+def test_tables_that_are_too_wide(monkeypatch):
+    """What no order of sums and maxima makes small enough is refused."""
+    states = [pgm.Discrete(f"s{k}", 3) for k in range(8)]
+    pairs = itertools.combinations(states, 2)
+    every = pgm.MarkovNetwork([pgm.Table(pair, np.eye(3) + 1.0) for pair in pairs])
+    graph = pgm.compile(every)
+    monkeypatch.setattr(limits, "LIMIT", 8000)
+    with pytest.raises(pgm.GraphError, match=r"a marginal MAP needs are too large: .* limit"):
+        pgm.most_probable(graph, {}, variables=states[:4])
 
 
 def test_entries_beyond_numbers():
-    """What lies further below the largest entry than numbers reach is told, not dropped."""
+    """Entries further below the largest than numbers reach are compared all the same."""
     a, b = (pgm.Discrete(name, 2) for name in "ab")
-    faint = [pgm.Table((a, b), [[1.0, 1.0], [1e-200, 1e-200]])] * 2
-    with pytest.raises(pgm.NumericalError, match=r"over \(a\) .* entries e\^-921 times"):
-        pgm.most_probable(pgm.compile(pgm.MarkovNetwork(faint)), {}, variables=a)
+    faint = [pgm.Table((a, b), [[1e-200, 1e-200], [1e-201, 1e-200]])] * 2
+    found = pgm.most_probable(pgm.compile(pgm.MarkovNetwork(faint)), {}, variables=a)
+    assert found.assignment[a] == "0"
+    assert found.log_probability == pytest.approx(np.log(2) - 400 * np.log(10), rel=1e-15)

@@ -229,3 +229,24 @@ def test_published_answers(name):
         float(f.log_values[tuple(published[int(v.name)] for v in f.scope)]) for f in network.factors
     )
     assert pgm.most_probable(graph, evidence).log_probability >= level - 1e-9
+
+
+@pytest.mark.skipif(not PROBLEMS.exists(), reason="no shared/data/uai here")
+@pytest.mark.parametrize(
+    "name", ["Segmentation_11", pytest.param("ObjectDetection_11", marks=pytest.mark.slow)]
+)
+def test_published_questions(name):
+    """Marginal MAPs, summed in no table: none of another state is better, nor the MAP's states."""
+    network = pgm.read_uai(PROBLEMS / f"{name}.uai")
+    asked = pgm.read_uai_query(PROBLEMS / f"{name}.uai.query", network)
+    graph = pgm.compile(network)
+    found = pgm.most_probable(graph, {}, variables=asked)
+    assert found.exact
+    best = np.array([v.index(found.states(v)) for v in asked])
+    every = pgm.most_probable(graph, {})
+    states = [[v.index(every.states(v)) for v in asked]]
+    for k, v in enumerate(asked[:20]):
+        for state in set(range(v.size)) - {int(best[k])}:
+            states.append([*best[:k], state, *best[k + 1 :]])
+    others = pgm.infer(graph, dict(zip(asked, np.array(states).T, strict=True))).log_evidence
+    assert (others <= found.log_probability + 1e-9).all()
