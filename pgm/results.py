@@ -21,6 +21,7 @@ name              what it is                           what returns it
 `Growth`          how large a growing map is           ``grown.status``
 `CliqueTree`      a map's cliques, their messages      ``grown.cliques``
 `MostProbable`    the likeliest assignment             `pgm.most_probable`
+`MaxMarginals`    the best assignment with each state  `pgm.max_marginals`
 `Audit`           a smoother against the exact answer  `pgm.audit`
 `Comparison`      linearisers side by side             `pgm.compare`
 `Row`             one lineariser under one schedule    ``comparison["Taylor", "filter"]``
@@ -52,6 +53,7 @@ from pgm.inference import (
     Growth,
     Innovations,
     Lost,
+    MaxMarginals,
     MostProbable,
     OnlineBelief,
     ParticleBelief,
@@ -103,6 +105,7 @@ __all__ = [
     "Growth",
     "Innovations",
     "Lost",
+    "MaxMarginals",
     "MostProbable",
     "OnlineBelief",
     "ParticleBelief",

@@ -68,6 +68,7 @@ CALLS = {
     "Innovations": lambda: pgm.filter(walk, GIVEN).innovations[z],
     "Lost": lambda: pgm.filter(walk, GIVEN).lost,
     "MostProbable": lambda: pgm.most_probable(pgm.compile(rainy), {wet: "yes"}),
+    "MaxMarginals": lambda: pgm.max_marginals(pgm.compile(rainy), {wet: "yes"}),
     "OnlineBelief": online,
     "ParticleBelief": lambda: pgm.filter(walk, GIVEN, belief=CLOUD)[x],
     "ParticleFigures": lambda: pgm.filter(walk, GIVEN, belief=CLOUD).status._figures,
@@ -85,6 +86,7 @@ OLD = sorted(
     set(results.__all__)
     - {"Compilation", "ControlReport", "Derivatives", "GridFigures", "Innovations"}
     - {"Association", "CliqueTree", "Growth", "ParticleFigures", "ReadingReport", "Row", "Sample"}
+    - {"MaxMarginals"}
 )
 # What posteriors, statuses and filters are of, by the name of their class before.
 POSTERIORS = {

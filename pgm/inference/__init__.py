@@ -2,10 +2,10 @@
 
 A *schedule* says which messages are sent in which order, and how often nonlinear CPDs are
 linearised. `infer`, `filter` and `smooth` run one on evidence and return a posterior: marginals,
-joints, log-evidence and status; `prepare` has it run many times, with other values. `query` and
-`most_probable` answer single questions about discrete networks, `audit` estimates how far a
-Gaussian posterior is from the exact one, and an `OnlineFilter` takes one step at a time in a
-robot's loop, and a `GrowingMap` takes what a network without time grows by.
+joints, log-evidence and status; `prepare` has it run many times, with other values. `query`,
+`most_probable` and `max_marginals` answer single questions about discrete networks, `audit`
+estimates how far a Gaussian posterior is from the exact one, and an `OnlineFilter` takes one step
+at a time in a robot's loop, and a `GrowingMap` takes what a network without time grows by.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -29,6 +29,7 @@ from pgm.inference.growing import Association, CliqueTree, GrowingMap, Growth
 from pgm.inference.online import OnlineFilter
 from pgm.inference.prepared import Prepared, prepare
 from pgm.inference.query import query
+from pgm.inference.query.max_marginals import MaxMarginals, max_marginals
 from pgm.inference.query.most_probable import MostProbable, most_probable
 from pgm.posteriors.associations import Associations
 from pgm.posteriors.belief_kind import Kind
@@ -87,6 +88,7 @@ __all__ = [
     "Loopy",
     "Lost",
     "Marginals",
+    "MaxMarginals",
     "MostProbable",
     "OnlineBelief",
     "OnlineFilter",
@@ -105,6 +107,7 @@ __all__ = [
     "audit",
     "filter",
     "infer",
+    "max_marginals",
     "most_probable",
     "prepare",
     "query",

@@ -283,6 +283,8 @@ def discrete():
         "path": pgm.most_probable(pgm.compile(model, STEPS), evidence),
         "assignment": pgm.most_probable(tables, {WET: "yes"}),
         "assignments": pgm.most_probable(tables, {WET: [0, 1, 1]}),
+        "max-marginals": pgm.max_marginals(tables, {WET: "yes"}),
+        "max-marginals of runs": pgm.max_marginals(tables, {WET: [0, 1, 1]}),
         "discrete posterior": pgm.infer(tables, {WET: "yes"}),
         "discrete posteriors": pgm.infer(tables, {WET: [0, 1] * 50}),
         "house sample": model.sample(steps=9, runs=4, rng=1),

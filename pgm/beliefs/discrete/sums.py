@@ -172,17 +172,25 @@ class Marginals:
             matrix = np.ascontiguousarray(all_sums.T)
         return cls(sums, where, np.cumsum(widths) - widths, widths, stop, matrix)
 
+    def sum(self, tables: Array, semiring: Semiring) -> Array:
+        """The sums of tables, (length of the storage, [runs]), to each variable, (count, [runs]).
+
+        In max-product they are max-marginals.
+        """
+        out = np.empty((self.count, *tables.shape[1:]))
+        if semiring.linear and self.matrix is not None and tables.ndim == 1:
+            tables.dot(self.matrix, out)
+        else:
+            for each in self.sums:
+                each.apply(tables, semiring, out)
+        return out
+
     def read(self, tables: Array) -> Array:
         """The marginals, (count, [runs]), of calibrated tables, (length of the storage, [runs]).
 
         Each marginal is divided by its sum.
         """
-        out = np.empty((self.count, *tables.shape[1:]))
-        if self.matrix is not None and tables.ndim == 1:
-            tables.dot(self.matrix, out)
-        else:
-            for each in self.sums:
-                each.apply(tables, SUM_PRODUCT, out)
+        out = self.sum(tables, SUM_PRODUCT)
         # They sum to one but for rounding, which grows with the depth of a tree.
         out /= np.add.reduceat(out, self.first, 0).repeat(self.widths, 0)
         return out

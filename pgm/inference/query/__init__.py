@@ -5,7 +5,8 @@ other variables of that part (`plan`) and sums them out in this order (`eliminat
 evidence on the rest of the network is possible is examined separately (`left_out`).
 `most_probable` has the likeliest values of all hidden variables (`maximising`), of some, the
 others summed out (`marginal_map`; a search, `branch_and_bound`, where their tables are too large),
-or several assignments, one after another (`k_best`).
+or several assignments, one after another (`k_best`); `max_marginals` has the best assignment with
+each state of each variable.
 """
 
 from pgm.inference.query.question import query

@@ -34,6 +34,7 @@ from pgm.evidence.static import BoundStates, bind_discrete
 from pgm.factors.axes import States, discrete
 from pgm.factors.scope import namesake
 from pgm.immutable import Immutable
+from pgm.inference.query.asked import require_mapping
 from pgm.inference.query.k_best import likeliest
 from pgm.inference.query.marginal_map import marginal_map
 from pgm.inference.query.maximising import Search, in_parts
@@ -250,11 +251,7 @@ def most_probable(
         raise GraphError(
             f"most_probable takes a cluster graph (pgm.compile(network)), not {titled(graph)}"
         )
-    if not isinstance(evidence, Mapping):
-        raise EvidenceError(
-            f"evidence maps variables to states; found {type(evidence).__name__}; of a table of "
-            "records pgm.records(table, network) makes it"
-        )
+    require_mapping(evidence)
     mixed = isinstance(graph, DynamicGraph) and graph.model.mixed
     if count is not None:
         _require_countable(graph, count, variables, executor)

@@ -7,7 +7,7 @@ The *requisite* part of a network is the CPDs and the evidence on which the answ
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -26,6 +26,7 @@ from pgm.evidence.static import BoundStates, bind_discrete
 from pgm.factors import Table
 from pgm.factors.axes import States, as_states, discrete, sizes
 from pgm.factors.scope import as_scope, listed, require_order, unknown_name
+from pgm.inference.query.asked import require_mapping
 from pgm.inference.query.elimination import NOTHING, eliminate, require_possible
 from pgm.inference.query.left_out import Contradiction, contradictions
 from pgm.inference.query.plan import QueryPlan
@@ -109,11 +110,7 @@ def query(
     Table(rain: no 0.25, yes 0.75)
     """
     asked, graph = _discrete(network)
-    if not isinstance(evidence, Mapping):
-        raise EvidenceError(
-            f"evidence maps variables to states; found {type(evidence).__name__}; of a table "
-            "pgm.records(table, network) makes it"
-        )
+    require_mapping(evidence)
     known = frozenset(asked.variables)
     bound = bind_discrete(known, evidence)
     scope = as_states(wanted(variables, known, bound, "query"))
