@@ -11,10 +11,11 @@ from __future__ import annotations
 
 import math
 import warnings
-from typing import Any
+from collections.abc import Callable
 
 import numpy as np
 
+from pgm.clustergraph import ClusterGraph
 from pgm.errors import ConvergenceWarning, levels_to_user
 from pgm.kernels.arrays import Array, Mask
 from pgm.posteriors.outcome import B
@@ -49,17 +50,27 @@ def told(posterior: Posterior[B], schedule: Schedule | None) -> Posterior[B]:
     if schedule is None or not is_iterated(schedule):
         return posterior
     status = posterior.status
-    if status.converged.all():
-        return posterior
-    diverged = isinstance(schedule, Loopy) and _diverged(status, schedule)
-    if schedule.tolerance == 0.0 and not diverged:
-        return posterior
     if isinstance(schedule, Loopy):
-        message = _of_messages(posterior, status, schedule)
-    else:
+        tell_of_messages(status, schedule, posterior.graph, posterior._why_unsettled)
+    elif not status.converged.all() and schedule.tolerance > 0.0:
         message = _of_linearisations(status, schedule)
-    warnings.warn(message, ConvergenceWarning, stacklevel=levels_to_user())
+        warnings.warn(message, ConvergenceWarning, stacklevel=levels_to_user())
     return posterior
+
+
+def tell_of_messages(
+    status: Status, schedule: Loopy, graph: ClusterGraph, why: Callable[[], str] = str
+) -> None:
+    """Warn if messages on a graph have not settled in some run.
+
+    There is no warning with a tolerance of 0, unless they diverged. `why` is called for the cause,
+    if it is known, as a sentence with a blank behind it.
+    """
+    if status.converged.all():
+        return
+    if schedule.tolerance > 0.0 or _diverged(status, schedule):
+        message = _of_messages(graph, status, schedule, why())
+        warnings.warn(message, ConvergenceWarning, stacklevel=levels_to_user())
 
 
 def tell_online(converged: Mask, schedule: Filtering | FixedLag) -> None:
@@ -89,7 +100,7 @@ def _diverged(status: Status, schedule: Loopy) -> bool:
     return bool(grown.any()) or status.iterations < schedule.iterations
 
 
-def _of_messages(posterior: Posterior[Any], status: Status, schedule: Loopy) -> str:
+def _of_messages(graph: ClusterGraph, status: Status, schedule: Loopy, why: str) -> str:
     """The warning's text where messages on a graph have diverged or not settled, with advice."""
     last, of = _last(status)
     if _diverged(status, schedule):
@@ -104,12 +115,12 @@ def _of_messages(posterior: Posterior[Any], status: Status, schedule: Loopy) -> 
         ways.append(f"iterations={needed}, which will do at this rate")
     if not _shrink_steadily(status):
         ways.append(f"damping={0.5 * (1.0 + schedule.damping):g}")
-    if _has_hubs(posterior):
+    if _has_hubs(graph):
         ways.append("pgm.compile(network, method=pgm.LTRIP()), which settles more often")
     ways.append("a junction tree, pgm.compile(network), which is exact")
     return (
         f"{began}: the last changed one by {last} (tolerance {schedule.tolerance:g}; "
-        f"status.residuals){beliefs}. {posterior._why_unsettled()}Try {', or '.join(ways)}"
+        f"status.residuals){beliefs}. {why}Try {', or '.join(ways)}"
     )
 
 
@@ -124,12 +135,11 @@ def _shrink_steadily(status: Status) -> bool:
     return len(last) > _STEADY and bool((last[1:] < last[:-1]).all())
 
 
-def _has_hubs(posterior: Posterior[Any]) -> bool:
-    """Whether the posterior's graph has a hub, as a Bethe graph has.
+def _has_hubs(graph: ClusterGraph) -> bool:
+    """Whether a graph has a hub, as a Bethe graph has.
 
     A hub is a cluster of one variable alone that has two or more neighbours.
     """
-    graph = posterior.graph
     return any(
         len(cluster.scope) == 1 and len(graph.neighbours(k)) > 1
         for k, cluster in enumerate(graph.clusters)

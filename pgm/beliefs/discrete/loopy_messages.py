@@ -26,9 +26,12 @@ from pgm.clustergraph import ClusterGraph
 from pgm.evidence.static import BoundStates
 from pgm.factors.axes import sizes
 from pgm.kernels.arrays import Array, Integers, Mask
-from pgm.kernels.semirings import exp, log_sum
+from pgm.kernels.semirings import LOG_SUM_PRODUCT, Semiring, exp
 from pgm.schedules import limits
 from pgm.variables import Discrete
+
+# The relative rounding of a message's logarithms.
+ROUNDING = 1e-12
 
 
 class TableMessages:
@@ -36,26 +39,37 @@ class TableMessages:
 
     A message is the product of the sender's potential and all messages to it but the receiver's,
     summed over the variables outside the sepset. The product is made without dividing by the
-    receiver's message, which may have zeros. The class implements `pgm.schedules.loopy.Messages`.
+    receiver's message, which may have zeros. In max-product every sum is a maximum, also the one
+    that is one of each message. The class implements `pgm.schedules.loopy.Messages`.
 
     plan: The layout of all messages, and of rounds.
     storage: Where each cluster's table stands among the entries.
     directed: The source and the target cluster of each message.
     potentials: (entries, runs): logarithms of potentials times evidence.
+    semiring: Of the sums: `LOG_SUM_PRODUCT` or `MAX_PRODUCT`.
     logs: (columns, runs): logarithms of the messages; `plan` says where each one stands.
     damping: The weight of the logarithm of the old message in the new one, in [0, 1); 0 for none.
     """
 
-    def __init__(self, graph: ClusterGraph, evidence: BoundStates, damping: float) -> None:
+    def __init__(
+        self,
+        graph: ClusterGraph,
+        evidence: BoundStates,
+        damping: float,
+        semiring: Semiring = LOG_SUM_PRODUCT,
+    ) -> None:
         _require_room(graph, evidence)
         self.plan = graph.derived(LoopyPlan)
         self.storage = self.plan.storage
         self.directed = self.plan.directed
         self.evidence = evidence
         self.damping = damping
+        self.semiring = semiring
         self.runs = evidence.runs
         self.potentials = enter_everywhere(self.storage, evidence)
-        equal = np.repeat(-np.log(self.plan.widths), self.plan.widths)
+        widths, which = np.unique(self.plan.widths, return_inverse=True)
+        level = np.array([semiring.total(np.zeros(width), 0) for width in widths.tolist()])
+        equal = np.repeat(-level[which], self.plan.widths)
         self.logs = np.repeat(equal[:, None], self.runs, axis=1)
         self._proposed = np.empty_like(self.logs)
 
@@ -79,8 +93,10 @@ class TableMessages:
     def propose(self, round: Sequence[Group]) -> Array:
         """Compute a round's new messages from the current ones, which only `accept` replaces.
 
-        Returns the largest change of a probability of each message, (messages, runs), in the order
-        in which the method `round` was given the messages. A message that is zero throughout raises
+        Returns the largest change of each message, (messages, runs), in the order in which the
+        method `round` was given the messages. It is of a probability; in max-product of an entry
+        relative to the larger of its two values, since an entry that is next to nothing may be the
+        largest one that evidence elsewhere allows. A message that is zero throughout raises
         `EvidenceError`.
         """
         count = sum(outlet.order.size for group in round for outlet in group.outlets)
@@ -88,12 +104,22 @@ class TableMessages:
         for group in round:
             products = self._products(group)
             for outlet in group.outlets:
-                sums: Array = log_sum(products.take(outlet.index, 0), 0)
+                sums: Array = self.semiring.total(products.take(outlet.index, 0), 0)
                 new = self._normalised(sums.reshape(*outlet.columns.shape, self.runs), outlet)
                 old = self.logs[outlet.columns]
-                change[outlet.order] = np.abs(exp(new) - exp(old)).max(axis=1)
+                change[outlet.order] = self._change(new, old).max(axis=1)
                 self._proposed[outlet.columns] = new
         return change
+
+    def _change(self, new: Array, old: Array) -> Array:
+        """How much each entry of messages changes, from 0 to 1; of their logarithms."""
+        if self.semiring is LOG_SUM_PRODUCT:
+            found: Array = np.abs(exp(new) - exp(old))
+            return found
+        same = new == old  # where both may be −∞
+        apart = np.abs(np.subtract(new, old, where=~same, out=np.zeros_like(new)))
+        relative: Array = -np.expm1(-apart)
+        return relative
 
     def _products(self, group: Group) -> Array:
         """The products of each cluster's potential and all messages to it but one, as logarithms.
@@ -112,17 +138,19 @@ class TableMessages:
         return products.reshape(-1, self.runs)
 
     def _normalised(self, messages: Array, outlet: Outlet) -> Array:
-        """Messages of an outlet, each divided by its sum: logarithms, (messages, columns, runs).
+        """Messages of an outlet, each divided by its sum, as logarithms.
+
+        They are (messages, columns, runs).
 
         The argument `messages` has the logarithms before the division, in the same shape. A message
         of sum zero is refused with an `EvidenceError`, which names its sender.
         """
-        total = log_sum(messages, 1)
-        self._require_possible(total, outlet.senders)
+        total = self.semiring.total(messages, 1)
+        self.require_possible(total, outlet.senders)
         normalised: Array = messages - total[:, None]
         return normalised
 
-    def _require_possible(self, totals: Array, clusters: Integers) -> None:
+    def require_possible(self, totals: Array, clusters: Integers) -> None:
         """Raise `EvidenceError` if a sum is zero, which tells that the evidence is impossible.
 
         `totals`, (rows, runs), are logarithms of sums. Each row is for a message, for the belief of
@@ -155,6 +183,26 @@ class TableMessages:
         """Do nothing, and return None: no CPD of a discrete network is nonlinear."""
         return
 
+    def belief_logs(self) -> Array:
+        """The clusters' potentials times all messages to each, as logarithms, (entries, runs)."""
+        logs = self.potentials.copy()
+        for group in self.plan.everything(self.runs):
+            logs[group.entries] += self.logs.take(group.incoming, 0).sum(axis=0)
+        return logs
+
+    def settled(self) -> Mask:
+        """Whether each message equals what it would be if it were sent now, (runs,).
+
+        Every entry is compared, up to rounding, and also those that are next to nothing beside the
+        largest one of their message.
+        """
+        self.propose(self.round(range(len(self.directed))))
+        new, old = self._proposed, self.logs
+        with np.errstate(invalid="ignore"):
+            near = np.abs(new - old) <= ROUNDING * np.maximum(1.0, np.abs(old))
+        found: Mask = (near | (new == old)).all(axis=0)
+        return found
+
     def beliefs(self) -> tuple[Array, Array]:
         """The clusters' beliefs as probabilities, (entries, runs), and ln Z_cluster of each.
 
@@ -162,12 +210,10 @@ class TableMessages:
         by which it is divided. The logarithms ln Z_cluster are (clusters, runs). A belief that is
         zero throughout raises `EvidenceError`.
         """
-        logs = self.potentials.copy()
-        for group in self.plan.everything(self.runs):
-            logs[group.entries] += self.logs.take(group.incoming, 0).sum(axis=0)
+        logs = self.belief_logs()
         lengths = np.array(self.storage.graph.sizes)
         totals = _segments(logs, lengths)
-        self._require_possible(totals, np.arange(lengths.size))
+        self.require_possible(totals, np.arange(lengths.size))
         return exp(logs - totals.repeat(lengths, 0)), totals
 
     def log_evidence(self, totals: Array) -> Array:
@@ -183,7 +229,7 @@ class TableMessages:
             owner = np.repeat(np.arange(widths.size), widths)
             there, back = self.logs[owner % 2 == 0], self.logs[owner % 2 == 1]
             sepsets = _segments(there + back, widths[::2])
-            self._require_possible(sepsets, self.directed.source[::2])
+            self.require_possible(sepsets, self.directed.source[::2])
             value = value - sepsets.sum(axis=0)
         return value
 

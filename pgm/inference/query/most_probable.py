@@ -1,6 +1,6 @@
 """The most probable assignment of a discrete network, or path of a chain's discrete variables.
 
-The work itself is in `maximising`.
+The work itself is in `maximising`, and round loops in `pgm.beliefs.discrete.loopy_messages`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.arguments import public
+from pgm.beliefs.discrete.decoding import decoded
 from pgm.beliefs.discrete.impossible import require_possible
+from pgm.beliefs.discrete.loopy_messages import TableMessages
 from pgm.beliefs.discrete.run import of_tree
 from pgm.beliefs.discrete.run_pieces import Distinct
 from pgm.beliefs.discrete.tree_plan import TreePlan, plan_for
@@ -28,7 +30,7 @@ from pgm.boundary import is_whole
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
 from pgm.display import LEFT_OUT, Listing, Shown, Summary, few, titled
-from pgm.errors import EvidenceError, GraphError
+from pgm.errors import EvidenceError, GraphError, ModelError
 from pgm.evidence import Evidence
 from pgm.evidence.static import BoundStates, bind_discrete
 from pgm.factors.axes import States, discrete
@@ -40,12 +42,17 @@ from pgm.inference.query.marginal_map import marginal_map
 from pgm.inference.query.maximising import Search, in_parts
 from pgm.inference.query.question import wanted
 from pgm.kernels.arrays import Array, Integers, Mask, frozen
+from pgm.kernels.semirings import MAX_PRODUCT
 from pgm.posteriors.posterior import require_variable
+from pgm.posteriors.status import Status
 from pgm.posteriors.summaries import spread
 from pgm.progress import Progress, reporting
 from pgm.schedules.binding import bind_chain
+from pgm.schedules.convergence import tell_of_messages
 from pgm.schedules.limits import Room, require_runs
+from pgm.schedules.loopy import run_loopy
 from pgm.schedules.options import PATHS, Call, require
+from pgm.schedules.schedule import Loopy
 from pgm.variables import Discrete, Variable
 from pgm.workers.workers import Workers
 
@@ -74,11 +81,15 @@ class MostProbable(Shown, Immutable):
         (*runs): ln p(assignment, evidence), natural logarithms.
     exact : ndarray of bool
         (*runs): whether it is known that no other assignment is more probable. It is not known of a
-        path of modes where others were left out, or CPDs linearised, nor of some variables whose
-        search was given up.
+        path of modes where others were left out, or CPDs linearised, nor of messages round loops,
+        nor of some variables whose search was given up.
     bound : ndarray
         (*runs): no assignment's ln p is above that, which is `log_probability` itself, but for
-        rounding, where `exact`. Infinity where nothing is known, of paths of modes.
+        rounding, where `exact`. Infinity where nothing is known, of paths of modes and messages
+        round loops.
+    status : Status or None
+        Of max-product by a schedule, how many rounds were sent, whether each run converged to a
+        fixed point, and the residuals, as of `infer`; else None.
 
     Examples
     --------
@@ -95,6 +106,7 @@ class MostProbable(Shown, Immutable):
     log_probability: Array
     exact: Mask
     bound: Array
+    status: Status | None = None
 
     def states(self, variable: Variable) -> str | npt.NDArray[np.str_]:
         """The name of a variable's most probable state.
@@ -128,7 +140,7 @@ class MostProbable(Shown, Immutable):
         lead = self.log_probability.shape
         if lead:
             count = len(self.assignment)
-            return f"MostProbable({count} variable{'s' * (count != 1)}, runs {lead})"
+            return f"MostProbable({count} variable{'s' * (count != 1)}, runs {lead}{self._vouched})"
         if self._over_time:
             steps = max(np.shape(state)[-1] for state in self.assignment.values())
             return (
@@ -138,8 +150,18 @@ class MostProbable(Shown, Immutable):
         shown = [f"{v!r} {state}" for v, state in list(self.assignment.items())[:LISTED]]
         if len(self.assignment) > LISTED:
             shown.append(f"... {len(self.assignment)} variables")
-        known = "" if self.exact else f", at most {self.bound:.6g}"
-        return f"MostProbable({', '.join(shown)}; ln p {self.log_probability:.6g}{known})"
+        level = f"ln p {self.log_probability:.6g}{self._vouched}"
+        return f"MostProbable({', '.join(shown)}; {level})"
+
+    @property
+    def _vouched(self) -> str:
+        """What is known of an assignment that may not be the most probable one, in words."""
+        if self.exact.all():
+            return ""
+        if self.status is None:
+            return f", at most {self.bound.max():.6g}"
+        settled = "settled" if self.status.converged.all() else "not settled"
+        return f"; messages {settled}, no optimum is vouched for"
 
     @property
     def _over_time(self) -> bool:
@@ -168,6 +190,7 @@ def most_probable(
     graph: ClusterGraph,
     evidence: Evidence,
     *,
+    schedule: Loopy | None = None,
     variables: Variable | Iterable[Variable] | None = None,
     count: int | None = None,
     memory: float | None = None,
@@ -187,6 +210,13 @@ def most_probable(
     maxima are traced back from there. Of several equally probable assignments the same one is
     always returned.
 
+    On a graph with loops a schedule sends such messages round after round (max-product), as `infer`
+    does with sums. Where they settle, and no two states are equally good, the assignment is more
+    probable than all that differ from it in variables which form trees or single loops of the graph
+    (Weiss & Freeman, 2001); it need not be the most probable, and ``exact`` is False. States are
+    chosen cluster by cluster, each given those before it, so that ties are broken consistently. ln
+    p is that of the assignment told, exactly.
+
     For a dynamic network of discrete and continuous variables the assignment is the path of the
     discrete ones, with the continuous ones integrated out: each step keeps the likeliest paths so
     far, each with its own Gaussian, and leaves others out.
@@ -194,12 +224,16 @@ def most_probable(
     Parameters
     ----------
     graph : ClusterGraph
-        The graph of a discrete network, without loops, or of a dynamic network with discrete
-        variables, with continuous ones beside them or not.
+        The graph of a discrete network, without loops unless a schedule is given, or of a dynamic
+        network with discrete variables, with continuous ones beside them or not.
     evidence : mapping of Variable
         The name or index of a state, an array of indices with −1 for "not observed in this run", or
         `soft` weights, which count as factors of the probability; for a dynamic network arrays by
         step, as for `infer`. Leading axes are runs.
+    schedule : Flooding, Sequential, Residual or another Loopy, optional
+        The order in which messages are sent round a graph with loops, their damping, tolerance and
+        number; a graph without loops needs none. Not with any of the options below but `progress`,
+        and not for a dynamic network.
     variables : Discrete or iterable of Discrete, optional
         Those whose states are asked for, not observed in all runs; all others are summed over (a
         *marginal MAP*). The others have to be summed out first; where that makes tables too large,
@@ -225,18 +259,29 @@ def most_probable(
         function, ``progress(done, total)``, called at the start of each stage and after each of its
         items: steps, or parts of the runs.
 
+    Warns
+    -----
+    ConvergenceWarning
+        If the messages of a schedule have not settled, in any run.
+
     Raises
     ------
     GraphError
-        If the network is continuous, the graph has loops or too large a cluster, there are too
-        many runs, or `memory` is too small.
+        If the network is continuous, the graph has loops and no schedule, or too large a cluster,
+        there are too many runs, or `memory` is too small.
+    ModelError
+        If the schedule is none for messages on any graph.
     EvidenceError
         If the evidence does not fit the network, or has probability zero.
+    NumericalError
+        If messages round loops lead to no assignment of positive probability.
 
     References
     ----------
-    Koller & Friedman, Probabilistic Graphical Models, 2009, section 13.3; Viterbi, Error bounds for
-    convolutional codes, 1967; Park & Darwiche, Solving MAP exactly using systematic search, 2003.
+    Koller & Friedman, Probabilistic Graphical Models, 2009, sections 13.3 and 13.4; Viterbi, Error
+    bounds for convolutional codes, 1967; Park & Darwiche, Solving MAP exactly using systematic
+    search, 2003; Weiss & Freeman, On the optimality of solutions of the max-product
+    belief-propagation algorithm in arbitrary graphs, 2001.
 
     Examples
     --------
@@ -246,6 +291,9 @@ def most_probable(
     'yes'
     >>> pgm.most_probable(pgm.compile(rainy), {wet: "yes"}, variables=rain)
     MostProbable(rain yes; ln p -0.980829)
+    >>> around = pgm.compile(rainy, method=pgm.Bethe())
+    >>> pgm.most_probable(around, {wet: "yes"}, schedule=pgm.Flooding()).states(rain)
+    'yes'
     """
     if not isinstance(graph, ClusterGraph):
         raise GraphError(
@@ -253,6 +301,15 @@ def most_probable(
         )
     require_mapping(evidence)
     mixed = isinstance(graph, DynamicGraph) and graph.model.mixed
+    if schedule is not None:
+        others = {
+            "variables": variables,
+            "count": count,
+            "memory": memory,
+            "executor": executor,
+            "paths": paths,
+        }
+        _require_schedule(graph, schedule, [n for n, v in others.items() if v is not None])
     if count is not None:
         _require_countable(graph, count, variables, executor)
     if variables is not None and (executor is not None or isinstance(graph, DynamicGraph)):
@@ -284,10 +341,15 @@ def most_probable(
             "continuous variables that are Gaussian the most probable values are the means of "
             "pgm.infer(...), and mixtures have posterior[x].modes()"
         )
+    if schedule is not None:
+        bound = bind_discrete(frozenset(graph.network.variables), evidence)
+        with reporting(progress):
+            return _max_product(graph, bound, schedule)
     if not graph.is_tree:
         raise GraphError(
             f"{titled(graph)} has loops, and most_probable is for trees; compile a junction tree, "
-            "pgm.compile(network)"
+            "pgm.compile(network), or send messages round the loops, schedule=pgm.Flooding(), "
+            "which vouch for no optimum"
         )
     room = Room.of(memory, graph)
     bound = bind_discrete(frozenset(graph.network.variables), evidence)
@@ -313,6 +375,50 @@ def most_probable(
     require_possible(plan, bound, log_tops)
     log_probability = frozen(log_tops.sum(axis=0).reshape(bound.lead))
     return _best(_assignment(plan, bound, states), log_probability)
+
+
+def _require_schedule(graph: ClusterGraph, schedule: Any, others: list[str]) -> None:
+    """Refuse what is no schedule of messages on any graph, or goes with what it does not go with.
+
+    `others` are the names of the other options given.
+    """
+    if not isinstance(schedule, Loopy) or type(schedule) is Loopy:
+        raise ModelError(
+            f"{schedule!r} is no schedule of messages round loops, which most_probable takes; give "
+            "one like pgm.Flooding(damping=0.5), or none for a graph without loops"
+        )
+    if isinstance(graph, DynamicGraph):
+        raise GraphError(
+            f"{titled(graph)} has time, whose most probable path is found without a schedule; "
+            f"leave {schedule!r} out"
+        )
+    if others:
+        raise GraphError(
+            f"a schedule finds one assignment of all variables: leave {others[0]}= out, or, on a "
+            "graph without loops, the schedule"
+        )
+
+
+def _max_product(graph: ClusterGraph, bound: BoundStates, schedule: Loopy) -> MostProbable:
+    """The assignment to which messages of a schedule lead, with maxima in place of sums.
+
+    On a graph without loops it is known to be the most probable one if no message has anything new
+    to say; on others it is not.
+    """
+    messages = TableMessages(graph, bound, schedule.damping, MAX_PRODUCT)
+    status = run_loopy(messages, schedule, bound.lead)
+    states, log_probability = decoded(messages)
+    exact = messages.settled() & graph.is_tree
+    by_variable = {v: states[v] for v in discrete(graph.network.variables)}
+    found = MostProbable(
+        MappingProxyType(_named(by_variable, bound.lead)),
+        frozen(log_probability.reshape(bound.lead)),
+        _known(exact.reshape(bound.lead)),
+        frozen(np.where(exact, log_probability, np.inf).reshape(bound.lead)),
+        status,
+    )
+    tell_of_messages(status, schedule, graph)
+    return found
 
 
 def _marginal_map(
