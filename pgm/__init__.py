@@ -89,6 +89,7 @@ from pgm.inference import (
     most_probable,
     prepare,
     query,
+    sensitivity,
     smooth,
 )
 from pgm.io import stamped, timeline
@@ -341,6 +342,7 @@ __all__ = [
     "recordings",
     "records",
     "results",
+    "sensitivity",
     "shifts",
     "sightings",
     "smooth",

@@ -21,6 +21,9 @@ name              what it is                           what returns it
 `Growth`          how large a growing map is           ``grown.status``
 `CliqueTree`      a map's cliques, their messages      ``grown.cliques``
 `MostProbable`    the likeliest assignment             `pgm.most_probable`
+`Sensitivities`   what a probability depends on        `pgm.sensitivity`
+`Sensitivity`     how it depends on a table's entries  ``found[x]`` of `Sensitivities`
+`SensitiveEntry`  an entry on which it depends         ``found.ranked()``
 `MaxMarginals`    the best assignment with each state  `pgm.max_marginals`
 `Audit`           a smoother against the exact answer  `pgm.audit`
 `Comparison`      linearisers side by side             `pgm.compare`
@@ -60,6 +63,9 @@ from pgm.inference import (
     ParticleFigures,
     Posterior,
     Rejections,
+    SensitiveEntry,
+    Sensitivities,
+    Sensitivity,
     Status,
 )
 from pgm.io import ControlReport, ReadingReport, Stamped, Timeline
@@ -115,6 +121,9 @@ __all__ = [
     "Rejections",
     "Row",
     "Sample",
+    "SensitiveEntry",
+    "Sensitivities",
+    "Sensitivity",
     "Stamped",
     "Status",
     "Timeline",

@@ -78,6 +78,9 @@ CALLS = {
     "Row": lambda: pgm.compare(walk, GIVEN)["Taylor", "filter"],
     "Sample": lambda: walk.sample(steps=3, rng=0),
     "Stamped": lambda: pgm.stamped([0.0], [1.0]),
+    "SensitiveEntry": lambda: pgm.sensitivity(rainy, {rain: "no"}).ranked(1)[0],
+    "Sensitivities": lambda: pgm.sensitivity(rainy, {rain: "no"}),
+    "Sensitivity": lambda: pgm.sensitivity(rainy, {rain: "no"})[rain],
     "Status": lambda: pgm.smooth(walk, GIVEN).status,
     "Timeline": lambda: pgm.timeline(**LOG),
 }
@@ -86,7 +89,7 @@ OLD = sorted(
     set(results.__all__)
     - {"Compilation", "ControlReport", "Derivatives", "GridFigures", "Innovations"}
     - {"Association", "CliqueTree", "Growth", "ParticleFigures", "ReadingReport", "Row", "Sample"}
-    - {"MaxMarginals"}
+    - {"MaxMarginals", "SensitiveEntry", "Sensitivities", "Sensitivity"}
 )
 # What posteriors, statuses and filters are of, by the name of their class before.
 POSTERIORS = {

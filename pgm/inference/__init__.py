@@ -3,9 +3,10 @@
 A *schedule* says which messages are sent in which order, and how often nonlinear CPDs are
 linearised. `infer`, `filter` and `smooth` run one on evidence and return a posterior: marginals,
 joints, log-evidence and status; `prepare` has it run many times, with other values. `query`,
-`most_probable` and `max_marginals` answer single questions about discrete networks, `audit`
-estimates how far a Gaussian posterior is from the exact one, and an `OnlineFilter` takes one step
-at a time in a robot's loop, and a `GrowingMap` takes what a network without time grows by.
+`most_probable`, `max_marginals` and `sensitivity` answer single questions about discrete networks,
+`audit` estimates how far a Gaussian posterior is from the exact one, and an `OnlineFilter` takes
+one step at a time in a robot's loop, and a `GrowingMap` takes what a network without time grows
+by.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -31,6 +32,12 @@ from pgm.inference.prepared import Prepared, prepare
 from pgm.inference.query import query
 from pgm.inference.query.max_marginals import MaxMarginals, max_marginals
 from pgm.inference.query.most_probable import MostProbable, most_probable
+from pgm.inference.query.sensitivity import (
+    SensitiveEntry,
+    Sensitivities,
+    Sensitivity,
+    sensitivity,
+)
 from pgm.posteriors.associations import Associations
 from pgm.posteriors.belief_kind import Kind
 from pgm.posteriors.figures import Threshold
@@ -100,6 +107,9 @@ __all__ = [
     "Rejections",
     "Residual",
     "Schedule",
+    "SensitiveEntry",
+    "Sensitivities",
+    "Sensitivity",
     "Sequential",
     "Smoothing",
     "Status",
@@ -111,5 +121,6 @@ __all__ = [
     "most_probable",
     "prepare",
     "query",
+    "sensitivity",
     "smooth",
 ]

@@ -15,7 +15,7 @@ import numpy as np
 from pgm.beliefs.discrete.place import by_state
 from pgm.beliefs.discrete.storage import Storage
 from pgm.evidence.static import BoundStates
-from pgm.factors.axes import States
+from pgm.factors.axes import States, sizes
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.semirings import LOG_SUM_PRODUCT, Semiring
 
@@ -72,15 +72,20 @@ def entered(storage: Storage, evidence: BoundStates, cluster: int) -> Array:
     The array is the cluster's table in the result of `enter_everywhere`, with an axis for each
     variable of its scope.
     """
+    logs: Array = storage.table(storage.logs, cluster)[..., None]
+    return logs + entering(storage, evidence, cluster)
+
+
+def entering(storage: Storage, evidence: BoundStates, cluster: int) -> Array:
+    """Logarithms of the evidence that enters one cluster, (sizes..., runs), as `entered` has it."""
     scope = storage.scopes[cluster]
-    table = np.repeat(storage.table(storage.logs, cluster)[..., None], evidence.runs, axis=-1)
-    for variable, state in evidence.states.items():
-        if variable in scope:
-            shown = one_hot(np.reshape(state, -1), variable.size)
-            _weigh(np.moveaxis(table, scope.index(variable), 0), shown, LOG_SUM_PRODUCT)
-    for variable, soft in evidence.weights.items():
-        if storage.homes[variable] == cluster:
-            _weigh(np.moveaxis(table, scope.index(variable), 0), soft.T, LOG_SUM_PRODUCT)
+    table = np.zeros((*sizes(scope), evidence.runs))
+    for axis, variable in enumerate(scope):
+        if variable in evidence.states:
+            shown = one_hot(np.reshape(evidence.states[variable], -1), variable.size)
+            _weigh(np.moveaxis(table, axis, 0), shown, LOG_SUM_PRODUCT)
+        if variable in evidence.weights and storage.homes[variable] == cluster:
+            _weigh(np.moveaxis(table, axis, 0), evidence.weights[variable].T, LOG_SUM_PRODUCT)
     return table
 
 

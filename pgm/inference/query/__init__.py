@@ -6,7 +6,8 @@ evidence on the rest of the network is possible is examined separately (`left_ou
 `most_probable` has the likeliest values of all hidden variables (`maximising`), of some, the
 others summed out (`marginal_map`; a search, `branch_and_bound`, where their tables are too large),
 or several assignments, one after another (`k_best`); `max_marginals` has the best assignment with
-each state of each variable.
+each state of each variable. `sensitivity` tells how a posterior probability depends on each entry
+of each table.
 """
 
 from pgm.inference.query.question import query
