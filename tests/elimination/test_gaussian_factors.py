@@ -96,7 +96,7 @@ OWN = {
     "pgm.elimination.tables": {"_fused"},
     "pgm.beliefs.markov.single_state": {"_apply"},
     "pgm.beliefs.markov.counts": {"_read"},
-    "pgm.beliefs.discrete.sums": {"read", "total"},
+    "pgm.beliefs.discrete.sums": {"sum", "total"},
     "pgm.beliefs.discrete.tree_plan": {"given", "of"},
 }
 TABLES = ("pgm.elimination", "pgm.beliefs.discrete", "pgm.beliefs.markov", "pgm.inference.query")
