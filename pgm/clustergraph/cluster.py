@@ -14,7 +14,7 @@ from pgm.cpds import CPD
 from pgm.display import Listing, Shown, Summary, few
 from pgm.errors import GraphError
 from pgm.factors.scope import MOST, Scope, dimension, listed
-from pgm.networks.markov import Factor
+from pgm.networks.markov import Factor, MarkovNetwork
 from pgm.variables import Discrete, Variable
 
 if TYPE_CHECKING:
@@ -55,13 +55,22 @@ def check_families(
             )
 
 
-def no_cluster(factor: Factor) -> GraphError:
-    """The error for a factor whose variables no cluster holds."""
+def no_cluster(factor: Factor, network: MarkovNetwork) -> GraphError:
+    """The error for a factor whose variables no cluster holds.
+
+    `network` is the user's, which has not the intermediate variables of independent causes.
+    """
     cpd = factor if isinstance(factor, CPD) else None
     of = f" of the CPD of {cpd.child!r}" if cpd else " of a factor"
+    advice = ""
+    if not network._places.keys() >= set(factor.scope):
+        advice = (
+            "; one for the whole family of its child and all causes, whose table is then made, or "
+            "those that pgm.compile(network) makes, with their intermediate variables"
+        )
     return GraphError(
         f"family preservation fails: no cluster holds the family ({listed(factor.scope)}){of}; add "
-        "a cluster that does",
+        f"a cluster that does{advice}",
         variable=cpd.child if cpd else factor.scope[0],
         cpd=cpd,
     )

@@ -31,6 +31,7 @@ from pgm.clustergraph.cluster import (
     spanning_tree,
     work,
 )
+from pgm.cpds import CausalIndependence
 from pgm.cpds.jacobians import check_jacobians
 from pgm.display import Drawn, Summary, count, titled
 from pgm.errors import GraphError
@@ -82,10 +83,12 @@ class ClusterGraph(Drawn, Immutable):
     """
 
     network: MarkovNetwork
-    # Variables by their place in the network, in its order: of clusters, of sepsets.
+    # The network whose factors the clusters hold: `network`, CPDs of independent causes in theirs.
+    _factorised: MarkovNetwork
+    # Variables by their place in that network, in its order: of clusters, of sepsets.
     _members: Sequence[Places]
     _shared: Mapping[Edge, Places]
-    # Of each cluster, the places of its CPDs in the network.
+    # Of each cluster, the places of its factors in that network.
     _assigned: Sequence[Sequence[int]]
     # Whether its tree is solved in machine code, as `compile` was asked; None where it pays.
     compiled: Any = None
@@ -100,7 +103,12 @@ class ClusterGraph(Drawn, Immutable):
             raise GraphError(
                 f"a cluster graph is of a network without time, not of {titled(network)}"
             )
-        place = network._places
+        given = as_tuple(clusters)
+        if given is None:
+            raise GraphError(f"clusters is a sequence of sets of variables, not {clusters!r}")
+        given = tuple(tuple(each) if isinstance(each, Iterator) else each for each in given)
+        inside = _held(network, given)
+        place = inside._places
 
         def places(members: Iterable[Variable], where: str) -> Places:
             """The places of some variables in the network's order, ascending.
@@ -120,14 +128,11 @@ class ClusterGraph(Drawn, Immutable):
                     )
             return tuple(sorted(map(place.__getitem__, found)))
 
-        given = as_tuple(clusters)
-        if given is None:
-            raise GraphError(f"clusters is a sequence of sets of variables, not {clusters!r}")
         scopes = [places(members, f"cluster {k}") for k, members in enumerate(given)]
         if () in scopes:
             empty = scopes.index(())
             raise GraphError(f"cluster {empty} is empty; leave it out", cluster=empty)
-        self._assign(network, scopes)
+        self._assign(network, inside, scopes)
         if sepsets is None:
             named = spanning_tree([self._named(members) for members in scopes])
             joined = {edge: tuple(map(place.__getitem__, shared)) for edge, shared in named.items()}
@@ -151,7 +156,7 @@ class ClusterGraph(Drawn, Immutable):
     ) -> ClusterGraph:
         """A graph of places that has running intersection by its making: it is not checked."""
         graph = cls.__new__(cls)
-        graph._assign(network, [tuple(sorted(held)) for held in members])
+        graph._assign(network, network._factorised, [tuple(sorted(held)) for held in members])
         sepsets = {edge: tuple(sorted(shared)) for edge, shared in joined.items()}
         graph._set(_shared=sepsets, is_tree=True)
         return graph
@@ -163,36 +168,40 @@ class ClusterGraph(Drawn, Immutable):
         shared: Mapping[Edge, Places],
         assigned: Sequence[Sequence[int]],
     ) -> ClusterGraph:
-        """A graph of another network with the structure of this one, which is not checked."""
+        """A graph of another network, of tables, with the structure of this one: not checked."""
         graph = ClusterGraph.__new__(ClusterGraph)
         variables = network.variables
         sizes = tuple([size(tuple([variables[place] for place in held])) for held in members])
-        graph._set(network=network, _members=members, _assigned=assigned, sizes=sizes)
+        graph._set(network=network, _factorised=network, _members=members)
+        graph._set(_assigned=assigned, sizes=sizes)
         graph._set(_shared=shared, is_tree=self.is_tree, compiled=self.compiled)
         return graph
 
-    def _assign(self, network: MarkovNetwork, members: Sequence[Places]) -> None:
-        extents = list(map(extent, network.variables))
+    def _assign(
+        self, network: MarkovNetwork, inside: MarkovNetwork, members: Sequence[Places]
+    ) -> None:
+        extents = list(map(extent, inside.variables))
         combine = math.prod if network.discrete else sum
         sizes = tuple([combine([extents[place] for place in held]) for held in members])
         if network.mixed:
-            variables = network.variables
+            variables = inside.variables
             sizes = tuple([size(tuple([variables[place] for place in held])) for held in members])
         assigned: list[list[int]] = [[] for _ in members]
-        for number, home in enumerate(assign(network._families, members, sizes)):
+        for number, home in enumerate(assign(inside._families, members, sizes)):
             if home < 0:
-                raise no_cluster(network.factors[number])
+                raise no_cluster(inside.factors[number], network)
             assigned[home].append(number)
-        self._set(network=network, _members=members, _assigned=assigned, sizes=sizes)
+        self._set(network=network, _factorised=inside, _members=members)
+        self._set(_assigned=assigned, sizes=sizes)
 
     def _named(self, places: Places) -> Scope:
-        return tuple([self.network.variables[place] for place in places])
+        return tuple([self._factorised.variables[place] for place in places])
 
     # Made on request: nothing of the numbers' work needs them.
     @cached_property
     def _clusters(self) -> tuple[Cluster, ...]:
         found = []
-        factors, places = self.network.factors, self.network._families
+        factors, places = self._factorised.factors, self._factorised._families
         with uncollected(len(factors)):
             for index, numbers in enumerate(self._assigned):
                 inside = tuple([factors[number] for number in numbers])
@@ -288,7 +297,7 @@ class ClusterGraph(Drawn, Immutable):
 
     def families(self) -> Iterable[Scope]:
         """The families of all factors of the network, each of which needs a cluster."""
-        return (factor.scope for factor in self.network.factors)
+        return (factor.scope for factor in self._factorised.factors)
 
     @public
     def check(self, *, jacobians: bool = False) -> None:
@@ -355,6 +364,28 @@ class ClusterGraph(Drawn, Immutable):
 
     def _summary(self) -> Summary:
         return Summary(self._title, [neighbourhoods(self)])
+
+
+def _held(network: MarkovNetwork, clusters: Iterable[Any]) -> MarkovNetwork:
+    """The network with CPDs of independent causes in factors, but those that a cluster holds whole.
+
+    Clusters that name intermediate variables of a CPD are for its factors.
+    """
+    if network._factorised is network:
+        return network
+    found = [
+        {v for v in as_tuple(members) or () if isinstance(v, Variable)} for members in clusters
+    ]
+    named = set[Variable]().union(*found)
+    taken = {v.name for v in network.variables}
+    whole = [
+        factor
+        for factor in network.factors
+        if isinstance(factor, CausalIndependence)
+        and named.isdisjoint(factor._intermediate(taken))
+        and any(held.issuperset(factor.scope) for held in found)
+    ]
+    return network._in_factors(whole)
 
 
 @dataclass(frozen=True, eq=False)

@@ -66,10 +66,11 @@ class JunctionTree(InCode):
 
     def __call__(self, network: MarkovNetwork) -> ClusterGraph:
         """Compile a network."""
-        adjacent = moral(network)
+        inside = network._factorised
+        adjacent = moral(inside)
         order = places(self.order, network, adjacent)
         if network.mixed:  # what is left of Gaussians is then a table of the discrete variables
-            order.sort(key=lambda place: isinstance(network.variables[place], Discrete))
+            order.sort(key=lambda place: isinstance(inside.variables[place], Discrete))
         with uncollected(len(order)):
             tree = clique_tree(adjacent, order)
             return ClusterGraph._tree(network, tree.cliques, tree.sepsets)
@@ -80,8 +81,8 @@ def graph_of(
     clusters: Iterable[set[int]],
     sepsets: Mapping[Edge, set[int]],
 ) -> ClusterGraph:
-    """The cluster graph of sets of places in `network.variables`."""
-    variables = network.variables
+    """The cluster graph of sets of places among the variables of the network in its factors."""
+    variables = network._factorised.variables
     return ClusterGraph(
         network,
         [[variables[k] for k in cluster] for cluster in clusters],
@@ -133,7 +134,8 @@ class JoinGraph(InCode):
 
     def __call__(self, network: MarkovNetwork) -> ClusterGraph:
         """Compile a network; a family that is too large alone is refused."""
-        largest = max(network.factors, key=lambda factor: size(factor.scope))
+        inside = network._factorised
+        largest = max(inside.factors, key=lambda factor: size(factor.scope))
         if (least := size(largest.scope)) > self.max_size:
             unit = "table entries" if is_discrete(largest.scope) else "components"
             cpd = largest if isinstance(largest, CPD) else None
@@ -144,9 +146,9 @@ class JoinGraph(InCode):
                 variable=largest.scope[0],
                 cpd=cpd,
             )
-        variables = network.variables
-        order = places(self.order, network, moral(network))
-        families = [set(family) for family in network._families if family]
+        variables = inside.variables
+        order = places(self.order, network, moral(inside))
+        families = [set(family) for family in inside._families if family]
 
         def fits(members: set[int]) -> bool:
             return size(tuple(variables[k] for k in members)) <= self.max_size
@@ -243,9 +245,10 @@ class Bethe(InCode):
 
     def __call__(self, network: MarkovNetwork) -> ClusterGraph:
         """Compile a network."""
-        families = maximal([factor.scope for factor in network.factors if factor.scope])
+        inside = network._factorised
+        families = maximal([factor.scope for factor in inside.factors if factor.scope])
         holders = holding(families)
-        shared = [variable for variable in network.variables if len(holders[variable]) > 1]
+        shared = [variable for variable in inside.variables if len(holders[variable]) > 1]
         sepsets: dict[Edge, Scope] = {}
         for k, variable in enumerate(shared, start=len(families)):
             sepsets |= {(holder, k): (variable,) for holder in holders[variable]}
@@ -296,7 +299,8 @@ class LTRIP(InCode):
 
     def __call__(self, network: MarkovNetwork) -> ClusterGraph:
         """Compile a network."""
-        clusters = maximal([factor.scope for factor in network.factors if factor.scope])
+        factors = network._factorised.factors
+        clusters = maximal([factor.scope for factor in factors if factor.scope])
         return ClusterGraph(network, clusters, _layers(clusters))
 
 

@@ -13,7 +13,7 @@ from pgm.arguments import public
 from pgm.boundary import as_tuple, is_unordered, is_whole
 from pgm.clustergraph.cluster import extent
 from pgm.compile.dissection import dissect, stages
-from pgm.compile.elimination import Adjacency, cheapest, min_fill, moral
+from pgm.compile.elimination import Adjacency, Filling, cheapest, fill_order, min_fill, moral
 from pgm.compile.sparse import SparseGraph
 from pgm.display import InCode
 from pgm.errors import GraphError
@@ -35,8 +35,9 @@ class Rule(InCode, ABC):
 
     def __call__(self, network: MarkovNetwork) -> Scope:
         """The variables of a network in this order."""
-        found = self._places(network, moral(network))
-        return tuple(network.variables[k] for k in found)
+        inside = network._factorised
+        found = (inside.variables[k] for k in self._places(inside, moral(inside)))
+        return tuple(variable for variable in found if variable in network._places)
 
     @abstractmethod
     def _places(self, network: MarkovNetwork, adjacent: Adjacency) -> list[int]:
@@ -216,9 +217,13 @@ class NestedDissection(Rule):
 def places(
     order: Order | Iterable[Variable], network: MarkovNetwork, adjacent: Adjacency
 ) -> list[int]:
-    """An elimination order as places in `network.variables`."""
+    """An elimination order as places among the variables of the network in its factors.
+
+    `adjacent` is the moral graph of these. A user's order has the variables of the network itself.
+    """
+    inside = network._factorised
     if isinstance(order, Rule):
-        return order._places(network, adjacent)
+        return order._places(inside, adjacent)
     given = order(network) if callable(order) else order
     found = None if is_unordered(given) else as_tuple(given)
     if found is None:
@@ -244,7 +249,29 @@ def places(
     if len(order_) > len(place):
         twice = next(variable for variable in found if found.count(variable) > 1)
         raise GraphError(f"the elimination order names {twice!r} twice", variable=twice)
-    return order_
+    return order_ if inside is network else _with_intermediate(found, inside, adjacent)
+
+
+def _with_intermediate(
+    order: Sequence[Variable], inside: MarkovNetwork, adjacent: Adjacency
+) -> list[int]:
+    """A user's order with the intermediate variables of independent causes.
+
+    Each leaves as soon as that joins nothing, which widens no cluster; those that are left, last.
+    """
+    place, graph = inside._places, Filling(adjacent, [1] * len(adjacent))
+    found: list[int] = []
+    left = set(place.values()).difference(place[variable] for variable in order)
+    for variable in order:
+        near = graph.eliminate(place[variable])
+        found.append(place[variable])
+        while free := [k for k in sorted(near & left) if not graph.fill[k]]:
+            for k in free:
+                if not graph.fill[k]:
+                    near |= graph.eliminate(k)
+                    found.append(k)
+                    left.discard(k)
+    return found + [k for k in fill_order(graph, [0] * len(adjacent)) if k in left]
 
 
 def _is_large(network: MarkovNetwork) -> bool:

@@ -1,6 +1,7 @@
 """Conditional probability distributions."""
 
 from pgm.cpds.base import CPD
+from pgm.cpds.causal_independence import CausalIndependence, NoisyMax, NoisyOr
 from pgm.cpds.conditional import ConditionalGaussian, Noise, noise
 from pgm.cpds.derivatives import Derivatives
 from pgm.cpds.gaussian import AffineCPD, GaussianCPD, LinearGaussianCPD, NonlinearGaussianCPD
@@ -17,6 +18,7 @@ __all__ = [
     "CPD",
     "AffineCPD",
     "Cauchy",
+    "CausalIndependence",
     "ConditionalGaussian",
     "Derivatives",
     "GaussianCPD",
@@ -25,6 +27,8 @@ __all__ = [
     "LinearGaussianCPD",
     "MixtureCPD",
     "Noise",
+    "NoisyMax",
+    "NoisyOr",
     "NonlinearGaussianCPD",
     "NonlinearGaussianFactor",
     "RobustNoise",

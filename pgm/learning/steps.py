@@ -231,10 +231,10 @@ class TableStep:
     """
 
     def __init__(self, cpd: TableCPD, parts: Sequence[Table]) -> None:
-        if cpd.function is not None or cpd._maps:
+        if cpd._table is None:
             raise ModelError(
-                f"{cpd!r}: its table is structured, or a function of inputs; one that is an array "
-                "can be learnt",
+                f"{cpd!r}: its table is structured, of independent causes or a function of inputs; "
+                "one that is an array can be learnt",
                 cpd=cpd,
             )
         counts = as_floats(parts[0].prior_counts, f"{cpd!r}: prior_counts", cpd=cpd)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from functools import cached_property
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
@@ -11,7 +11,7 @@ import numpy as np
 
 from pgm.arguments import public
 from pgm.boundary import as_tuple
-from pgm.cpds import CPD, ConditionalGaussian, NonlinearGaussianFactor, TableCPD
+from pgm.cpds import CPD, CausalIndependence, ConditionalGaussian, NonlinearGaussianFactor, TableCPD
 from pgm.display import Drawn, Summary, titled
 from pgm.errors import ModelError
 from pgm.factors import CanonicalForm, Table
@@ -107,6 +107,31 @@ class MarkovNetwork(Drawn, Immutable):
                 )
         discrete = _of_one_kind(found)
         self._set(factors=found, variables=variables, discrete=discrete, mixed=False)
+
+    @cached_property
+    def _factorised(self) -> MarkovNetwork:
+        """The network that graphs and queries work on: CPDs of independent causes in their factors.
+
+        It is this one where there are none. Its variables are those of this one, in this order, and
+        intermediate ones among them.
+        """
+        return self._in_factors()
+
+    def _in_factors(self, whole: Collection[Factor] = ()) -> MarkovNetwork:
+        """The network with its CPDs of independent causes in their factors, but for some."""
+        found = list[Factor]()
+        taken: set[str] | None = None
+        for factor in self.factors:
+            if isinstance(factor, CausalIndependence) and factor not in whole:
+                taken = {v.name for v in self.variables} if taken is None else taken
+                found += factor._factors(taken)
+            else:
+                found.append(factor)
+        return self if len(found) == len(self.factors) else self._of(found)
+
+    def _of(self, factors: Iterable[Factor]) -> MarkovNetwork:
+        """A network of this kind, of other factors."""
+        return MarkovNetwork(factors)
 
     # Graphs of the network are made and used by place: numbers are compared sooner than variables.
     @cached_property

@@ -104,6 +104,9 @@ class BayesianNetwork(MarkovNetwork):
         """The CPDs, parents before children."""
         return self._cpds
 
+    def _of(self, factors: Iterable[Any]) -> BayesianNetwork:
+        return BayesianNetwork(factors)
+
     def cpd(self, variable: Variable) -> CPD:
         """The CPD of a variable; inputs have none."""
         if not isinstance(variable, Variable) or variable not in self._by_child:

@@ -92,7 +92,7 @@ class _Question:
     """
 
     def __init__(self, graph: ClusterGraph, evidence: BoundStates) -> None:
-        network, places = graph.network, graph.network._places
+        network, places = graph._factorised, graph._factorised._places
         self.variables = cast(Sequence[Discrete], network.variables)
         states = cast(Mapping[Discrete, int], evidence.states)
         self.shown = {places[v]: slice(state, state + 1) for v, state in states.items()}

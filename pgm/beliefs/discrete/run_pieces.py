@@ -40,10 +40,10 @@ def tree_pieces(entries: int, evidence: BoundStates, batch: int) -> Iterator[Bou
     observe are left out of its evidence, so that the evidence has no states −1.
     """
     for piece in pieces(evidence, at_once(entries, batch)):
-        yield _of_one(piece) if piece.lead and piece.runs == 1 else piece
+        yield of_one(piece) if piece.lead and piece.runs == 1 else piece
 
 
-def _of_one(evidence: BoundStates) -> BoundStates:
+def of_one(evidence: BoundStates) -> BoundStates:
     """The evidence of one run, without the variables whose state is −1, "not observed".
 
     States in arrays of length one become whole numbers; soft evidence stays as it is.

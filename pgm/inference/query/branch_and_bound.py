@@ -164,15 +164,16 @@ class Search:
         self._numbers = count()
         self._enter(0, np.zeros((1, 0), dtype=np.intp))
 
-    def found(self) -> Found:
-        """The best leaf, or the best so far when the work is spent; some leaf is possible."""
+    def found(self) -> Found | None:
+        """The best leaf, or the best so far when the work is spent; None if all are impossible."""
         work = 0
         while self.leaf is None or work < WORK:
             depth = self._deepest() if self.leaf is None else self._highest()
             if depth is None:
                 break
             work += self._divide(depth)
-        assert self.leaf is not None
+        if self.leaf is None:
+            return None
         level, node, value = self.leaf
         depth = self._highest()
         bound = value if depth is None else -self.waiting[depth][0][0]

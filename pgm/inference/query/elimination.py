@@ -16,6 +16,7 @@ from pgm import elimination
 from pgm.beliefs.discrete.entered_evidence import one_hot
 from pgm.beliefs.discrete.impossible import told
 from pgm.beliefs.discrete.run_pieces import some_runs
+from pgm.cpds.causal_independence import of_user
 from pgm.elimination import TableAlgebra
 from pgm.evidence import Evidence
 from pgm.evidence.static import BoundStates
@@ -173,9 +174,11 @@ def _contradiction(query: QueryPlan, run: int) -> tuple[list[Discrete], States]:
             members.update(factors[factor]._potential.axes)
         else:
             members.add(query.weighted[factor - len(factors)])
-    shown = [v for v, s in evidence.states.items() if np.min(s) >= 0 and v in members]
+    shown = [of_user(v) for v, s in evidence.states.items() if np.min(s) >= 0 and v in members]
     soft = [v for v in evidence.weights if v in members]
-    return shown + soft, tuple(query.order[k] for k in plan.steps[number].scope)
+    return list(dict.fromkeys(shown + soft)), tuple(
+        query.order[k] for k in plan.steps[number].scope
+    )
 
 
 NOTHING: Evidence = MappingProxyType({})

@@ -11,18 +11,15 @@ algorithm for finding the M most probable configurations.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from heapq import heappop, heappush
 from itertools import count
 
 import numpy as np
 
-from pgm.beliefs.discrete.tree_plan import plan_for
-from pgm.clustergraph import ClusterGraph
 from pgm.evidence.static import BoundStates
-from pgm.factors.axes import States, discrete
-from pgm.inference.query.maximising import Search, maxima
+from pgm.factors.axes import States
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Discrete
 
@@ -46,24 +43,20 @@ class _Part:
 
 
 def likeliest(
-    graph: ClusterGraph, evidence: BoundStates, free: States, batch: int
+    search: Callable[[BoundStates], tuple[Integers, Array]],
+    evidence: BoundStates,
+    variables: States,
+    free: States,
 ) -> Iterator[tuple[Integers, float]]:
     """Assignments of one set of evidence, the most probable first, with ln p(assignment, evidence).
 
-    The states are indices, in the order of the network's variables. `free` are the variables whose
-    states may differ; `batch` is the limit on table entries computed at once.
+    search: Of some runs of evidence the most probable states of `variables`, (variables, runs), as
+        indices, and ln p, (runs,), which is −∞ where the evidence is impossible.
+    free: Those of the variables whose states may differ.
     """
-    variables = discrete(graph.network.variables)
     places = {v: k for k, v in enumerate(variables)}
     order = [places[v] for v in free]
     numbers, waiting = count(), list[_Part]()
-
-    def searched(own: BoundStates, runs: int) -> tuple[Integers, Array]:
-        """The best states of some runs, (variables, runs), and their ln p, (runs,)."""
-        # Plans for one run and for many have the variables in orders of their own.
-        homes = {v: k for k, v in enumerate(plan_for(graph, runs, batch).storage.homes)}
-        states, tops = maxima(Search(graph, own, runs, batch))
-        return states[[homes[v] for v in variables]].astype(np.intp), tops.sum(axis=0)
 
     def divide(best: Integers, fixed: int, allowed: Mask) -> None:
         """Put the parts of what is left beside an assignment, with their maxima."""
@@ -77,13 +70,13 @@ def likeliest(
         if not some:
             return
         own = _evidence(evidence, free, best[order], some)
-        states, levels = searched(own, len(some))
+        states, levels = search(own)
         for run, (k, mask) in enumerate(some):
             if levels[run] > -np.inf:
                 lacking = -float(levels[run])
                 heappush(waiting, _Part(lacking, next(numbers), states[:, run], k, mask))
 
-    states, levels = searched(evidence, 1)
+    states, levels = search(evidence)
     best = states[:, 0]
     yield best, float(levels[0])
     first = free[0].size if free else 0

@@ -26,6 +26,7 @@ import numpy as np
 from pgm.beliefs.discrete.impossible import ADVICE
 from pgm.beliefs.discrete.run_pieces import pieces
 from pgm.cpds import TableCPD
+from pgm.cpds.causal_independence import of_user
 from pgm.evidence.static import BoundStates
 from pgm.factors.axes import discrete, sizes
 from pgm.factors.scope import in_run, names
@@ -59,15 +60,21 @@ class Contradiction:
             return refusal(self.part, self.lost, evidence.lead)
         factor, lead = self.part, evidence.lead
         cpd = factor if isinstance(factor, TableCPD) else None
-        observed = [v for v in factor.scope if v in evidence.states]
-        table = f"the table of {cpd.child!r}" if cpd else f"the factor over {names(factor.scope)}"
+        observed = tuple(
+            dict.fromkeys(of_user(v) for v in discrete(factor.scope) if v in evidence.states)
+        )
+        table = (
+            f"the table of {of_user(cpd.child)!r}"
+            if cpd
+            else f"the factor over {names(factor.scope)}"
+        )
         return ImpossibleEvidence(
             f"the evidence has probability zero{in_run(self.lost.reshape(lead))}: that for "
             f"{names(observed)} contradicts itself, for {table} is zero there. "
             f"{ADVICE}{OF_RUNS if lead else ''}",
             self.lost,
             lead,
-            variable=cpd.child if cpd else next(iter(factor.scope), None),
+            variable=of_user(cpd.child) if cpd else next(iter(factor.scope), None),
             cpd=cpd,
         )
 

@@ -39,7 +39,7 @@ from pgm.immutable import Immutable
 from pgm.inference.query.asked import require_mapping
 from pgm.inference.query.k_best import likeliest
 from pgm.inference.query.marginal_map import marginal_map
-from pgm.inference.query.maximising import Search, in_parts
+from pgm.inference.query.maximising import Search, in_parts, maxima
 from pgm.inference.query.question import wanted
 from pgm.kernels.arrays import Array, Integers, Mask, frozen
 from pgm.kernels.semirings import MAX_PRODUCT
@@ -242,8 +242,8 @@ def most_probable(
         dynamic network.
     count : int, optional
         How many assignments are asked for. The result has an axis of them, as of runs, the most
-        probable first; it is shorter where no more are possible. Of one set of evidence, of all
-        variables; not for a dynamic network.
+        probable first; it is shorter where no more are possible. Of one set of evidence; not for a
+        dynamic network.
     memory : number, optional
         How many bytes the tables of all runs may take, besides the compiled graph, the evidence and
         the result; 2²⁸ (256 MiB), if not given. Of several workers each may take so much. Not for a
@@ -311,7 +311,7 @@ def most_probable(
         }
         _require_schedule(graph, schedule, [n for n, v in others.items() if v is not None])
     if count is not None:
-        _require_countable(graph, count, variables, executor)
+        _require_countable(graph, count, executor)
     if variables is not None and (executor is not None or isinstance(graph, DynamicGraph)):
         raise GraphError(
             "variables= are some of a network without time, one run after another; leave "
@@ -354,14 +354,23 @@ def most_probable(
     room = Room.of(memory, graph)
     bound = bind_discrete(frozenset(graph.network.variables), evidence)
     distinct = Distinct.of(bound)
+    every = discrete(graph.network.variables)
+    summed = variables is not None or graph._factorised is not graph.network
     if variables is not None:
-        known = frozenset(graph.network.variables)
-        asked = wanted(variables, known, bound, "most_probable")
-        with reporting(progress):
-            return _marginal_map(graph, asked, bound, distinct, room)
+        asked = wanted(variables, frozenset(every), bound, "most_probable")
+    else:
+        asked = every
+    if summed and executor is not None:
+        raise GraphError(
+            "variables with many independent causes (pgm.CausalIndependence) are maximised over "
+            "one run after another; leave executor= out"
+        )
     if count is not None:
         with reporting(progress):
-            return _k_best(graph, bound, count, room)
+            return _k_best(graph, asked, bound, count, room, summed=summed)
+    if summed:
+        with reporting(progress):
+            return _marginal_map(graph, asked, bound, distinct, room)
     plan = plan_for(graph, distinct.evidence.runs, room.batch)
     require_runs(len(plan.storage.homes), bound.runs, "the states of all variables")
     job = Search(graph, distinct.evidence, distinct.evidence.runs, room.batch)
@@ -426,60 +435,74 @@ def _marginal_map(
 ) -> MostProbable:
     """The most probable states of some variables, with all others summed over.
 
-    The search leaves constants out, so that ln p(states, evidence) is the log-evidence of the
-    whole network.
+    So it is of all variables where CPDs of independent causes are in factors: their intermediate
+    variables are summed over.
     """
+    require_runs(len(asked), bound.runs, "the states of all variables")
     of_tree(graph, bound, room)  # impossible evidence is told here
-    found = marginal_map(graph.network, asked, distinct.evidence)
-    states, missing = found.states, found.missing
+    found = marginal_map(graph, asked, distinct.evidence, room)
+    states, levels, missing = found.states, found.levels, found.missing
     if distinct.which is not None:
-        states, missing = states[:, distinct.which], missing[distinct.which]
-    chosen = dict(zip(asked, states, strict=True))
-    weights = {v: soft for v, soft in bound.weights.items() if v not in chosen}
-    hard = {v: own if bound.lead else int(own[0]) for v, own in chosen.items()}
-    known = BoundStates(bound.lead, {**bound.states, **hard}, weights)
-    log_probability = of_tree(graph, known, room).log_evidence
-    for variable, soft in bound.weights.items():
-        if variable in chosen:
-            runs = np.arange(bound.runs) % len(soft)
-            levels = np.log(soft[runs, chosen[variable]])
-            log_probability = log_probability + levels.reshape(bound.lead)
-    missing = missing.reshape(bound.lead)
+        which = distinct.which
+        states, levels, missing = states[:, which], levels[which], missing[which]
+    levels, missing = levels.reshape(bound.lead), missing.reshape(bound.lead)
     return MostProbable(
-        MappingProxyType(_named(chosen, bound.lead)),
-        frozen(np.asarray(log_probability)),
+        MappingProxyType(_named(dict(zip(asked, states, strict=True)), bound.lead)),
+        frozen(levels),
         _known(np.asarray(missing == 0.0)),
-        frozen(np.asarray(log_probability + missing)),
+        frozen(levels + missing),
     )
 
 
-def _k_best(graph: ClusterGraph, bound: BoundStates, count: int, room: Room) -> MostProbable:
-    """The most probable assignments, along an axis."""
+def _k_best(
+    graph: ClusterGraph, asked: States, bound: BoundStates, count: int, room: Room, *, summed: bool
+) -> MostProbable:
+    """The most probable assignments, along an axis; `summed`, as of a marginal MAP."""
     if bound.lead:
         raise EvidenceError(
             f"count={count} assignments are of one set of evidence, and this has the runs "
             f"{bound.lead}; ask for each by itself"
         )
-    plan = plan_for(graph, 1, room.batch)
-    free = tuple(
-        v for v in discrete(graph.network.variables) if v.size > 1 and v not in bound.states
+    of_tree(graph, bound, room)  # impossible evidence is told here
+    # Whether each search so far has found what is the best of its part.
+    sure = [True]
+
+    def summing(own: BoundStates) -> tuple[Integers, Array]:
+        found = marginal_map(graph, asked, own, room)
+        sure.append(sure[-1] and not found.missing[found.levels > -np.inf].any())
+        return found.states, found.levels
+
+    def maximising(own: BoundStates) -> tuple[Integers, Array]:
+        states, tops = maxima(Search(graph, own, own.runs, room.batch))
+        # Plans for one run and for many have the variables in orders of their own.
+        homes = plan_for(graph, own.runs, room.batch).storage.homes
+        place = {v: k for k, v in enumerate(homes)}
+        return states[[place[v] for v in asked]].astype(np.intp), tops.sum(axis=0)
+
+    free = tuple(v for v in asked if v.size > 1 and v not in bound.states)
+    search = summing if summed else maximising
+    best, exact = list[tuple[Integers, float]](), list[bool]()
+    for found in islice(likeliest(search, bound, asked, free), min(count, sys.maxsize)):
+        best.append(found)
+        exact.append(sure[-1])
+    states = dict(zip(asked, np.stack([own for own, _ in best], axis=1), strict=True))
+    levels = np.array([level for _, level in best])
+    return MostProbable(
+        MappingProxyType(_named(states, levels.shape)),
+        frozen(levels),
+        _known(np.array(exact)),
+        frozen(np.where(exact, levels, np.inf)),
     )
-    found = list(islice(likeliest(graph, bound, free, room.batch), min(count, sys.maxsize)))
-    levels = np.array([level for _, level in found])
-    require_possible(plan, bound, levels[None, :1])
-    states = np.stack([own for own, _ in found], axis=1)
-    by_variable = dict(zip(discrete(graph.network.variables), states, strict=True))
-    return _best(_named(by_variable, (len(found),)), frozen(levels))
 
 
-def _require_countable(graph: Any, count: Any, variables: Any, executor: Any) -> None:
+def _require_countable(graph: Any, count: Any, executor: Any) -> None:
     """Refuse a `count` that is none, or goes with what it does not go with."""
     if not is_whole(count) or count < 1:
         raise GraphError(f"count is how many assignments are asked for, 1 or more; found {count!r}")
-    if isinstance(graph, DynamicGraph) or variables is not None or executor is not None:
+    if isinstance(graph, DynamicGraph) or executor is not None:
         raise GraphError(
-            f"count={count} assignments are of all variables of a network without time, one after "
-            "another; leave count= out, or variables= and executor="
+            f"count={count} assignments are of a network without time, found one after another; "
+            "leave count= out, or executor="
         )
 
 

@@ -28,6 +28,7 @@ from pgm.factors.axes import States, as_states, discrete, sizes
 from pgm.factors.scope import as_scope, listed, require_order, unknown_name
 from pgm.inference.query.asked import require_mapping
 from pgm.inference.query.elimination import NOTHING, eliminate, require_possible
+from pgm.inference.query.implied import with_implied
 from pgm.inference.query.left_out import Contradiction, contradictions
 from pgm.inference.query.plan import QueryPlan
 from pgm.inference.query.requisite import Requisite, certain
@@ -117,8 +118,10 @@ def query(
     if bound.runs > 1:
         entries = math.prod(sizes(scope))
         limits.require_runs(entries, bound.runs, f"the joint over ({listed(scope)})")
-    requisite = Requisite.of(asked, scope, bound)
     allow = allows(impossible)
+    inside = asked._factorised if graph is None else graph._factorised
+    bound = with_implied(inside, bound)
+    requisite = Requisite.of(inside, scope, bound)
     elsewhere = contradictions(requisite.left_out, bound)
     try:
         values = _answer(graph, requisite, scope, allow=allow)

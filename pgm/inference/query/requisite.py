@@ -50,6 +50,8 @@ class Requisite:
     ) -> Requisite:
         """Find the part of a network that bears on the variables `wanted`, given evidence.
 
+        `network` has CPDs of independent causes in their factors.
+
         A variable of a Bayesian network is *barren* if neither it nor any of its descendants is
         asked for or observed: its CPD sums to one, and is left out. Any other factor bears on the
         query if a path of factors, each sharing with the next a variable that is not known, joins
