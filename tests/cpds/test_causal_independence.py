@@ -1,4 +1,4 @@
-"""CPDs of independent causes: their tables by enumeration, draws, densities, and what is refused."""
+"""CPDs of independent causes: tables by enumeration, draws, densities, and what is refused."""
 
 import copy
 import pickle
@@ -116,7 +116,7 @@ def test_small_probabilities_keep_their_digits():
     assert_allclose(cpd.table[1, 1, 0, 1], 1.3e-12 - 3e-25, rtol=1e-15)
     assert cpd.table[0, 0, 1, 1] == 1e-300
     assert_array_equal(NoisyOr(FEVER, FLU, [1.0]).table, np.eye(2))
-    density = cpd.log_density([1], {v: 1 for v in CAUSES})
+    density = cpd.log_density([1], dict.fromkeys(CAUSES, 1))
     assert_allclose(density, np.log(1.3e-12), rtol=1e-12)
 
 
@@ -132,7 +132,7 @@ def test_densities_and_draws_need_no_table():
     drawn = cpd.sample(given, size=20_000, rng=2)
     assert drawn.shape == (20_000, 5)
     assert_allclose(drawn.mean(axis=0), 1 - off, atol=5 * np.sqrt(0.25 / 20_000))
-    one = cpd.sample({v: 0 for v in MANY}, size=7, rng=0)
+    one = cpd.sample(dict.fromkeys(MANY, 0), size=7, rng=0)
     assert one.shape == (7,)
 
 

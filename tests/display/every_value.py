@@ -142,6 +142,8 @@ def cpds():
         "mixture": pgm.MixtureCPD([linear] * 50, weights=np.full(50, 0.02)),
         "sampled": pgm.SampledCPD(B, A, sample=lambda a, size, rng: a),
         "tables": pgm.TableCPD(DAY, (DAY.previous, WET), table=np.full((40, 2, 40), 1 / 40)),
+        "noisy or": pgm.NoisyOr(WET, pgm.Discrete("weather", 40), [np.linspace(0, 1, 40)]),
+        "noisy max": pgm.NoisyMax(DAY, (DAY.previous, RAIN), [np.eye(40), np.eye(40)[:2]]),
         "structured": pgm.TableCPD(DAY, DAY.previous, table=pgm.shifts(40, {1: 1.0})),
         "product": pgm.TableCPD(DAY, DAY.previous, table=pgm.Kronecker([np.eye(8), np.eye(5)])),
         "threshold": pgm.Threshold(10.0, below=True, remedy="take more members"),
