@@ -158,13 +158,19 @@ class CausalIndependence(TableCPD):
         each = self._each(contributions, "contributions")
         # A table of each cause alone, which refuses what is none.
         alone = [
-            TableCPD(self.child, given=cause, table=as_floats(own, f"{self!r}: the contribution"))
+            TableCPD(
+                self.child,
+                given=cause,
+                table=as_floats(own, f"{self!r}: the contribution of {cause!r}"),
+            )
             for cause, own in zip(self.given, each, strict=True)
         ]
+        if leak is not None:
+            leak = TableCPD(self.child, table=as_floats(leak, f"{self!r}: leak")).table
         operation.flags.writeable = False
         self._set(
             contributions=tuple(cpd.table for cpd in alone),
-            leak=None if leak is None else TableCPD(self.child, table=leak).table,
+            leak=leak,
             operation=operation,
         )
 

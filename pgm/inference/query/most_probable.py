@@ -217,6 +217,9 @@ def most_probable(
     chosen cluster by cluster, each given those before it, so that ties are broken consistently. ln
     p is that of the assignment told, exactly.
 
+    States that many causes of a child amount to (`CausalIndependence`) are summed over before
+    maxima are taken, as for a marginal MAP.
+
     For a dynamic network of discrete and continuous variables the assignment is the path of the
     discrete ones, with the continuous ones integrated out: each step keeps the likeliest paths so
     far, each with its own Gaussian, and leaves others out.
