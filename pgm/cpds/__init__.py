@@ -1,11 +1,12 @@
 """Conditional probability distributions."""
 
 from pgm.cpds.base import CPD
-from pgm.cpds.causal_independence import CausalIndependence, NoisyMax, NoisyOr
+from pgm.cpds.causal_independence import CausalIndependence
 from pgm.cpds.conditional import ConditionalGaussian, Noise, noise
 from pgm.cpds.derivatives import Derivatives
 from pgm.cpds.gaussian import AffineCPD, GaussianCPD, LinearGaussianCPD, NonlinearGaussianCPD
 from pgm.cpds.mixture import MixtureCPD
+from pgm.cpds.noisy_max import NoisyMax, NoisyOr
 from pgm.cpds.repeated import plate
 from pgm.cpds.residual import NonlinearGaussianFactor
 from pgm.cpds.robust import Cauchy, Huber, RobustNoise, StudentT, TruncatedLeastSquares
