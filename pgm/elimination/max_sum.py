@@ -29,7 +29,7 @@ from pgm.kernels.semirings import LOG_SUM_PRODUCT
 # another is tried, until a plan is found with no more entries in all than these. A plan in which
 # none is early may have more of them, since it is carried out once.
 PREFERENCES = [2**k for k in (24, 20, 17, 14, 11, 8, 5)]
-BOUND, EXACT = 2**20, 2**23
+BOUND, EXACT = 2**18, 2**23
 # Where no plan has so few entries, orders are drawn.
 TRIES = 100
 

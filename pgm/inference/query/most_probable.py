@@ -453,7 +453,7 @@ def _marginal_map(
         MappingProxyType(_named(dict(zip(asked, states, strict=True)), bound.lead)),
         frozen(levels),
         _known(np.asarray(missing == 0.0)),
-        frozen(levels + missing),
+        frozen(np.asarray(levels + missing)),
     )
 
 

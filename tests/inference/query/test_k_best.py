@@ -104,9 +104,9 @@ def test_what_is_refused():
     for wrong in (0, -1, 1.5, "2", True):
         with pytest.raises(pgm.GraphError, match="count is how many assignments"):
             pgm.most_probable(graph, {}, count=wrong)
-    with pytest.raises(pgm.GraphError, match="of all variables of a network without time"):
-        pgm.most_probable(graph, {}, count=2, variables=rain)
-    with pytest.raises(pgm.GraphError, match="of all variables of a network without time"):
+    with pytest.raises(pgm.GraphError, match="leave count= out, or executor="):
+        pgm.most_probable(graph, {}, count=2, executor=object())
+    with pytest.raises(pgm.GraphError, match="assignments are of a network without time"):
         pgm.most_probable(pgm.compile(still, steps=2), {wet: [1, 1]}, count=2)
     with pytest.raises(pgm.EvidenceError, match=r"has the runs \(2,\)"):
         pgm.most_probable(graph, {wet: [0, 1]}, count=2)

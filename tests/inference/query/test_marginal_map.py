@@ -79,6 +79,31 @@ def test_drawn_networks(seed):
         assert level == pytest.approx(best, abs=1e-11)
 
 
+@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize("small", [False, True])
+def test_several_assignments(seed, small, request):
+    """The likeliest states of some variables are the largest entries of their table."""
+    if small:
+        request.getfixturevalue("small_tables")
+    rng = np.random.default_rng(seed)
+    network, asked, _, states, weights = drawn(rng)
+    known = {v: int(own[-1]) for v, own in states.items() if v not in asked and own[-1] >= 0}
+    soft = {v: own[-1] for v, own in weights.items()}
+    evidence = {**known, **{v: pgm.soft(own) for v, own in soft.items()}}
+    by_run = {v: np.array([state]) for v, state in known.items()}
+    table = joint(network, 0, by_run, {v: own[None] for v, own in soft.items()}).marginal(*asked)
+    due = np.sort(table.log_values.ravel())[::-1]
+    due = due[due > -np.inf]
+    if not due.size:
+        return
+    found = pgm.most_probable(pgm.compile(network), evidence, variables=asked, count=7)
+    assert found.exact.all()
+    np.testing.assert_allclose(found.log_probability, due[:7], atol=1e-10)
+    indices = tuple(found.assignment[v] for v in asked)
+    np.testing.assert_allclose(table.log_values[indices], due[:7], atol=1e-10)
+    assert len({*zip(*map(np.ndarray.tolist, indices), strict=True)}) == len(due[:7])
+
+
 def test_many_variables_are_asked_for():
     """A chain of 300, every second one asked for: more than an array has axes."""
     states = [pgm.Discrete(f"s{k}", 3) for k in range(300)]
