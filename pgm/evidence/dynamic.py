@@ -45,8 +45,8 @@ class Reading:
     Row k comes from row ``order[k]`` of the user's evidence.
 
     `values` are (M, runs or 1, d), zero where not `taken`; of a discrete sensor the index of its
-    state, d = 1, or weights of its states. `inputs` are values of observed parents, likewise;
-    `unknown` is the parent that is not known, with its candidates.
+    state, d = 1, or logarithms of weights of its states. `inputs` are values of observed parents,
+    likewise; `unknown` is the parent that is not known, with its candidates.
     """
 
     cpd: CPD

@@ -14,6 +14,7 @@ from pgm.evidence.values import Constant, Soft, UnknownVariable, variables_left_
 from pgm.factors.axes import MISSING, as_indices
 from pgm.factors.scope import Place, in_row, in_run, listed, unknown_name
 from pgm.kernels.arrays import Array, Integers, Mask, is_finite
+from pgm.kernels.semirings import LOG_SUM_PRODUCT
 from pgm.resources import APIECE, in_threads
 from pgm.variables import Discrete, Variable
 
@@ -168,8 +169,11 @@ def no_evidence_for(key: object, known: Collection[Variable]) -> EvidenceError:
     )
 
 
-def as_weights(variable: Discrete, value: Soft, where: Place = in_run) -> Array:
-    """The weights of soft evidence, (..., size); a message has where the first bad ones are."""
+def as_log_weights(variable: Discrete, value: Soft, where: Place = in_run) -> Array:
+    """The logarithms of soft evidence's weights, (..., size), each row with one above −∞.
+
+    A message has where the first bad ones are.
+    """
     what = f"soft evidence for {variable!r}"
     states = f"({listed(variable.states)})"
     if isinstance(value.weights, Mapping):
@@ -191,30 +195,32 @@ def as_weights(variable: Discrete, value: Soft, where: Place = in_run) -> Array:
             f"of the states {states}",
             variable=variable,
         )
-    bad = ~np.isfinite(array) | (array < 0.0)
+    zero, wrong = (-np.inf, "log-weights that are NaN or +∞") if value.log else (0.0, WRONG)
+    bad = ~(np.isfinite(array) & (value.log | (array >= 0.0)) | (array == zero))
     if bad.any():
-        raise EvidenceError(
-            f"{what}: weights that are negative, NaN or infinite{where(bad.any(axis=-1))}",
-            variable=variable,
-        )
-    empty = ~array.any(axis=-1)
+        raise EvidenceError(f"{what}: {wrong}{where(bad.any(axis=-1))}", variable=variable)
+    empty = (array == zero).all(axis=-1)
     if empty.any():
         raise EvidenceError(
-            f"{what}: the weights are all zero{where(empty)}; a state that is possible needs a "
-            "positive one, and equal ones say nothing",
+            f"{what}: the {'log-weights are all −∞' if value.log else 'weights are all zero'}"
+            f"{where(empty)}, which is impossible evidence; a state that is possible needs a "
+            f"{'finite' if value.log else 'positive'} one, and equal ones say nothing",
             variable=variable,
         )
-    return array
+    return array if value.log else LOG_SUM_PRODUCT.entries(array)
+
+
+WRONG = "weights that are negative, NaN or infinite"
 
 
 def _state_rows(variable: Discrete, value: Any, axis: str | None) -> Rows:
-    """Indices of states as (..., rows, 1), or soft weights as (..., rows, size).
+    """Indices of states as (..., rows, 1), or logarithms of soft weights as (..., rows, size).
 
     Without an axis of rows they are (..., 1), or (..., size).
     """
     where = in_run if axis is None else in_row
     if isinstance(value, Soft):
-        rows: Rows = as_weights(variable, value, where)
+        rows: Rows = as_log_weights(variable, value, where)
         due = f"(..., {axis}, {variable.size})"
     else:
         rows = as_indices(variable, value, where)[..., None]
@@ -269,7 +275,7 @@ def unread(count: int) -> Rows:
     return np.full((count, 1), MISSING)
 
 
-# Numbers (..., d), or indices of states (..., 1).
+# Numbers (..., d), indices of states (..., 1), or logarithms of their weights (..., size).
 Rows = npt.NDArray[Any]
 WHOLE = "only a sensor's measurement may be missing, or components of it, as NaN"
 
@@ -282,7 +288,8 @@ def constant_row(variable: Variable, value: Constant) -> Rows:
 def rows_of(variable: Variable, value: Any, axis: str | None) -> Rows:
     """Evidence as an array (..., rows, d), or (..., d) where there is no axis of rows.
 
-    For a discrete variable d is one, the index of a state, or as many weights as there are states.
+    For a discrete variable d is one, the index of a state, or the number of its states, for the
+    logarithms of weights.
     """
     if isinstance(variable, Discrete):
         return _state_rows(variable, value, axis)

@@ -11,7 +11,13 @@ import numpy as np
 
 from pgm.cpds import CPD
 from pgm.errors import EvidenceError
-from pgm.evidence.rows import as_rows, as_weights, no_evidence_for, require_finite, taken_readings
+from pgm.evidence.rows import (
+    as_log_weights,
+    as_rows,
+    no_evidence_for,
+    require_finite,
+    taken_readings,
+)
 from pgm.evidence.values import Constant, Evidence, Sightings, Soft
 from pgm.factors.arrays import common_runs, flat
 from pgm.factors.axes import as_indices
@@ -159,7 +165,8 @@ class BoundStates:
     lead: The leading axes, of runs; inside, they are flattened to one.
     states: Hard evidence: one index for all runs, or an index for each, (runs or 1,), where −1 is
         "not observed in this run". A variable that is observed in no run is left out.
-    weights: Soft evidence, (runs or 1, size), each row with a positive entry.
+    weights: Soft evidence, the logarithms of weights, (runs or 1, size), each row with one above
+        −∞. They may be of any size: the tables take them in by `scaled`.
     """
 
     lead: tuple[int, ...]
@@ -193,7 +200,7 @@ def bind_discrete(variables: Iterable[Variable], evidence: Mapping[Any, Any]) ->
             if value >= 0:
                 states[variable] = value
         elif isinstance(value, Soft):
-            weighted[variable] = as_weights(variable, value)
+            weighted[variable] = as_log_weights(variable, value)
         elif isinstance(value, Sightings | Constant):
             raise _of_dynamic(variable, value)
         else:
@@ -207,6 +214,17 @@ def bind_discrete(variables: Iterable[Variable], evidence: Mapping[Any, Any]) ->
         if array.max() >= 0:
             states[variable] = array.item() if array.ndim == 0 else flat(array, lead, 0)
     return BoundStates(lead, states, {v: flat(array, lead, 1) for v, array in weighted.items()})
+
+
+def scaled(weights: Array) -> tuple[Array, Array]:
+    """Log-weights (..., size) less the largest of each row, and these largest ones, (...).
+
+    So weights of any size become numbers of at most one, and digits are not lost beside a large
+    common factor. A row of which all are −∞, of a part of the assignments that has none, stays.
+    """
+    top: Array = weights.max(axis=-1)
+    top = np.where(top == -np.inf, 0.0, top)
+    return weights - top[..., None], top
 
 
 def _of_dynamic(variable: Discrete, value: Sightings | Constant) -> EvidenceError:

@@ -33,12 +33,13 @@ class Constant(InCode):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Soft(InCode):
-    """Weights of the states of a discrete variable; made by `soft`."""
+    """Weights of the states of a discrete variable, or their logarithms; made by `soft`."""
 
     weights: Any
+    log: bool = False
 
     def __repr__(self) -> str:
-        return f"Soft(weights={brief(self.weights)})"
+        return f"Soft(weights={brief(self.weights)}{', log=True' if self.log else ''})"
 
 
 class Sightings(Shown, Immutable):
@@ -102,7 +103,7 @@ def constant(value: npt.ArrayLike) -> Constant:
 
 
 @public
-def soft(weights: npt.ArrayLike) -> Soft:
+def soft(weights: npt.ArrayLike, *, log: bool = False) -> Soft:
     """Soft (virtual, likelihood) evidence for a discrete variable.
 
     The belief is multiplied by the weights, as by an observed child with p(measurement | state)
@@ -114,6 +115,19 @@ def soft(weights: npt.ArrayLike) -> Soft:
         (..., size), one for each state, non-negative and not all zero; leading axes are runs.
         They need not sum to one: marginals depend on their ratios alone, and a common factor
         enters the log-evidence.
+    log : bool, optional
+        Whether these are the weights' natural logarithms, of any size: no float holds e^−900, the
+        likelihood of many readings. −∞ stands for a weight of zero. A state of weight e^−900 beside
+        another of weight 1 remains possible: where other evidence excludes the rest, its
+        probability is 1, and ln p(evidence) has the −900. Next to a likelier state its probability,
+        which a table holds as a number, is 0 below about e^−745.
+
+    Raises
+    ------
+    EvidenceError
+        If `log` is not True or False. When the evidence is used: if there is not one weight for
+        each state, a weight is negative or infinite, a logarithm is NaN or +∞, or all weights are
+        zero.
 
     References
     ----------
@@ -126,8 +140,15 @@ def soft(weights: npt.ArrayLike) -> Soft:
     Table(rain: no 0.25, yes 0.75)
     >>> pgm.query(rainy, rain, {rain: pgm.soft([1.0, 4.0])})
     Table(rain: no 0.2, yes 0.8)
+    >>> seen = pgm.infer(pgm.compile(rainy), {wet: pgm.soft([-901.0, -900.0], log=True)})
+    >>> seen.log_evidence.round(4)
+    np.float64(-900.3799)
     """
-    return Soft(weights)
+    if not isinstance(log, bool | np.bool_):
+        raise EvidenceError(
+            f"soft: log says whether the weights are logarithms, True or False; found {brief(log)}"
+        )
+    return Soft(weights, bool(log))
 
 
 @public_in_loops

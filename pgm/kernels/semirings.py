@@ -14,6 +14,8 @@ import numpy as np
 from pgm.kernels.arrays import Array
 
 Axes = int | tuple[int, ...]
+# The logarithm of the smallest number of float64 that has all digits, rounded up.
+_LEAST = -708.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +46,18 @@ class Semiring:
         with np.errstate(divide="ignore"):
             logs: Array = np.log(values)
         return logs
+
+    def of_logs(self, logs: Array) -> Array:
+        """Logarithms as entries of this semiring: themselves, or their exponentials.
+
+        An exponential that float64 does not hold with all its digits is a `FloatingPointError`.
+        """
+        if not self.linear:
+            return logs
+        if (((logs < _LEAST) & (logs > -np.inf)) | (logs > -_LEAST)).any():
+            raise FloatingPointError
+        values: Array = np.exp(logs)
+        return values
 
     def logs(self, entries: Array) -> Array:
         """The logarithms of entries."""

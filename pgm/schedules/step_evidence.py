@@ -19,7 +19,7 @@ import numpy as np
 from pgm.boundary import as_floats
 from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Constant, Sightings, bind, constant, sightings
-from pgm.evidence.rows import as_rows, as_weights, rows_of
+from pgm.evidence.rows import as_log_weights, as_rows, rows_of
 from pgm.evidence.values import Soft, soft
 from pgm.factors.axes import as_indices
 from pgm.factors.scope import listed, namesake
@@ -154,7 +154,7 @@ def _single(variable: Variable, value: Any) -> Any:
     if not isinstance(variable, Discrete):
         return as_rows(variable, value, None)[..., None, :]
     if isinstance(value, Soft):
-        return soft(as_weights(variable, value)[..., None, :])
+        return soft(as_log_weights(variable, value)[..., None, :], log=True)
     return as_indices(variable, value)[..., None]
 
 

@@ -46,12 +46,12 @@ def _without(evidence: BoundStates, lost: Mask) -> BoundStates:
     """The evidence of a batch, with that of lost runs taken out; the mask `lost` is (runs,).
 
     The observed states of lost runs become −1, "not observed", and their weights of soft evidence
-    become one. If all runs are lost, the result has no evidence at all.
+    become one, ln 1 = 0. If all runs are lost, the result has no evidence at all.
     """
     if lost.all():
         return BoundStates(evidence.lead, {}, {})
     states = {v: np.where(lost, -1, state) for v, state in evidence.states.items()}
-    weights = {v: np.where(lost[:, None], 1.0, each) for v, each in evidence.weights.items()}
+    weights = {v: np.where(lost[:, None], 0.0, each) for v, each in evidence.weights.items()}
     return BoundStates(evidence.lead, states, weights)
 
 

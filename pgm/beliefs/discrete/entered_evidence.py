@@ -2,10 +2,11 @@
 
 An observed state makes the entries of all other states zero; soft evidence w multiplies the entries
 of each state x by w(x). Evidence gives an observed state once for all runs, or as an array with a
-state for each run, where −1 stands for "not observed in this run". The *home* of a variable is the
-smallest cluster that holds it. The tables of all clusters stand in one flat array, in which
-`storage` tells the place of each; their entries are those of a semiring: numbers or logarithms. In
-shapes, [runs] is an axis that a single run lacks.
+state for each run, where −1 stands for "not observed in this run". Soft evidence gives ln w, of any
+size, which is divided by the largest w where tables may have numbers as entries. The *home* of a
+variable is the smallest cluster that holds it. The tables of all clusters stand in one flat array,
+in which `storage` tells the place of each; their entries are those of a semiring: numbers or
+logarithms. In shapes, [runs] is an axis that a single run lacks.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 
 from pgm.beliefs.discrete.place import by_state
 from pgm.beliefs.discrete.storage import Storage
-from pgm.evidence.static import BoundStates
+from pgm.evidence.static import BoundStates, scaled
 from pgm.factors.axes import States, sizes
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.semirings import LOG_SUM_PRODUCT, Semiring
@@ -25,7 +26,8 @@ def multiply(storage: Storage, tables: Array, evidence: BoundStates, semiring: S
 
     `tables` is a flat array, (entries of tables + others, [runs]), in the entries of the semiring:
     first all clusters' tables, laid out by `storage`. The others behind them, such as room for the
-    tables of sepsets, are left unchanged.
+    tables of sepsets, are left unchanged. Soft evidence is divided by its largest weight; a ratio
+    that is no number of float64 is a `FloatingPointError`.
     """
     for variable, state in evidence.states.items():
         table = storage.by_state[variable].of(tables)
@@ -33,21 +35,22 @@ def multiply(storage: Storage, tables: Array, evidence: BoundStates, semiring: S
             table[:state] = semiring.zero
             table[state + 1 :] = semiring.zero
         else:
-            _weigh(table, one_hot(state, variable.size), semiring)
+            _weigh(table, semiring.entries(one_hot(state, variable.size)), semiring)
     runs = tables.ndim > 1
     for variable, soft in evidence.weights.items():
         table = storage.by_state[variable].of(tables)
-        _weigh(table, soft.T if runs else soft[0], semiring)
+        below, _ = scaled(soft)
+        _weigh(table, semiring.of_logs(below.T if runs else below[0]), semiring)
 
 
 def _weigh(table: Array, weights: Array, semiring: Semiring) -> None:
     """Multiply weights (states, [runs]) of a variable into a table, in place.
 
-    The table, (states, sizes of other variables..., [runs]), has entries of the semiring; the
-    weights are plain numbers.
+    The table, (states, sizes of other variables..., [runs]), and the weights have entries of the
+    semiring.
     """
     shape = (len(weights), *(1,) * (table.ndim - weights.ndim), *weights.shape[1:])
-    semiring.times(table, semiring.entries(weights.reshape(shape)), table)
+    semiring.times(table, weights.reshape(shape), table)
 
 
 def enter_everywhere(storage: Storage, evidence: BoundStates) -> Array:
@@ -58,7 +61,7 @@ def enter_everywhere(storage: Storage, evidence: BoundStates) -> Array:
     """
     tables = np.repeat(storage.logs[:, None], evidence.runs, axis=1)
     for variable, state in evidence.states.items():
-        shown = one_hot(np.reshape(state, -1), variable.size)
+        shown = LOG_SUM_PRODUCT.entries(one_hot(np.reshape(state, -1), variable.size))
         for cluster in storage.holders[variable]:
             _weigh(by_state(storage.places[cluster], variable).of(tables), shown, LOG_SUM_PRODUCT)
     for variable, soft in evidence.weights.items():
@@ -81,11 +84,12 @@ def entering(storage: Storage, evidence: BoundStates, cluster: int) -> Array:
     scope = storage.scopes[cluster]
     table = np.zeros((*sizes(scope), evidence.runs))
     for axis, variable in enumerate(scope):
+        own = np.moveaxis(table, axis, 0)
         if variable in evidence.states:
             shown = one_hot(np.reshape(evidence.states[variable], -1), variable.size)
-            _weigh(np.moveaxis(table, axis, 0), shown, LOG_SUM_PRODUCT)
+            _weigh(own, LOG_SUM_PRODUCT.entries(shown), LOG_SUM_PRODUCT)
         if variable in evidence.weights and storage.homes[variable] == cluster:
-            _weigh(np.moveaxis(table, axis, 0), evidence.weights[variable].T, LOG_SUM_PRODUCT)
+            _weigh(own, evidence.weights[variable].T, LOG_SUM_PRODUCT)
     return table
 
 

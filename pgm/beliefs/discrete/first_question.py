@@ -24,7 +24,7 @@ import numpy as np
 from pgm.clustergraph import ClusterGraph
 from pgm.cpds import TableCPD
 from pgm.elimination import Calibrated, Plan, Scope, Step, TableAlgebra
-from pgm.evidence.static import BoundStates
+from pgm.evidence.static import BoundStates, scaled
 from pgm.factors import Table
 from pgm.kernels.arrays import Array
 from pgm.kernels.semirings import SUM_PRODUCT
@@ -70,7 +70,7 @@ def _answer(graph: ClusterGraph, evidence: BoundStates) -> Answer:
     question = _Question(graph, evidence)
     algebra = TableAlgebra(SUM_PRODUCT, question.sizes, aligned=0)
     calibrated = Calibrated(question.plan, question.factors, algebra)
-    log_evidence = 0.0
+    log_evidence = question.log_scale
     for root in question.plan.roots:
         total = calibrated.totals[root]
         log_evidence += math.log(total) if total else -math.inf
@@ -86,7 +86,9 @@ class _Question:
     rank: Of each variable, a number below zero; the axes of all tables stand in ascending rank.
     shown: Of each observed variable its state, as a slice of length one.
     sizes: Of each variable, its number of states; 1 if it is observed.
-    factors: The tables of the CPDs, and the soft evidence of variables that have it.
+    factors: The tables of the CPDs, and the soft evidence of variables that have it, divided by its
+        largest weight.
+    log_scale: The sum of the logarithms of these largest weights.
     plan: The steps, one a cluster, children before parents; what a step leaves is the sepset of its
         cluster and the parent.
     """
@@ -119,6 +121,7 @@ class _Question:
                 factors.append(len(scopes))
                 own.append(scope)
                 scopes.append(scope)
+        self.log_scale = 0.0
         if evidence.weights:
             homes = {place: k for k, held in enumerate(members) for place in held}
             for variable, weights in evidence.weights.items():
@@ -126,7 +129,9 @@ class _Question:
                 entering[homes[place]].append(len(scopes))
                 over[homes[place]].append((place,))
                 scopes.append((place,))
-                self._add_weights(place, weights[0])
+                below, top = scaled(weights[0])
+                self._add_weights(place, SUM_PRODUCT.of_logs(below))
+                self.log_scale += float(top)
         self.plan = Plan(scopes, self.sizes, self._steps(entering, over, len(scopes)), ())
 
     def _hang(self, joined: Sequence[Sequence[int]], members: Sequence[Sequence[int]]) -> None:

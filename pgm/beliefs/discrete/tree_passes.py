@@ -24,7 +24,7 @@ import numpy as np
 from pgm.beliefs.discrete.entered_evidence import multiply
 from pgm.beliefs.discrete.tree_plan import TreePlan
 from pgm.clustergraph import ClusterGraph
-from pgm.evidence.static import BoundStates
+from pgm.evidence.static import BoundStates, scaled
 from pgm.kernels.arrays import Array
 from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring, exp
 
@@ -204,10 +204,10 @@ def conditionals(graph: ClusterGraph, plan: TreePlan) -> Array | None:
             done = collect(plan, prior, SUM_PRODUCT)
             distribute(plan, prior, done, SUM_PRODUCT)
             sepsets = SUM_PRODUCT.divisor(tables[plan.storage.entries :])
-            log_tops = np.log(done.tops)
+            logs_of_tops = np.log(done.tops)
             for stack in plan.stacks:
                 if stack.down is None:
-                    mine = (log_tops[plan.tree_of_top == k] for k in stack.clusters)
+                    mine = (logs_of_tops[plan.tree_of_top == k] for k in stack.clusters)
                     sepsets[stack.columns] = [math.exp(-math.fsum(logs)) for logs in mine]
                 matrix = tables[stack.entries].reshape(stack.shape)
                 np.divide(matrix, stack.by_entry(sepsets[stack.columns]), out=matrix)
@@ -241,14 +241,30 @@ def calibrate(plan: TreePlan, evidence: BoundStates) -> Calibrated:
     """
     if evidence.runs == 1 and not evidence.weights and plan.enumeration is not None:
         tables, total = plan.enumeration.given(evidence.states)
-        log_tops = np.zeros(plan.tops)
-        log_tops[plan.stacks[0].tops.start] = math.log(total) if total > 0.0 else -math.inf
-        return Calibrated(tables, log_tops)
+        logs = np.zeros(plan.tops)
+        logs[plan.stacks[0].tops.start] = math.log(total) if total > 0.0 else -math.inf
+        return Calibrated(tables, logs)
     try:
         with np.errstate(all="raise"):
             return _calibrate(plan, evidence, SUM_PRODUCT)
     except FloatingPointError:
         return _calibrate(plan, evidence, LOG_SUM_PRODUCT)
+
+
+def log_tops(plan: TreePlan, evidence: BoundStates, done: Collected, semiring: Semiring) -> Array:
+    """The logarithms of the tops, (tops, [runs]), with the scales of soft evidence.
+
+    The largest weight, by which `enter` has divided soft evidence, is taken in by the top of the
+    root of its variable's tree.
+    """
+    found = semiring.logs(done.tops)
+    if evidence.weights:
+        found = found.copy()
+    for variable, weights in evidence.weights.items():
+        root = plan.forest.roots[plan.storage.homes[variable]]
+        _, top = scaled(weights)
+        found[int((plan.tree_of_top == root).argmax())] += top if found.ndim > 1 else top[0]
+    return found
 
 
 def _calibrate(plan: TreePlan, evidence: BoundStates, semiring: Semiring) -> Calibrated:
@@ -259,10 +275,10 @@ def _calibrate(plan: TreePlan, evidence: BoundStates, semiring: Semiring) -> Cal
     """
     entry = enter(plan, evidence, semiring)
     done = collect(plan, entry, semiring)
-    tables, log_tops = entry.tables, semiring.logs(done.tops)
-    if not semiring.linear and (log_tops == -np.inf).any():
-        return Calibrated(tables, log_tops)
+    tables, logs = entry.tables, log_tops(plan, evidence, done, semiring)
+    if not semiring.linear and (logs == -np.inf).any():
+        return Calibrated(tables, logs)
     distribute(plan, entry, done, semiring)
     if not semiring.linear:
         exp(tables, out=tables)
-    return Calibrated(tables, log_tops)
+    return Calibrated(tables, logs)

@@ -24,6 +24,7 @@ from pgm.evidence import BoundEvidence
 from pgm.factors.axes import States, discrete
 from pgm.factors.scope import listed
 from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.semirings import LOG_SUM_PRODUCT
 from pgm.networks import DynamicBayesianNetwork
 from pgm.resources import require_memory
 from pgm.variables import Discrete, Variable
@@ -141,12 +142,18 @@ class Regimes:
 
     def likelihood(self, step: int) -> Array | None:
         """Ln p(discrete measurements of a step | regime), (size, runs or 1); None without any."""
-        found, scale = self._slices.likelihood(step)
+        found, scale = self._in_logs.likelihood(step)
         if found is None:
             return None
         shape = (*self.shape, self._runs)
         whole = np.broadcast_to(found.reshape(*found.shape[: len(self.shape)], -1), shape)
-        return _logs(whole.reshape(self.size, -1)) + scale
+        likelihood: Array = whole.reshape(self.size, -1) + scale
+        return likelihood
+
+    @cached_property
+    def _in_logs(self) -> TableSlices:
+        """The slices in logarithms: soft evidence may have weights that are no numbers."""
+        return self._slices.within(LOG_SUM_PRODUCT)
 
     @property
     def _runs(self) -> int:

@@ -17,6 +17,7 @@ from pgm.cpds import CPD, SwitchingCPD, TableCPD
 from pgm.evidence import BoundEvidence, Reading
 from pgm.factors.axes import sizes
 from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.semirings import LOG_SUM_PRODUCT, exp, log_sum
 from pgm.linearisation.family import Family
 from pgm.linearisers import Lineariser
 from pgm.networks import DynamicBayesianNetwork
@@ -194,7 +195,7 @@ def _read(counts: Array, reading: Any, row: int, belief: Array, axes: dict[Any, 
     axes: The axis of each hidden variable, counted from the first one of states.
 
     Where a state z was measured, its counts grow by p(parents | all measurements). With soft
-    evidence, a weight w(z) for each state of the sensor, the counts of each state z grow by a share
+    evidence, ln w(z) for each state of the sensor, the counts of each state z grow by a share
     of this instead: p(z | parents) w(z) / Σ_z' p(z' | parents) w(z'). Runs in which the measurement
     is missing add nothing.
     """
@@ -209,9 +210,10 @@ def _read(counts: Array, reading: Any, row: int, belief: Array, axes: dict[Any, 
         )
         if soft:
             weights = np.broadcast_to(reading.values[row], (runs, cpd.child.size))[run]
-            joint = cpd.table[at] * weights
-            total = joint.sum(axis=-1, keepdims=True)
-            share = joint / np.where(total > 0.0, total, 1.0)
+            # Of logarithms, as a weight may be small beside one that the table excludes.
+            joint = LOG_SUM_PRODUCT.entries(cpd.table[at]) + weights
+            total = log_sum(joint, -1)[..., None]
+            share = exp(joint - np.where(total > -np.inf, total, 0.0))
             counts[at] += found[run][..., None] * share
         else:
             counts[(*at, int(_states(reading.values, row, runs)[run]))] += found[run]

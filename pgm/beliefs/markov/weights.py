@@ -4,7 +4,7 @@ Weights are (*slice, [runs]), as a belief: an axis for each hidden variable of a
 if the weights do not depend on it, then one of runs, which is there only if the user gave axes of
 runs. Their entries are numbers or logarithms, as a *semiring* has it. A *log-scale* is the
 logarithm of a number by which weights have been divided, to keep them near one. *Soft evidence* are
-weights w(z) of a sensor's states, in place of a state that was measured.
+weights w(z) of a sensor's states, in place of a state that was measured; readings have ln w(z).
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ from pgm.beliefs.markov.sensor_weights import SensorWeights
 from pgm.cpds import TableCPD
 from pgm.elimination import Plan, TableAlgebra, eliminate, next_smallest
 from pgm.evidence import Reading
+from pgm.evidence.static import scaled
 from pgm.kernels.arrays import Array
-from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
+from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring, exp
 
 if TYPE_CHECKING:
     from pgm.beliefs.markov.plan import SlicePlan
@@ -40,9 +41,8 @@ class Weights(SensorWeights):
         self.observed = tuple(v for v in self.cpd.given if v not in plan.labels)
         self.called = InputTables(self.cpd, reading.inputs, reading.step)
         self.soft = reading.values.dtype.kind == "f"
-        if self.soft:  # of any size; as numbers they are used with their largest one
-            self._tops = reading.values.max(axis=-1)
-            self._scaled = reading.values / self._tops[:, :, None]
+        if self.soft:  # of any size; they are used with their largest one
+            self._below, self._tops = scaled(reading.values)
 
     @cached_property
     def _columns(self) -> Array:
@@ -72,8 +72,8 @@ class Weights(SensorWeights):
 
         In runs that lack the measurement the weights are the semiring's one. The result is None if
         the measurement is missing in a single run, or in all runs that share it with the states of
-        observed parents; soft evidence always has weights. Where entries are numbers, soft evidence
-        is divided by its largest weight, whose logarithm `log_scale` gives.
+        observed parents; soft evidence always has weights. It is divided by its largest weight,
+        whose logarithm `log_scale` gives.
         """
         values, taken = self.reading.values[row], self.reading.taken[row]
         if self.cpd.function is None:
@@ -132,14 +132,14 @@ class Weights(SensorWeights):
         return np.concatenate([self._columns / top, nothing]), np.append(np.log(top), 0.0)
 
     def log_scale(self, row: int, semiring: Semiring = SUM_PRODUCT) -> Array | float:
-        """The log-scale of a measurement's weights; 0 unless they are numbers and it is soft.
+        """The log-scale of a measurement's weights; 0 unless it is soft.
 
         Soft evidence is divided by its largest weight, so that this is the largest one's logarithm.
         The result is (runs or 1,), or one number where beliefs have no axis of runs.
         """
-        if not self.soft or not semiring.linear:
+        if not self.soft:
             return 0.0
-        logs: Array = np.log(self._tops[row])
+        logs: Array = self._tops[row]
         return logs if self.batch else float(logs[0])
 
     def _softened(self, row: int, columns: Array, places: Any, semiring: Semiring) -> Array:
@@ -149,13 +149,13 @@ class Weights(SensorWeights):
             those of observed parents, after one of runs if the table is a function of inputs.
         places: For each of the other axes the index that each run selects, (runs or 1,).
         """
-        values = (self._scaled if semiring.linear else self.reading.values)[row]
+        logs = self._below[row]
         # Sums over what was measured, also on the way of maxima over the states.
         numbers = SUM_PRODUCT if semiring.linear else LOG_SUM_PRODUCT
-        own = columns[tuple(places)] if places else columns[None]
+        values = exp(logs) if semiring.linear else logs
+        own = numbers.entries(columns[tuple(places)] if places else columns[None])
         factors = [
-            numbers.entries(each[0] if len(each) == 1 else np.moveaxis(each, 0, -1))
-            for each in (values, own)
+            each[0] if len(each) == 1 else np.moveaxis(each, 0, -1) for each in (values, own)
         ]
         plan = self._sum
         found: Array = eliminate(plan, factors, TableAlgebra(numbers, plan.sizes, watched=False))
@@ -189,7 +189,8 @@ class Weights(SensorWeights):
         """
         least = self.called.smallest if self.cpd.function is not None else self._least
         if self.soft:
-            least *= float(self._scaled.min(where=self.reading.values > 0.0, initial=1.0))
+            possible = self._below > -np.inf
+            least *= float(exp(self._below.min(where=possible, initial=0.0)))
         counts = np.diff(self.starts)
         return float(least ** max(counts.max(initial=0), 0))
 

@@ -197,6 +197,8 @@ def _allowed(tabled: Tabled, parts: Sequence[Weighed]) -> list[Mask]:
     possible = [np.isfinite(each.log) for each in parts]
     if not any((each.certain != each.certain[:1]).any() for each in parts):
         return possible
+    # A point mass outweighs a density, however little weight soft evidence gives its states.
+    tabled = tabled.levelled()
     beliefs, _ = tabled.solved([np.where(mask, 0.0, -np.inf) for mask in possible], possible)
     found = []
     for choice, each, mask in zip(tabled.choices, parts, possible, strict=True):

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,17 +20,13 @@ from pgm.beliefs.mixed.parts import Part
 from pgm.clustergraph import ClusterGraph
 from pgm.compile.methods import JunctionTree
 from pgm.cpds import CPD, TableCPD
-from pgm.errors import EvidenceError, NumericalError
-from pgm.evidence.values import Soft
+from pgm.errors import EvidenceError
+from pgm.evidence.rows import as_log_weights
+from pgm.evidence.values import Soft, soft
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.networks import BayesianNetwork
 from pgm.schedules.impossible import ImpossibleEvidence
 from pgm.variables import Discrete, Variable
-
-# Weights are told to the tables to this power of e below the largest, beyond which they are zero.
-RANGE = 700.0
-# What is so left out is no more than this power of e of all that is left.
-LOST = -100.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,28 +94,28 @@ class Tabled:
         `allowed` count.
         """
         known, total = dict(self.evidence), np.zeros(math.prod(self.lead))
-        cut, prior = np.full(total.shape, -np.inf), 0.0
         for choice, log, mask in zip(self.choices, logs, allowed, strict=True):
             own = np.where(mask, log, -np.inf)
-            top = own.max(axis=0)
-            total = total + top
-            if choice is not None:
-                weights = np.exp(own - top)
-                small = np.where(own < top - RANGE, own - top, -np.inf)
-                cut = np.maximum(cut, small.max(axis=0))
-                prior += math.log(choice.size)
-                known[choice] = Soft(weights.T.reshape(*self.lead, choice.size))
-        known[self.every] = Soft(np.ones((*self.lead, self.every.size)))
+            if choice is None:
+                total = total + own.max(axis=0)
+            else:
+                total = total + math.log(choice.size)
+                known[choice] = soft(own.T.reshape(*self.lead, choice.size), log=True)
+        known[self.every] = soft(np.ones((*self.lead, self.every.size)))
         try:
             found = run_tables(self.graph, known, None)
         except ImpossibleEvidence as error:
-            if (cut > -np.inf).any():
-                raise _too_far() from None
             raise _impossible(error, bool(self.lead)) from None
-        own = np.broadcast_to(np.ravel(found.log_evidence), total.shape) + prior
-        if (own + LOST < cut).any():
-            raise _too_far()
-        return found, total + own
+        return found, total + np.ravel(found.log_evidence)
+
+    def levelled(self) -> Tabled:
+        """The same network, soft evidence telling but which states are possible at all."""
+        known = dict(self.evidence)
+        for variable, value in known.items():
+            if isinstance(variable, Discrete) and isinstance(value, Soft):
+                possible = as_log_weights(variable, value) > -np.inf
+                known[variable] = soft(possible.astype(np.float64))
+        return replace(self, evidence=known)
 
 
 def _name(name: str, taken: set[str]) -> str:
@@ -136,11 +132,4 @@ def _impossible(error: ImpossibleEvidence, several: bool) -> EvidenceError:
         f"the evidence has probability zero{where}: each configuration of the discrete variables "
         "is impossible by the tables, or contradicted by what continuous variables are known to be",
         run=error.run,
-    )
-
-
-def _too_far() -> NumericalError:
-    return NumericalError(
-        "what parts of the network say of the discrete variables contradicts itself by more than "
-        f"{RANGE:g} nats, which is beyond the range of float64; give CPDs more noise"
     )

@@ -19,7 +19,7 @@ from pgm.beliefs.discrete.run_pieces import some_runs
 from pgm.cpds.causal_independence import of_user
 from pgm.elimination import TableAlgebra
 from pgm.evidence import Evidence
-from pgm.evidence.static import BoundStates
+from pgm.evidence.static import BoundStates, scaled
 from pgm.factors.axes import States
 from pgm.factors.scope import in_run, listed
 from pgm.factors.table import Potential
@@ -65,7 +65,7 @@ def tables(
             own = [query.order[k] for k in plan.scopes[factor]]
             table = _reduced(factors[factor]._potential, open_[factor], own, evidence)
         else:
-            table = _weights(query.weighted[factor - len(factors)], evidence)
+            return _weights(query.weighted[factor - len(factors)], evidence, semiring)
         return semiring.entries(table)
 
     return given, TableAlgebra(semiring, plan.sizes, scaled=True, aligned=1)
@@ -106,17 +106,19 @@ def _reduced(
     return reduced
 
 
-def _weights(variable: Discrete, evidence: BoundStates) -> Array:
+def _weights(variable: Discrete, evidence: BoundStates, semiring: Semiring) -> Array:
     """The weights (states, runs or 1) that the evidence gives the states of a variable.
 
-    A variable with soft evidence has the weights of this. A variable that is observed in some
-    runs alone has, in these, the weight one for the state observed and zero for all others; in
-    runs without an observation all its states have the weight one.
+    A variable with soft evidence has the weights of this, divided by the largest. A variable that
+    is observed in some runs alone has, in these, the weight one for the state observed and zero for
+    all others; in runs without an observation all its states have the weight one. They are entries
+    of the semiring.
     """
     soft = evidence.weights.get(variable)
     if soft is not None:
-        return soft.T
-    return one_hot(np.asarray(evidence.states[variable]), variable.size)
+        below, _ = scaled(soft)
+        return semiring.of_logs(below.T)
+    return semiring.entries(one_hot(np.asarray(evidence.states[variable]), variable.size))
 
 
 def require_possible(query: QueryPlan, probabilities: Array) -> None:

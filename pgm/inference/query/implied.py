@@ -61,4 +61,4 @@ def _allowed(variable: Discrete, evidence: BoundStates) -> Mask | None:
         return np.asarray(np.arange(variable.size) == state)
     if weights is None or len(weights) > 1:
         return None
-    return np.asarray(weights[0] > 0.0)
+    return np.asarray(weights[0] > -np.inf)

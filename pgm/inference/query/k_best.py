@@ -90,17 +90,20 @@ def likeliest(
 def _evidence(
     evidence: BoundStates, free: States, best: Integers, parts: list[tuple[int, Mask]]
 ) -> BoundStates:
-    """The evidence of the parts as runs: weights of one or zero of the free variables' states."""
+    """The evidence of the parts as runs: weights of one or zero of the free variables' states.
+
+    All weights are logarithms.
+    """
     runs = len(parts)
     weights: dict[Discrete, Array] = {
         v: np.broadcast_to(soft, (runs, v.size)) for v, soft in evidence.weights.items()
     }
     for k, variable in enumerate(free[: parts[-1][0] + 1]):
-        own = np.ones((runs, variable.size))
+        own = np.zeros((runs, variable.size), dtype=bool)
         for run, (end, mask) in enumerate(parts):
             if k < end:
-                own[run] = np.eye(variable.size)[best[k]]
+                own[run] = np.arange(variable.size) != best[k]
             elif k == end:
-                own[run] = mask
-        weights[variable] = weights[variable] * own if variable in weights else own
+                own[run] = ~mask
+        weights[variable] = np.where(own, -np.inf, weights.get(variable, 0.0))
     return BoundStates((runs,), evidence.states, weights)

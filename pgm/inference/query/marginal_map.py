@@ -84,8 +84,7 @@ def _levels(
     for variable, soft in evidence.weights.items():
         if variable in chosen:
             runs = np.arange(evidence.runs) % len(soft)
-            with np.errstate(divide="ignore"):
-                levels = levels + np.log(soft[runs, chosen[variable]])
+            levels = levels + soft[runs, chosen[variable]]
     return levels
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from pgm.arguments import public
 from pgm.beliefs.discrete.impossible import require_possible
 from pgm.beliefs.discrete.run_pieces import Distinct, tree_pieces
-from pgm.beliefs.discrete.tree_passes import collect, distribute, enter
+from pgm.beliefs.discrete.tree_passes import collect, distribute, enter, log_tops
 from pgm.beliefs.discrete.tree_plan import TreePlan, plan_for
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
@@ -231,7 +231,7 @@ def _calibrated(plan: TreePlan, evidence: BoundStates) -> tuple[Array, Array]:
     """
     entry = enter(plan, evidence, MAX_PRODUCT)
     done = collect(plan, entry, MAX_PRODUCT)
-    tops = done.tops.reshape(-1, evidence.runs)
+    tops = log_tops(plan, evidence, done, MAX_PRODUCT).reshape(-1, evidence.runs)
     if not (tops == -np.inf).any():
         distribute(plan, entry, done, MAX_PRODUCT)
     logs = plan.marginals.sum(entry.tables, MAX_PRODUCT)

@@ -7,9 +7,10 @@ parent (a root has one column), and a *row* for each joint state of its other va
 is some clusters of like shape and depth, whose matrices stand side by side in one. Tables and
 messages have logarithms as entries. *Tops*, (tops, runs), sum to ln p(assignment, evidence): there
 is one for each cluster, or several. That of a root is the largest entry of its table after all
-messages came in; all others are 0. The *home* of a variable is the smallest cluster that holds it.
-The mapping ``plan.storage.homes`` gives the home of each variable, and arrays (variables, runs)
-have the variables in the order of this mapping. A run is one set of evidence of a batch.
+messages came in, with the scales of soft evidence in its tree; all others are 0. The *home* of a
+variable is the smallest cluster that holds it. The mapping ``plan.storage.homes`` gives the home of
+each variable, and arrays (variables, runs) have the variables in the order of this mapping. A run
+is one set of evidence of a batch.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import numpy as np
 
 from pgm.beliefs.discrete.place import steps
 from pgm.beliefs.discrete.run_pieces import some_runs, tree_pieces
-from pgm.beliefs.discrete.tree_passes import collect, enter
+from pgm.beliefs.discrete.tree_passes import collect, enter, log_tops
 from pgm.beliefs.discrete.tree_plan import Stack, TreePlan, plan_for
 from pgm.clustergraph import ClusterGraph
 from pgm.evidence.static import BoundStates
@@ -104,7 +105,7 @@ def _maximise(plan: TreePlan, evidence: BoundStates) -> tuple[Integers, Array]:
             column[product.children] = product.columns(at)
         own = stack.widths[:, None]
         entry[stack.clusters] = row * own + local - stack.first[:, None]
-    return _decode(plan, entry), done.tops.reshape(-1, runs)
+    return _decode(plan, entry), log_tops(plan, evidence, done, MAX_PRODUCT).reshape(-1, runs)
 
 
 def _best_row(stack: Stack, entries: Array, column: Integers) -> Integers:

@@ -353,10 +353,32 @@ def test_what_no_configuration_allows_is_refused():
     again = switched(other, pgm.GaussianCPD(other, 5.0, 0.0), pgm.GaussianCPD(other, 6.0, 0.0))
     with pytest.raises(pgm.EvidenceError, match="probability zero, in run 1"):
         inferred([FAIR, both, again], {Z: [[5.0], [5.0]], other: [[5.0], [6.0]]})
+
+
+def test_parts_that_contradict_one_another_by_thousands_of_nats():
+    other = pgm.Variable("other")
     wide = [pgm.GaussianCPD(v, m, 1.0) for v in (Z, other) for m in (0.0, 100.0)]
     apart = [switched(Z, *wide[:2]), switched(other, *wide[:1:-1])]
-    with pytest.raises(pgm.NumericalError, match="700 nats"):
-        inferred([FAIR, *apart], {Z: 0.0, other: 0.0})
+    found = inferred([FAIR, *apart], {Z: 0.0, other: 0.1})
+    levels = norm(0, 1).logpdf([0, 100]) + norm(0, 1).logpdf([99.9, 0.1])
+    assert_allclose(found.log_evidence, np.logaddexp(*levels) - np.log(2), rtol=1e-14)
+    assert_allclose(found[MODE].probabilities[1], 1 / (1 + np.exp(levels[0] - levels[1])))
+
+
+def test_soft_evidence_by_log_weights():
+    seen = switched(Z, pgm.GaussianCPD(Z, 0.0, 1.0), pgm.GaussianCPD(Z, 3.0, 1.0))
+    due = inferred([FAIR, seen], {Z: 1.0, MODE: pgm.soft([0.2, 0.8])})
+    weights = np.log([0.2, 0.8])
+    found = inferred([FAIR, seen], {Z: 1.0, MODE: pgm.soft(weights - 900, log=True)})
+    assert_allclose(found[MODE].probabilities, due[MODE].probabilities, rtol=1e-12)
+    assert_allclose(found.log_evidence, due.log_evidence - 900, rtol=1e-14)
+    # A point mass outweighs a density, whatever weight its state has, as long as it has one.
+    sure = switched(Z, pgm.GaussianCPD(Z, 1.0, 1.0), pgm.GaussianCPD(Z, 1.0, 0.0))
+    found = inferred([FAIR, sure], {Z: 1.0, MODE: pgm.soft([0.0, -900.0], log=True)})
+    assert_allclose(found[MODE].probabilities, [0, 1])
+    assert_allclose(found.log_evidence, np.log(0.5) - 900)
+    found = inferred([FAIR, sure], {Z: 1.0, MODE: pgm.soft([0.0, -np.inf], log=True)})
+    assert_allclose(found[MODE].probabilities, [1, 0])
 
 
 def test_too_many_configurations_are_refused_before_any_work():
