@@ -114,6 +114,7 @@ if TYPE_CHECKING:
     from pgm.comparison import compare
     from pgm.io.networks import (
         from_pgmpy,
+        from_pyagrum,
         read_bif,
         read_fg,
         read_uai,
@@ -121,6 +122,7 @@ if TYPE_CHECKING:
         read_uai_query,
         read_xmlbif,
         to_pgmpy,
+        to_pyagrum,
         write_bif,
         write_fg,
         write_uai,
@@ -151,6 +153,7 @@ _LATER = {
     "pgm.comparison": ("compare",),
     "pgm.io.networks": (
         "from_pgmpy",
+        "from_pyagrum",
         "read_bif",
         "read_fg",
         "read_uai",
@@ -158,6 +161,7 @@ _LATER = {
         "read_uai_query",
         "read_xmlbif",
         "to_pgmpy",
+        "to_pyagrum",
         "write_bif",
         "write_fg",
         "write_uai",
@@ -328,6 +332,7 @@ __all__ = [
     "filter",
     "fit",
     "from_pgmpy",
+    "from_pyagrum",
     "infer",
     "learning",
     "maps",
@@ -356,6 +361,7 @@ __all__ = [
     "stamped",
     "timeline",
     "to_pgmpy",
+    "to_pyagrum",
     "unknown",
     "variables",
     "view",

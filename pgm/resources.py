@@ -116,6 +116,7 @@ def in_threads(work: Callable[[int, int], object], count: int, threads: int) -> 
 
 
 FRAMES = "sepset[frames]"
+FILES = "sepset[files]"
 
 
 def optional(module: str, what: str, requirement: str) -> Any:

@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass
 
 from pgm.io.sources import Content, line_of
+from pgm.resources import FILES
 
 BIF, XMLBIF, UAI = "BIF", "XMLBIF", "UAI"
 # How much of a file is looked at, in characters or bytes.
@@ -21,12 +22,20 @@ class Format:
     remedy: str
 
 
-_BY_PYAGRUM = (
-    "it is not read here, and pyAgrum makes a BIF file of it, for pgm.read_bif: "
-    "pyagrum.saveBN(pyagrum.loadBN({0!r}), 'network.bif')"
+_PYAGRUM = f"pgm.from_pyagrum(pyagrum.loadBN({{!r}})), after pip install '{FILES}'"
+_BY_PYAGRUM = f"it is not read here, and pyAgrum reads it: {_PYAGRUM}"
+_BY_GENIE = (
+    "neither pgm nor pyAgrum reads it; GeNIe opens it, and saves it as Hugin's .net, which pyAgrum "
+    f"reads: {_PYAGRUM.format('network.net')}"
 )
-_BY_GENIE = "it is not read here; GeNIe opens it, and saves it as Hugin's .net, of which pyAgrum's "
-_BY_GENIE += "loadBN and saveBN make a BIF file"
+# SMILE's manual: the first parent is the most significant coordinate. pyAgrum 2.0 to 3.3 lets it
+# move fastest, and so gives tables of several parents another meaning.
+_XDSL = (
+    "it is not read here, and pyAgrum 3.3 turns the order of several parents round; save it in "
+    f"GeNIe as Hugin's .net, which pyAgrum reads: {_PYAGRUM.format('network.net')}"
+)
+# The type of a member of a class of O3PRM, before its name.
+_MEMBER = r"(?!node|potential|function|utility|decision|discrete|continuous)\w+(?:\s*\([^()]*\))?"
 
 
 def _format(name: str, begins: str, remedy: str) -> Format:
@@ -37,8 +46,16 @@ FORMATS = {
     BIF: _format("a BIF file", r"(?:network\b[^{]*|variable\s[^{]*)\{", "pgm.read_bif reads it"),
     XMLBIF: _format("an XMLBIF file", r"<BIF\b", "pgm.read_xmlbif reads it"),
     UAI: _format("a UAI file", r"(?:BAYES|MARKOV)\s", "pgm.read_uai reads it"),
-    "XDSL": _format("a GeNIe file (XDSL)", r"<smile\b", _BY_PYAGRUM.format("network.xdsl")),
+    "XDSL": _format("a GeNIe file (XDSL)", r"<smile\b", _XDSL),
     "DSL": _format("a GeNIe file (DSL)", r"net\s+\w+\s*\{", _BY_PYAGRUM.format("network.dsl")),
+    "O3PRM": _format(
+        "a class of O3PRM",
+        r"(?:package|import)\s+[\w.]+\s*;|(?:system|interface)\s+\w+[^{;]*\{"
+        r"|type\s+\w+\s+(?:labels|extends|boolean|int|real)\b"
+        r"|class\s+\w+\s+(?:extends|implements)\b"
+        rf"|class\s+\w+\s*\{{\s*{_MEMBER}\s+\w+\s*(?:\{{|;|dependson\b)",
+        _BY_PYAGRUM.format("network.o3prm"),
+    ),
     "NET": _format(
         "a Hugin file (NET)",
         r"net\s*\{|class\s+\w+\s*\{|node\s+\w+\s*\{",
@@ -52,6 +69,11 @@ FORMATS = {
         r"@relation\b",
         "scipy.io.arff.loadarff reads it, for pgm.records; Weka saves networks as XMLBIF, for "
         "pgm.read_xmlbif",
+    ),
+    "JGUM": _format(
+        "a file of pyAgrum (JGUM)",
+        r"\{\s*\"type\"\s*:\s*\"\w+\"\s*,\s*\"GumJsonVersion\"",
+        _BY_PYAGRUM.format("network.jgum"),
     ),
     "JSON": _format(
         "JSON, which is not read here",

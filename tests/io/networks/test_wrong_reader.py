@@ -12,10 +12,14 @@ from pgm.examples import coin
 XML = '<?xml version="1.0" encoding="UTF-8"?>\n<!-- made by hand -->\n'
 FILES = {
     "Hugin": ("% a comment\nnet\n{\n  node_size = (80 40);\n}\nnode A\n{\n}\n", 2, "loadBN"),
-    "Hugin .*NET": ("class Sprinkler {\n}\n", 1, "pgm.read_bif"),
-    "GeNIe .*XDSL": (XML + '<smile version="1.0" id="n"></smile>\n', 3, "pgm.read_bif"),
+    "Hugin .*NET": ("class Sprinkler {\n}\n", 1, "pgm.from_pyagrum"),
+    "GeNIe .*XDSL": (
+        XML + '<smile version="1.0" id="n"></smile>\n',
+        3,
+        "turns the order of several parents",
+    ),
     "GeNIe .*DSL": ("net Asia\n{\n HEADER = {}\n}", 1, "network.dsl"),
-    "Netica": ("// ~->[DNET-1]->~\n\nbnet Asia {\n};\n", 3, "GeNIe opens it"),
+    "Netica": ("// ~->[DNET-1]->~\n\nbnet Asia {\n};\n", 3, "GeNIe opens it.*network.net"),
     "Microsoft .*DSC": ('belief network "asia"\nnode a {}\n', 1, "GeNIe opens it"),
     "Microsoft .*XBN": ("<ANALYSISNOTEBOOK ROOT='a'>", 1, "GeNIe opens it"),
     "Weka": ("% 1. Title\n@RELATION iris\n@DATA\n", 2, "loadarff"),
@@ -37,6 +41,30 @@ def test_files_of_other_programs(kind, reader):
         with pytest.raises(pgm.FileError, match=rf"it is a.* {kind}.*{remedy}") as caught:
             reader(file)
         assert caught.value.line == line
+
+
+BY_PYAGRUM = [
+    ("net", "net\n{\n}\n"),
+    ("net", "class Sprinkler\n{\n inputs = ();\n node A\n {\n }\n}\n"),
+    ("net", "class Sprinkler {\n node A\n {\n }\n}\n"),
+    ("o3prm", "class C {\n int (0, 1) A  {[0.25, 0.75]};\n}\n"),
+    ("o3prm", "class C extends B {\n boolean A {\n"),
+    ("o3prm", "type state labels(OK, NOK);\nclass A {\n}\n"),
+    ("o3prm", "class C {\n state s dependson r {\n"),
+    ("o3prm", "import fr.lip6.printers;\nsystem S {\n}\n"),
+    ("net", XML + '<smile version="1.0" id="n"></smile>\n'),
+    ("net", "bnet Asia {\n};\n"),
+    ("dsl", "net Asia\n{\n HEADER = {}\n}"),
+    ("jgum", '{"type":"BN","GumJsonVersion":"1.0","nodes":["A[2]"]}'),
+]
+
+
+@pytest.mark.parametrize(("ending", "text"), BY_PYAGRUM)
+@pytest.mark.parametrize("reader", OURS)
+def test_files_that_pyagrum_reads(ending, text, reader):
+    way = rf"pgm\.from_pyagrum\(pyagrum\.loadBN\('network\.{ending}'\)\), .*sepset\[files\]"
+    with pytest.raises(pgm.FileError, match=way):
+        reader(io.StringIO(text))
 
 
 @pytest.mark.parametrize("reader", OURS)
