@@ -95,7 +95,6 @@ def test_a_tree_of_gaussians_is_calibrated(seed):
 OWN = {
     "pgm.elimination.tables": {"_fused"},
     "pgm.beliefs.markov.single_state": {"_apply"},
-    "pgm.beliefs.markov.counts": {"_read"},
     "pgm.beliefs.discrete.sums": {"sum", "total"},
     "pgm.beliefs.discrete.tree_plan": {"given", "of"},
 }
