@@ -256,7 +256,6 @@ def split(
     and `members`, m and P, are of the members, their angles on the component's branch.
     """
     mean, cov = known
-    size = mean.shape[-1]
     out, into = _whitening(cov)
     spread, axes, middle = _principal(into, later[0] - mean, later[1])
     batch: tuple[Integers, ...] = np.indices(owner.shape[1:], sparse=True)
@@ -269,11 +268,73 @@ def split(
     turned = (transpose(axes) @ into)[at]
     m = apply(turned, members[0] - mean[at])
     p = symmetric(sandwich(turned, members[1]))
-    gained = np.zeros(logs.shape)
+    gained, m, p = _multiplied(spread[at], middle[at], m, p)
+    back = (out @ axes)[at]
+    found = mean[at] + apply(back, m), symmetric(sandwich(back, p))
+    only = alone[at]
+    smoothed = [
+        np.where(only.reshape(*only.shape, *(1,) * (part.ndim - only.ndim)), kept[at], part)
+        for part, kept in zip(found, later, strict=True)
+    ]
+    return Split(within(logs + np.where(only, 0.0, gained), owner, len(known[0])), *smoothed)
+
+
+class Ratio(NamedTuple):
+    """The ratio of a Gaussian given more evidence, N(b, W), to what it was, N(a, V).
+
+    It is what the evidence says, and a product of ratios along axes u, with the variances w and the
+    means μ of N(b, W) in coordinates in which N(a, V) is N(0, I); see `split`. Directions in which
+    V is but rounding are left as they are.
+
+    centre: a, (..., n).
+    axes: The axes u as rows, (..., n, n).
+    spread, middle: The w and the μ, (..., n) both.
+    """
+
+    centre: Array
+    axes: Array
+    spread: Array
+    middle: Array
+
+    @classmethod
+    def of(cls, later: tuple[Array, Array], known: tuple[Array, Array]) -> Ratio:
+        """The ratio by the moments of both, (..., n) and (..., n, n)."""
+        _, into = _whitening(known[1])
+        spread, axes, middle = _principal(into, later[0] - known[0], later[1])
+        return cls(known[0], transpose(axes) @ into, spread, middle)
+
+    def at(self, index: tuple[Integers, ...]) -> Ratio:
+        """The ratios at an index of the leading axes."""
+        return Ratio(*(part[index] for part in self))
+
+    def taken(self, mean: Array, cov: Array) -> tuple[Array, Array]:
+        """The moments of Gaussians (..., n) and (..., n, n) that the ratio is multiplied into."""
+        away = mean - self.centre
+        _, moved, left = _multiplied(self.spread, self.middle, away, cov, self.axes)
+        return moved + self.centre, left
+
+
+def _multiplied(
+    spread: Array, middle: Array, mean: Array, cov: Array, axes: Array | None = None
+) -> tuple[Array, Array, Array]:
+    """Gaussians with ratios multiplied into them, axis by axis, as of `split`.
+
+    And first the logarithms of the products' integrals (...). `mean` (..., n) counts from the mean
+    that the ratios began with; `axes` are those along which they are taken, as rows (..., n, n),
+    or those of the coordinates.
+    """
+    size = mean.shape[-1]
+    gained = np.zeros(mean.shape[:-1])
     for k in range(size):
-        whole, mu = spread[..., k][at], middle[..., k][at]
+        if axes is None:
+            row = np.eye(size)[k]
+            column, variance, place = cov[..., :, k], cov[..., k, k], mean[..., k]
+        else:
+            row = axes[..., k, :]
+            column, place = apply(cov, row), inner(row, mean)
+            variance = np.maximum(inner(row, column), 0.0)
+        whole, mu = spread[..., k], middle[..., k]
         w, excess = np.minimum(whole, 1.0), np.maximum(whole - 1.0, 0.0)
-        column, variance, place = p[..., :, k], p[..., k, k], m[..., k]
         # Where the component came back wider, a member goes no further than it did.
         reach = np.where(whole < 1.0, 1.0, np.maximum(variance, 1.0))
         column, variance = column / reach[..., None], variance / reach
@@ -285,19 +346,14 @@ def split(
             2.0 * scale
         )
         gain = column * ((1.0 - w) / scale)[..., None]
-        m = m + column * (off / scale)[..., None]
-        keep = np.eye(size) - gain[..., :, None] * np.eye(size)[k]
+        mean = mean + column * (off / scale)[..., None]
+        keep = np.eye(size) - gain[..., :, None] * row[..., None, :]
         noise = (1.0 - w) * w / scale**2 + excess / (1.0 + excess * (1.0 - variance))
-        p = sandwich(keep, p) + noise[..., None, None] * column[..., :, None] * column[..., None, :]
-        p = symmetric(p)
-    back = (out @ axes)[at]
-    found = mean[at] + apply(back, m), symmetric(sandwich(back, p))
-    only = alone[at]
-    smoothed = [
-        np.where(only.reshape(*only.shape, *(1,) * (part.ndim - only.ndim)), kept[at], part)
-        for part, kept in zip(found, later, strict=True)
-    ]
-    return Split(within(logs + np.where(only, 0.0, gained), owner, len(known[0])), *smoothed)
+        cov = sandwich(keep, cov) + noise[..., None, None] * (
+            column[..., :, None] * column[..., None, :]
+        )
+        cov = symmetric(cov)
+    return gained, mean, cov
 
 
 def within(logs: Array, owner: Integers, count: int) -> Array:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pgm.arguments import public
 from pgm.boundary import is_whole
 from pgm.display import InCode
-from pgm.errors import ModelError
+from pgm.errors import ModelError, Unanswered
 
 
 @public
@@ -62,3 +62,12 @@ class Kind(InCode):
 
 
 PREDICTED, FILTERED, SMOOTHED = Kind(-1), Kind(0), Kind(math.inf)
+
+
+def require_smoothed(kind: Kind) -> None:
+    """Refuse draws of whole trajectories of beliefs that do not know all measurements."""
+    if kind != SMOOTHED:
+        raise Unanswered(
+            f"draws of trajectories know all measurements, and this posterior is {kind}: take "
+            "pgm.smooth; of one step draw from its belief, posterior[x.at(3)].sample(...)"
+        )

@@ -23,6 +23,7 @@ import numpy as np
 
 from pgm.beliefs.grid.groups import Members
 from pgm.beliefs.grid.lattice import Window
+from pgm.beliefs.grid.moves import blocks, picked
 from pgm.beliefs.grid.values import (
     at_a_time,
     gaussian_parts,
@@ -109,6 +110,28 @@ class Dense:
         move; of a density it is not known.
         """
         return {}
+
+    def sources(self, array: Array, places: Integers, rng: np.random.Generator) -> Integers:
+        """Source cells drawn given target cells, by the density between them; see `Operator`."""
+        lines = self._lines(array)
+        moved = {*self.axes, *self.by}
+        rest = tuple(k for k in range(len(self.source)) if k not in moved)
+
+        def flat(axes: Sequence[int], window: Window) -> Integers:
+            found = np.zeros(places.shape[1], dtype=np.intp)
+            for k in axes:
+                found = found * window[k].length + places[k]
+            return found
+
+        group, still = flat(self.by, self.target), flat(rest, self.target)
+        target = flat(self.axes, self.target)
+        drawn = np.empty(places.shape[1], dtype=np.intp)
+        for some in blocks(places.shape[1], lines.shape[2]):
+            weights = self.weights[group[some], :, target[some]] * lines[group[some], still[some]]
+            drawn[some] = picked(weights, rng)
+        found = places.copy()
+        found[list(self.axes)] = np.unravel_index(drawn, [self.source[k].length for k in self.axes])
+        return found
 
     @property
     def _order(self) -> tuple[int, ...]:

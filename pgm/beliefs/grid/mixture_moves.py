@@ -85,6 +85,18 @@ class Step:
             array = operator.backward(array)
         return array
 
+    def sources(self, array: Array, places: Integers, rng: np.random.Generator) -> Integers:
+        """Source cells drawn given target cells, through one operator after another, as places."""
+        before = [array]
+        for operator in self.operators[:-1]:
+            if isinstance(operator, Mixed):
+                before.append(operator.moved(before[-1])[0])
+            else:
+                before.append(operator.forward(before[-1]))
+        for operator, own in zip(reversed(self.operators), reversed(before), strict=False):
+            places = operator.sources(own, places, rng)
+        return places
+
 
 @dataclass(frozen=True, eq=False)
 class Mixed:
@@ -121,6 +133,27 @@ class Mixed:
         ]
         total: Array = np.sum(parts, axis=0)
         return total
+
+    def sources(self, array: Array, places: Integers, rng: np.random.Generator) -> Integers:
+        """Source cells drawn given target cells, each through a part that it came by, as places.
+
+        Each part in turn takes over a draw by its share of the probability that the parts so far
+        bring to the target cell.
+        """
+        found, total = places.copy(), np.zeros(places.shape[1])
+        cells = np.array([axis.cells for axis in self.lattice.axes])[:, None]
+        first = np.array([span.first for span in self.target])[:, None]
+        for weight, step in zip(self.weights, self.steps, strict=True):
+            start, length = (np.array(each)[:, None] for each in zip(*step.target, strict=True))
+            own = (places + first - start) % cells
+            inside = (own < length).all(axis=0)
+            part, _ = step.forward(array)
+            share = np.zeros(len(total))
+            share[inside] = weight * part[tuple(own[:, inside])]
+            total += share
+            chosen = rng.random(len(total)) * total < share
+            found[:, chosen] = step.sources(array, own[:, chosen], rng)
+        return found
 
     def _of(self, step: Step) -> tuple[Integers, ...]:
         """The index of the target window of `step`, a part's move, in an array over `target`."""

@@ -10,7 +10,8 @@ quadrature, each with a weight; the weights sum to one.
 """
 
 import itertools
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -19,9 +20,12 @@ import numpy as np
 
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.lattice import Span, along, matrices
+from pgm.kernels.stochastic import Dense
 
 # The largest variance, in squared cells, of the three points that a displacement is split on.
 SPLIT = 0.25
+# So many weights of cells are drawn by at a time.
+_AT_A_TIME = 2**22
 
 
 class Operator(Protocol):
@@ -39,6 +43,15 @@ class Operator(Protocol):
         """By axis, the variance that the lattice adds, in squared cells.
 
         It is averaged over the source cells by `array`, their probabilities.
+        """
+        ...
+
+    def sources(self, array: Array, places: Integers, rng: np.random.Generator) -> Integers:
+        """Source cells drawn given target cells, by Bayes' rule, as places (axes, draws).
+
+        Cells are given by their places along the axes of the windows. `array` are the probabilities
+        of the source cells: p(source | target) ∝ p(source) p(target | source). A target cell has to
+        be one that probability moves to.
         """
         ...
 
@@ -118,6 +131,22 @@ class Move:
         """The transposed move, of a backward message, at a node of the quadrature."""
         return along(self.matrix(node).swapaxes(-1, -2), array, self.axis, self.by)
 
+    def sources(
+        self, array: Array, places: Integers, rng: np.random.Generator, node: int = 0
+    ) -> Integers:
+        """Source cells drawn given target cells, at a node of the quadrature; see `Operator`."""
+        matrix = self.matrix(node)
+        lines = np.moveaxis(array, self.axis, -1)
+        others = np.delete(places, self.axis, axis=0)
+        group = np.zeros(places.shape[1], dtype=np.intp)
+        for axis in self.by:
+            group = group * array.shape[axis] + places[axis]
+        found = places.copy()
+        for some in blocks(places.shape[1], self.source.length):
+            weights = matrix[group[some], places[self.axis, some]] * lines[tuple(others[:, some])]
+            found[self.axis, some] = picked(weights, rng)
+        return found
+
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
@@ -157,12 +186,10 @@ class Sweep:
         Moves at the beginning and at the end of the sequence that are the same at all nodes are
         made once, outside the sum.
         """
-        # Moves that are the same at all nodes are made once, before those that differ, or after.
-        differ = [k for k, move in enumerate(moves) if move.varies]
-        start, end = (differ[0], differ[-1] + 1) if differ else (len(moves), len(moves))
+        start, end = _varying(moves)
         for move in moves[:start]:
             array = apply(move, 0, array)
-        if differ:
+        if start < end:
             total: Array | None = None
             for node, weight in enumerate(self.nodes):
                 part = array
@@ -174,6 +201,60 @@ class Sweep:
         for move in moves[end:]:
             array = apply(move, 0, array)
         return array
+
+    def sources(self, array: Array, places: Integers, rng: np.random.Generator) -> Integers:
+        """Source cells drawn given target cells, through one move after another; see `Operator`.
+
+        Where moves differ from node to node, a node is drawn with them: each in turn takes over a
+        draw by its share of the probability that the nodes so far bring to the target cell.
+        """
+        start, end = _varying(self.moves)
+        first, last = self.moves[:start], self.moves[end:]
+        head = _passed(array, first, 0)
+        middle = self.moves[start:end]
+        if not middle:
+            return _traced(head, first, 0, places, rng)
+        parts = (_passed(head[-1], middle, node)[-1] for node in range(len(self.nodes)))
+        whole = sum(weight * part for weight, part in zip(self.nodes, parts, strict=True))
+        places = _traced(_passed(np.asarray(whole), last, 0), last, 0, places, rng)
+        found, total = places.copy(), np.zeros(places.shape[1])
+        for node, weight in enumerate(self.nodes):
+            arrays = _passed(head[-1], middle, node)
+            share = weight * arrays[-1][tuple(places)]
+            total += share
+            own = rng.random(len(total)) * total < share
+            found[:, own] = _traced(arrays, middle, node, places[:, own], rng)
+        return _traced(head, first, 0, found, rng)
+
+
+def _varying(moves: Sequence[Move]) -> tuple[int, int]:
+    """The first move that differs from node to node, and the one after the last; none at the end.
+
+    Moves that are the same at all nodes are made once, before those that differ, or after.
+    """
+    differ = [k for k, move in enumerate(moves) if move.varies]
+    return (differ[0], differ[-1] + 1) if differ else (len(moves), len(moves))
+
+
+def _passed(array: Array, moves: Sequence[Move], node: int) -> list[Array]:
+    """The probabilities before each of some moves, at a node, and after all of them."""
+    found = [array]
+    for move in moves:
+        found.append(move.forward(found[-1], node))
+    return found
+
+
+def _traced(
+    arrays: Sequence[Array],
+    moves: Sequence[Move],
+    node: int,
+    places: Integers,
+    rng: np.random.Generator,
+) -> Integers:
+    """Source cells drawn through moves at a node, from the last back; `arrays` as of `_passed`."""
+    for array, move in zip(arrays[-2::-1], moves[::-1], strict=True):
+        places = move.sources(array, places, rng, node)
+    return places
 
 
 class Split:
@@ -293,3 +374,41 @@ class Split:
             for axis, mean in zip(self.axes, more @ values, strict=True):
                 found[axis] += share * float(mean) / max(float(values.sum()), 1e-300)
         return found
+
+    def sources(self, array: Array, places: Integers, rng: np.random.Generator) -> Integers:
+        """Source cells drawn given target cells, among those split on them; see `Operator`."""
+        target = np.ravel_multi_index(tuple(places), [span.length for span in self.target])
+        wanted = np.zeros(math.prod(span.length for span in self.target), dtype=bool)
+        wanted[target] = True
+        values = array.reshape(-1)
+        cells, sources, weights = list[Integers](), list[Integers](), list[Array]()
+        for node, share in enumerate(self.nodes):
+            for taps in itertools.product(*self._taps(node)):
+                index, weight = self._rest, share * values
+                for place, each in taps:
+                    index, weight = index + place, weight * each
+                (own,) = np.nonzero(wanted[index] & (weight > 0.0))
+                cells.append(index[own])
+                sources.append(own)
+                weights.append(weight[own])
+        cell, source = np.concatenate(cells), np.concatenate(sources)
+        order = np.argsort(cell, kind="stable")
+        sums = np.cumsum(np.concatenate(weights)[order])
+        ends = np.searchsorted(cell[order], target, side="right")
+        starts = np.searchsorted(cell[order], target, side="left")
+        below = np.concatenate([[0.0], sums])
+        level = below[starts] + rng.random(len(target)) * (below[ends] - below[starts])
+        drawn = np.clip(np.searchsorted(sums, level, side="right"), starts, ends - 1)
+        found = np.unravel_index(source[order][drawn], [span.length for span in self.source])
+        return np.stack(found)
+
+
+def picked(weights: Array, rng: np.random.Generator) -> Integers:
+    """An index of each row of weights (draws, n), drawn by them."""
+    return Dense(weights).draw(np.arange(len(weights)), rng)
+
+
+def blocks(count: int, width: int) -> Iterator[slice]:
+    """The draws, so many in all, in blocks whose weights, `width` of each draw, fit memory."""
+    each = max(1, _AT_A_TIME // max(width, 1))
+    return (slice(first, first + each) for first in range(0, count, each))

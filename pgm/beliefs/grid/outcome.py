@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from pgm.beliefs.grid.associations import associations
 from pgm.beliefs.grid.belief import GridBelief, scope_axes
+from pgm.beliefs.grid.draws import draws
 from pgm.beliefs.grid.figures import GridFigures
 from pgm.beliefs.grid.lattice import Lattice
 from pgm.beliefs.grid.settings import GridSettings
@@ -22,7 +23,7 @@ from pgm.evidence import BoundEvidence, Reading
 from pgm.factors.scope import Scope, as_scope, listed
 from pgm.kernels.arrays import Array
 from pgm.posteriors.associations import Found
-from pgm.posteriors.belief_kind import FILTERED, Kind
+from pgm.posteriors.belief_kind import FILTERED, Kind, require_smoothed
 from pgm.posteriors.hidden import require_step
 from pgm.posteriors.outcome import Outcome
 from pgm.posteriors.posterior import require_variable
@@ -163,6 +164,17 @@ class GridOutcome(Outcome[GridBelief]):
         if step is not None:
             every = every[(slice(None),) * (count - 1) + (step,)]
         return GridBelief(lattice.axes, every, steps)._over(places)
+
+    def sample(self, count: int, rng: np.random.Generator) -> dict[Variable, Array]:
+        """So many trajectories of centres for each run: (count, *runs, steps, d) by state."""
+        require_smoothed(self.kind)
+        found = draws(self, count, rng)
+        lead = self.log_evidence.shape
+        drawn: dict[Variable, Array] = {}
+        for variable, places in self._lattice.of.items():
+            own = np.moveaxis(found[:, list(places)], (0, 1), (2, 3))
+            drawn[variable] = own.reshape(count, *lead, *own.shape[2:])
+        return drawn
 
     @property
     def _title(self) -> str:

@@ -81,21 +81,29 @@ class BackwardChain:
         """A step's components, by the last members of the step after."""
         return self.before(step + 1, self.two(step + 1, later))
 
+    def members(self, step: int, last: Flow) -> list[Flow]:
+        """The members of each stage of a step, from the last one back, by the last ones."""
+        stages, found = self.chain.kept[step].stages, [last]
+        for before, stage in zip(stages[-2::-1], stages[:0:-1], strict=True):
+            found.append(self._split(before, self._joined(found[-1], stage.members.copies)))
+        return found
+
     def two(self, step: int, last: Flow) -> TwoSlices:
         """The pairs of a step with the slice before, by the step's last members."""
         kept = self.chain.kept[step]
-        for before, stage in zip(kept.stages[-2::-1], kept.stages[:0:-1], strict=True):
-            last = self._split(before, self._joined(last, stage.members.copies))
-        pairs, known = kept.pairs, self.chain.kept[step - 1].known
+        last = self.members(step, last)[-1]
         logs = last.logs.reshape(-1, self.chain.regimes.size, self.chain.runs)
         mean = last.mean.reshape(*logs.shape, -1)
         cov = last.cov.reshape(*logs.shape, mean.shape[-1], -1)
-        if pairs.mixed is None:
-            earlier = Moments(known.mean[:, :, None], known.cov[:, :, :, None])
-        else:
-            earlier = Moments(pairs.mixed.mean, pairs.mixed.whole)
-        reverse = self.chain.reversed(step, pairs, earlier)
+        reverse = self.chain.reversed(step, kept.pairs, self.moved(step))
         return TwoSlices(logs, *pushed_with(mean, cov, reverse))
+
+    def moved(self, step: int) -> Moments:
+        """What was predicted to a step: the components before it, or their mixtures."""
+        mixed, known = self.chain.kept[step].pairs.mixed, self.chain.kept[step - 1].known
+        if mixed is not None:
+            return Moments(mixed.mean, mixed.whole)
+        return Moments(known.mean[:, :, None], known.cov[:, :, :, None])
 
     def before(self, step: int, two: TwoSlices) -> Flow:
         """The components of the step before, by a step's pairs with the slice before."""

@@ -416,6 +416,10 @@ class HypothesisChain:
         """The motion to a step, reversed; as of `Trials`."""
         return self._trials.reversed(step, pairs, known)
 
+    def motion(self, step: int, pairs: Pairs, known: Moments) -> Conditional:
+        """The motion to a step as it was linearised; as of `Trials`."""
+        return self._trials.motion(step, pairs, known)
+
     def _refuse(self, step: int, total: Array) -> None:
         """Raise the NumericalError for measurements that every hypothesis excludes."""
         run = self.given.bound.first_run + int((total == -np.inf).argmax())

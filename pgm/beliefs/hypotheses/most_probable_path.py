@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.beliefs.hypotheses.counts import leading
+from pgm.beliefs.hypotheses.forward import chain_of
 from pgm.beliefs.hypotheses.records import Asked, Belief, State
-from pgm.beliefs.hypotheses.run import chain_of
 from pgm.cpds import AffineCPD
 from pgm.cpds.caused import is_mixture
 from pgm.errors import GraphError

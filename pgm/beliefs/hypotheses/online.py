@@ -16,9 +16,10 @@ import numpy as np
 
 from pgm.beliefs.hypotheses.chain import HypothesisChain
 from pgm.beliefs.hypotheses.counts import leading
+from pgm.beliefs.hypotheses.forward import chain_of
 from pgm.beliefs.hypotheses.outcome import Beliefs, Marginals
 from pgm.beliefs.hypotheses.records import Asked, Pairs
-from pgm.beliefs.hypotheses.run import associations_of, chain_of
+from pgm.beliefs.hypotheses.run import associations_of
 from pgm.boundary import as_mapping
 from pgm.compile import SliceLayout
 from pgm.display import InCode, Summary, titled

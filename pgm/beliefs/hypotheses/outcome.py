@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 
+from pgm.beliefs.hypotheses.back import BackwardChain
+from pgm.beliefs.hypotheses.draws import draws
+from pgm.beliefs.hypotheses.forward import again
 from pgm.beliefs.hypotheses.records import Asked
 from pgm.beliefs.hypotheses.regimes import Regimes
 from pgm.compile import DynamicGraph, SliceLayout
 from pgm.display import Summary
-from pgm.errors import EvidenceError
+from pgm.errors import EvidenceError, NumericalError
 from pgm.evidence import BoundEvidence
 from pgm.factors import Gaussian, GaussianMixture, Table
 from pgm.factors.axes import discrete
 from pgm.factors.scope import Scope, as_scope, listed, positions
-from pgm.kernels.arrays import Array, frozen
+from pgm.kernels.arrays import Array, frozen, quiet
 from pgm.posteriors.associations import Found
-from pgm.posteriors.belief_kind import Kind
+from pgm.posteriors.belief_kind import Kind, require_smoothed
 from pgm.posteriors.hidden import located
 from pgm.posteriors.outcome import SWITCHING, Outcome
 from pgm.posteriors.status import Status
@@ -207,6 +211,37 @@ class HypothesisOutcome(Outcome[Any]):
         return Marginals(layout, self._beliefs, self._regimes).of(
             shown, templates, rows, self._lead
         )
+
+    @cached_property
+    def _backward(self) -> BackwardChain:
+        """The pass back over the forward pass, which is made again, once draws are asked for."""
+        return again(self.graph, *self._asked)
+
+    @quiet()
+    def sample(self, count: int, rng: np.random.Generator) -> dict[Variable, Any]:
+        """So many trajectories for each run: (count, *runs, steps, d), of discrete ones without d.
+
+        Modes, and the sources of sightings that leave these open, are drawn first, and the states
+        given these; a NumericalError is raised if a belief has no finite root.
+        """
+        require_smoothed(self.kind)
+        values, regimes = draws(self._backward, count, rng)
+        if not np.isfinite(values).all():
+            raise NumericalError(
+                "there are no draws of a belief that is infinite, or whose covariance is none; "
+                "give its variables finite variances"
+            )
+        hidden, layout, found = self._beliefs.hidden, self.graph.layout, dict[Variable, Any]()
+        for variable in self._hidden:
+            first = 0 if variable in layout.states else 1
+            own: Any
+            if isinstance(variable, Discrete):
+                own = self._regimes.states(variable)[regimes]
+            else:
+                own = values[..., positions(hidden, (variable,))]
+            own = np.moveaxis(own[first:], 0, 2)
+            found[variable] = own.reshape(count, *self._lead, *own.shape[2:])
+        return found
 
     @property
     def _title(self) -> str:

@@ -9,26 +9,21 @@ import numpy as np
 
 from pgm.beliefs.hypotheses import compiled
 from pgm.beliefs.hypotheses.back import BackwardChain, Flow
-from pgm.beliefs.hypotheses.cases import Given
 from pgm.beliefs.hypotheses.causes import Components
 from pgm.beliefs.hypotheses.chain import HypothesisChain
+from pgm.beliefs.hypotheses.forward import Record, chain_of
 from pgm.beliefs.hypotheses.outcome import Beliefs, HypothesisOutcome
-from pgm.beliefs.hypotheses.records import Asked, Belief, Settings, State, Swept
-from pgm.beliefs.hypotheses.regimes import Regimes
-from pgm.beliefs.hypotheses.roles import Roles, roles_of
+from pgm.beliefs.hypotheses.records import Asked
+from pgm.beliefs.hypotheses.roles import Roles
 from pgm.compile import DynamicGraph
 from pgm.cpds import AffineCPD
-from pgm.errors import GraphError, ModelError
+from pgm.errors import ModelError
 from pgm.evidence import BoundEvidence
-from pgm.factors.scope import listed
-from pgm.kernels.arrays import Array, components_last, frozen
-from pgm.linearisers import Lineariser
-from pgm.networks import DynamicBayesianNetwork
+from pgm.kernels.arrays import Array, frozen
 from pgm.posteriors.associations import Found, collected
 from pgm.posteriors.belief_kind import FILTERED, SMOOTHED, Kind
 from pgm.posteriors.status import Status
 from pgm.progress import counted
-from pgm.resources import require_memory
 from pgm.schedules import sweep
 from pgm.schedules.options import Call
 from pgm.schedules.schedule import Filtering, kind_of
@@ -59,7 +54,7 @@ def passes(
     _require_once(call, roles)
     done, account = compiled.forward(chain, graph.layout.compiled)
     if done is None:
-        record = _Record(chain)
+        record = Record(chain)
         sweep.forward(chain, bound.steps, record)
         done = record.swept
     total = frozen(np.sum(done.density, axis=0).reshape(bound.lead))
@@ -78,46 +73,6 @@ def passes(
     backward = BackwardChain(chain)
     beliefs = _smoothed(chain, backward, kind, bound.steps)
     return replace(filtered, _beliefs=beliefs, _forward=filtered), backward
-
-
-def chain_of(
-    model: DynamicBayesianNetwork,
-    bound: BoundEvidence,
-    asked: Asked,
-    lineariser: Lineariser,
-    schedule: Filtering,
-    *,
-    first: int = 0,
-    back: bool = False,
-) -> HypothesisChain:
-    """The forward pass of a network with its evidence, which begins at step `first`."""
-    regimes = Regimes(model, bound, first)
-    settings = _settings(asked, regimes, back=back)
-    hidden = tuple(cpd.child for cpd in model.transition if not cpd.discrete)
-    given = Given(bound, hidden, frozenset(model.states), lineariser, schedule, first)
-    several = regimes.hidden or asked.pieces > 1
-    roles = roles_of(model, bound, regimes.hidden if several else None)
-    _require_room(given, regimes, roles, settings)
-    return HypothesisChain(given, regimes, roles, settings)
-
-
-def _settings(asked: Asked, regimes: Regimes, *, back: bool) -> Settings:
-    count = regimes.memories if asked.count is None else asked.count
-    kept = regimes.remembered
-    if asked.prune:
-        return Settings(count, mix=False, back=back, prune=True)
-    if count < regimes.memories:
-        raise ModelError(
-            f"{count} Gaussian{'s' * (count > 1)} for ({listed(kept)}), whose states the next step "
-            f"depends on: these have {regimes.memories} joint states, each of which keeps one at "
-            f"least; give a count of {regimes.memories} or more"
-        )
-    if asked.mix and count != regimes.memories:
-        raise ModelError(
-            f"mix=True keeps a Gaussian for each joint state of ({listed(kept)}), "
-            f"{regimes.memories} in all, not {count}: leave the count out, or mix"
-        )
-    return Settings(count, asked.mix, back, asked.pieces)
 
 
 def _require_once(call: Call, roles: Roles) -> None:
@@ -144,30 +99,6 @@ def _require_once(call: Call, roles: Roles) -> None:
         )
 
 
-def _require_room(given: Given, regimes: Regimes, roles: Roles, settings: Settings) -> None:
-    """Refuse beliefs, and the divergences by which members are merged, that would not fit."""
-    size = sum(v.dimension for v in given.hidden)
-    alternatives = [1 + r.unknown[1].count for r in roles.open if r.unknown is not None]
-    copies = max([regimes.size, *alternatives])
-    bound, pairs = given.bound, max(settings.count, settings.pieces) * copies
-    each = settings.count * (1 + size + size * size)
-    if settings.back:
-        each = 2 * each + 2 * pairs * (2 + size + size * size)
-    merging = 0 if settings.prune else 4 * pairs * settings.count
-    if not settings.prune and settings.count != regimes.memories:
-        merging += 2 * pairs * pairs
-    passing = merging + 8 * pairs * (size + 1) ** 2
-    if settings.prune:  # of each step it is kept alone which pairs were
-        passing, each = passing + each, settings.count
-    require_memory(
-        bound.runs * ((bound.steps + 1) * each + passing),
-        f"the beliefs of {settings.count:,} Gaussians with {regimes.size:,} joint states of "
-        f"({listed(regimes.variables)}) at {bound.steps + 1:,} steps in {bound.runs:,} runs",
-        "keep fewer Gaussians, cut the prior into fewer pieces, or give fewer runs or steps",
-        error=GraphError,
-    )
-
-
 def associations_of(chain: HypothesisChain) -> Found:
     """By sensor, what its open sightings were taken for."""
     lead = chain.given.bound.lead
@@ -176,32 +107,6 @@ def associations_of(chain: HypothesisChain) -> Found:
         for sensor, rows in chain.associations.items()
         if not isinstance(sensor.unknown, Components)
     )
-
-
-class _Record:
-    """The beliefs and log-densities of a forward sweep."""
-
-    def __init__(self, chain: HypothesisChain) -> None:
-        self._chain = chain
-        self.known: list[Belief] = []
-        self.log_densities: list[Array] = []
-
-    def keep(self, step: int, predicted: State, known: State, log_density: Array | float) -> None:
-        assert isinstance(known, Belief)
-        self.known.append(self._chain.reduced(known))
-        self.log_densities.append(np.asarray(log_density))
-
-    @property
-    def swept(self) -> Swept:
-        """The sweep by step."""
-        known = self.known
-        return Swept(
-            np.stack([each.shares for each in known]),
-            np.stack([components_last(each.mean, 1) for each in known]),
-            np.stack([components_last(each.cov, 2) for each in known]),
-            np.stack(self._chain.regime_logs),
-            np.stack(self.log_densities),
-        )
 
 
 def _told(chain: HypothesisChain, kind: Kind, flows: Sequence[tuple[Flow, Array]]) -> Beliefs:

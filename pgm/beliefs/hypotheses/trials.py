@@ -20,7 +20,7 @@ from pgm.beliefs.hypotheses.unsound import infinite, replaced, unsound
 from pgm.beliefs.moments.steps.chain import MomentChain
 from pgm.beliefs.moments.steps.readings import Moments
 from pgm.kernels import moments
-from pgm.kernels.arrays import Array, Integers, Mask, components_last
+from pgm.kernels.arrays import Array, Integers, Mask, apply, components_last
 from pgm.kernels.moments import Conditional
 
 
@@ -200,12 +200,7 @@ class Trials:
         moved, size = pairs.moved, self.size
         assert moved is not None
         shape = moved.mean.shape[1:]
-        matrix, noise = np.empty((*shape, size, size)), np.empty((*shape, size, size))
-        for batch in self._motions(shape[0]):
-            own = shape[0], batch.which.size, self.runs, size, size
-            found = batch.motion(step)
-            matrix[:, batch.which] = found.matrix.reshape(own)
-            noise[:, batch.which] = found.cov.reshape(own)
+        matrix, noise = self._by_choice(step, shape)
         each = (
             np.broadcast_to(known.mean, (size, *shape)),
             np.broadcast_to(known.cov, (size, size, *shape)),
@@ -218,9 +213,42 @@ class Trials:
             components_last(moved.mean, 1),
             components_last(moved.cov, 2),
         )
+        return self._by_pair(pairs, back)
+
+    def motion(self, step: int, pairs: Pairs, known: Moments) -> Conditional:
+        """The motion to a step as it was linearised, of each pair, (copies, S, runs, ...).
+
+        Arguments are those of `reversed`.
+        """
+        moved = pairs.moved
+        assert moved is not None
+        shape = moved.mean.shape[1:]
+        matrix, noise = self._by_choice(step, shape)
+        mean = components_last(np.broadcast_to(known.mean, (self.size, *shape)), 1)
+        offset = components_last(moved.mean, 1) - apply(matrix, mean)
+        return self._by_pair(pairs, Conditional(matrix, offset, noise))
+
+    def _by_choice(self, step: int, shape: tuple[int, ...]) -> tuple[Array, Array]:
+        """The matrices and noises of the motion to a step, (*shape, n, n), by its choices.
+
+        `shape` is (copies, choices, runs).
+        """
+        size = self.size
+        matrix, noise = np.empty((*shape, size, size)), np.empty((*shape, size, size))
+        for batch in self._motions(shape[0]):
+            own = shape[0], batch.which.size, self.runs, size, size
+            found = batch.motion(step)
+            matrix[:, batch.which] = found.matrix.reshape(own)
+            noise[:, batch.which] = found.cov.reshape(own)
+        return matrix, noise
+
+    def _by_pair(self, pairs: Pairs, each: Conditional) -> Conditional:
+        """The conditionals of a motion's choices, (copies, choices, runs, ...), by the pairs."""
         if self.mix:
-            return back
+            return each
         assert pairs.choice is not None
+        assert pairs.moved is not None
+        shape = pairs.moved.mean.shape[1:]
         index = np.broadcast_to(pairs.choice, (shape[0], *pairs.choice.shape[1:]))
         index = np.broadcast_to(index, (*index.shape[:2], self.runs))
         return Conditional(
@@ -230,7 +258,7 @@ class Trials:
                     index.reshape(*index.shape, *(1,) * (part.ndim - 3)),
                     axis=1,
                 )
-                for part in back
+                for part in each
             )
         )
 

@@ -25,12 +25,12 @@ from pgm.beliefs.markov.shown_slices import ShownTables
 from pgm.clustergraph import Cluster
 from pgm.compile import DynamicGraph
 from pgm.display import Summary
-from pgm.errors import GraphError, Unanswered
+from pgm.errors import GraphError
 from pgm.factors import Table
 from pgm.factors.axes import discrete, require_axes, sizes
 from pgm.factors.scope import Scope
 from pgm.kernels.arrays import Array, Integers, frozen
-from pgm.posteriors.belief_kind import FILTERED, PREDICTED, SMOOTHED, Kind
+from pgm.posteriors.belief_kind import FILTERED, PREDICTED, SMOOTHED, Kind, require_smoothed
 from pgm.posteriors.hidden import require_at_steps
 from pgm.posteriors.outcome import SLICES, Outcome
 from pgm.posteriors.shown_slices import Room
@@ -199,11 +199,7 @@ class StateOutcome(Outcome[Table]):
 
     def sample(self, count: int, rng: np.random.Generator) -> dict[Variable, Integers]:
         """So many paths for each run: (count, *runs, steps) of state indices by hidden variable."""
-        if self.kind != SMOOTHED:
-            raise Unanswered(
-                f"draws of paths know all measurements, and this posterior is {self.kind}: take "
-                "pgm.smooth; of one step draw from its belief, posterior[x.at(3)].sample(...)"
-            )
+        require_smoothed(self.kind)
         drawn = draws(self, count, rng)
         return {
             v: np.moveaxis(own, 0, -1).reshape(count, *self._lead, len(own))

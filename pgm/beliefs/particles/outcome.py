@@ -25,13 +25,13 @@ from pgm.beliefs.points.particle_belief import ParticleBelief
 from pgm.compile import DynamicGraph
 from pgm.cpds.mixture import UnidentifiedCPD
 from pgm.display import Summary
-from pgm.errors import EvidenceError, Unanswered
+from pgm.errors import EvidenceError
 from pgm.evidence import Reading
 from pgm.factors.scope import Scope, as_scope, listed
 from pgm.kernels.arrays import Array
 from pgm.kernels.stochastic import Dense
 from pgm.posteriors.associations import Found, collected
-from pgm.posteriors.belief_kind import FILTERED, SMOOTHED, Kind
+from pgm.posteriors.belief_kind import FILTERED, Kind, require_smoothed
 from pgm.posteriors.hidden import require_step
 from pgm.posteriors.outcome import Outcome
 from pgm.posteriors.posterior import require_variable
@@ -115,11 +115,7 @@ class ParticleOutcome(Outcome[ParticleBelief]):
 
     def sample(self, count: int, rng: np.random.Generator) -> dict[Variable, Array]:
         """So many of a smoother's trajectories for each run: (count, *runs, steps, d)."""
-        if self.kind != SMOOTHED:
-            raise Unanswered(
-                "a smoother's particles are trajectories, which are drawn; this posterior is "
-                f"{self.kind}: take pgm.smooth"
-            )
+        require_smoothed(self.kind)
         last, lead = self._clouds[-1], self.log_evidence.shape
         runs = last.runs
         require_memory(

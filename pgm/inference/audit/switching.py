@@ -14,11 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pgm.beliefs.hypotheses.forward import chain_of
 from pgm.beliefs.hypotheses.outcome import HypothesisOutcome
 from pgm.beliefs.hypotheses.paths import PathLaw, follow
 from pgm.beliefs.hypotheses.records import Asked
 from pgm.beliefs.hypotheses.roles import roles_of
-from pgm.beliefs.hypotheses.run import chain_of, passes
+from pgm.beliefs.hypotheses.run import passes
 from pgm.cpds import AffineCPD
 from pgm.cpds.caused import is_mixture
 from pgm.errors import ModelError, NumericalError

@@ -39,13 +39,13 @@ from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.clustergraph import Cluster
 from pgm.compile import DynamicGraph
 from pgm.display import Summary
-from pgm.errors import GraphError, NumericalError, Unanswered
+from pgm.errors import GraphError, NumericalError
 from pgm.factors import CanonicalForm, Gaussian
 from pgm.factors.scope import Scope, names
 from pgm.kernels import canonical
 from pgm.kernels.arrays import Array, block, quiet
 from pgm.posteriors.associations import Found
-from pgm.posteriors.belief_kind import FILTERED, PREDICTED, SMOOTHED, Kind
+from pgm.posteriors.belief_kind import FILTERED, PREDICTED, SMOOTHED, Kind, require_smoothed
 from pgm.posteriors.hidden import require_at_steps
 from pgm.posteriors.outcome import CHAIN, Outcome
 from pgm.posteriors.shown_slices import Room
@@ -265,11 +265,7 @@ class ChainOutcome(Innovated, Outcome[Gaussian]):
 
         A NumericalError is raised if a belief has no finite root.
         """
-        if self.kind != SMOOTHED:
-            raise Unanswered(
-                f"draws of trajectories know all measurements, and this posterior is {self.kind}: "
-                "take pgm.smooth; of one step draw from its belief, posterior[x.at(3)].sample(...)"
-            )
+        require_smoothed(self.kind)
         found = draws(self, count, rng)
         if not np.isfinite(found).all():
             raise NumericalError(
