@@ -349,9 +349,8 @@ def _multiplied(
         mean = mean + column * (off / scale)[..., None]
         keep = np.eye(size) - gain[..., :, None] * row[..., None, :]
         noise = (1.0 - w) * w / scale**2 + excess / (1.0 + excess * (1.0 - variance))
-        cov = sandwich(keep, cov) + noise[..., None, None] * (
-            column[..., :, None] * column[..., None, :]
-        )
+        cov = sandwich(keep, cov)
+        cov = cov + noise[..., None, None] * column[..., :, None] * column[..., None, :]
         cov = symmetric(cov)
     return gained, mean, cov
 

@@ -274,7 +274,14 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
         """Draws of all variables without evidence together, from their joint posterior.
 
         Of a tree they are drawn cluster by cluster, each given those above it, and of a smoothed
-        chain step by step, from the last to the first: whole trajectories.
+        chain step by step, from the last to the first: whole trajectories. On a grid these stand at
+        the centres of cells, as its beliefs do; particles are drawn from their own trajectories.
+
+        Of modes and states the modes are drawn first, with the smoothed probabilities of each and
+        of each two successive ones, and what sightings are of with them; then the states, as a
+        smoother of these modes alone has them. Where Gaussians were merged, the moments at each
+        step are those of no joint: draws then differ from the posterior by about as much as this
+        does from the exact one, and a larger ``pgm.Gaussians(count)`` brings all of them together.
 
         Parameters
         ----------

@@ -316,7 +316,7 @@ PREDICTIONS = listed(
     # Information of two canonical forms.
     {"kernels/canonical.py": "combine"},
     # A member's smoothed belief, by a ratio; and the spread of a sighting under all candidates.
-    {"kernels/merging.py": "split", "beliefs/hypotheses/sightings.py": "_within"},
+    {"kernels/merging.py": "_multiplied", "beliefs/hypotheses/sightings.py": "_within"},
 )
 DIFFERENCES = listed(
     # Factorisations, one number after another.
@@ -336,7 +336,7 @@ COMPLEMENTS = listed(
     {"beliefs/moments/passes/messages.py": "absorb_readings"},
     {"kernels/rows.py": "_eliminate_exact"},
     # A ratio of densities, along one axis, for variances that it may widen.
-    {"kernels/merging.py": "split"},
+    {"kernels/merging.py": "_multiplied"},
 )
 GAINS = listed({STEP: "gain reweighed after"})
 FACTORISATIONS = listed(

@@ -17,9 +17,9 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.beliefs.hypotheses.back import BackwardChain
-from pgm.beliefs.hypotheses.records import Kept, Stage
+from pgm.beliefs.hypotheses.records import Kept
 from pgm.kernels import moments, roots
-from pgm.kernels.arrays import Array, Integers, apply, components_last, sandwich
+from pgm.kernels.arrays import Array, Integers, apply, components_last
 from pgm.kernels.merging import Ratio
 from pgm.kernels.moments import Conditional
 from pgm.kernels.stochastic import Dense
@@ -126,7 +126,7 @@ class _Followed:
         self.run = np.arange(chain.runs)
         self.back: list[Conditional] = []
         self.turns: list[Array] = []
-        self.sources: list[Array | float] = []
+        self.sources: list[Array] = []
         mean = cov = np.zeros(0)
         for step, path in enumerate(paths):
             kept = chain.kept[step]
@@ -136,10 +136,10 @@ class _Followed:
                     source = self._at(components_last(mixed.turned, 1), path.source, path.regime)
                 self.sources.append(source)
                 motion = chain.motion(step, kept.pairs, backward.moved(step))
-                matrix, offset, noise = (self._at(part, *path.pair) for part in motion)
-                before, known = mean - source, cov
-                mean, cov = apply(matrix, before) + offset, sandwich(matrix, known) + noise
-                self.back.append(moments.reverse(before, known, matrix, noise, mean, cov))
+                own = Conditional(*(self._at(part, *path.pair) for part in motion))
+                before = mean - source, cov
+                mean, cov = moments.push(*before, own)
+                self.back.append(moments.reverse(*before, own.matrix, own.cov, mean, cov))
             else:
                 mean, cov = (self._at(part, *path.pair) for part in _predicted(kept))
             mean, cov = self._taken(kept, path, mean, cov)
@@ -156,9 +156,10 @@ class _Followed:
         before = tuple(part.reshape(-1, *part.shape[2:]) for part in _predicted(kept))
         for stage, own in zip(kept.stages, path.members, strict=True):
             turned = components_last(stage.turned, 1)
-            later = components_last(stage.members.mean, 1) + turned, _spread(stage)
+            members = stage.members
+            later = components_last(members.mean, 1) + turned, components_last(members.cov, 2)
             if len(before[0]) != len(turned):  # each component with each alternative
-                before = tuple(np.repeat(part, stage.members.copies, axis=0) for part in before)
+                before = tuple(np.repeat(part, members.copies, axis=0) for part in before)
             ratio = Ratio.of(later, (before[0], before[1]))
             at = own, np.broadcast_to(self.run, own.shape)
             mean, cov = ratio.at(at).taken(mean, cov)
@@ -187,8 +188,3 @@ class _Followed:
 def _predicted(kept: Kept) -> tuple[Array, Array]:
     """The moments of a step's pairs as they were predicted, (K, S, runs, ...)."""
     return components_last(kept.pairs.mean, 1), components_last(kept.pairs.cov, 2)
-
-
-def _spread(stage: Stage) -> Array:
-    """The covariances of a stage's members, (members, runs, n, n)."""
-    return components_last(stage.members.cov, 2)
