@@ -234,6 +234,26 @@ def test_a_heading_that_turns_and_curved_sensors():
     assert np.abs(found.std(axis=0) / belief.std - 1.0).max() < 0.04
 
 
+def test_motions_and_sensors_without_noise():
+    """Jumps that the mode decides exactly, and a sum of a state and a constant read exactly."""
+    jumps = {k: pgm.LinearGaussianCPD(X, {X.previous: 1.0}, 0.0, offset=k) for k in range(2)}
+    posterior = pgm.smooth(model(moves=[pgm.SwitchingCPD(X, SWING, jumps)]), READ)
+    drawn = posterior.sample(2000, rng=0)
+    assert np.abs(np.diff(drawn[X][..., 0]) - drawn[SWING][:, 1:]).max() < 1e-12
+    plain = model()
+    net = pgm.DynamicBayesianNetwork(
+        [*plain.prior, pgm.GaussianCPD(Y, 1.0, 0.0)],
+        [*plain.transition, pgm.LinearGaussianCPD(Y, {Y.previous: 1.0}, cov=0.0)],
+        [pgm.LinearGaussianCPD(Z, {X: 1.0, Y: 1.0}, cov=0.0)],
+    )
+    posterior = pgm.smooth(net, READ, belief=pgm.Gaussians(32))
+    drawn = posterior.sample(N, rng=0)
+    assert (drawn[Y] == 1.0).all()
+    assert np.abs(drawn[X][:, [1, 3, 4], 0] - [-0.9, 2.0, 1.4]).max() < 1e-12
+    off = np.abs(drawn[X].mean(axis=0) - posterior[X].mean)
+    assert (off <= 5.5 * posterior[X].std / np.sqrt(N) + 1e-12).all()
+
+
 def test_runs_reproduced_and_blocks(monkeypatch):
     values = np.random.default_rng(0).normal(size=(2, 3, STEPS, 1))
     posterior = pgm.smooth(model(), {Z: values}, belief=pgm.Gaussians(8))
