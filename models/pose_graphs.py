@@ -1,8 +1,9 @@
-"""Pose graphs as Bayesian networks: flat priors of poses and landmarks, and edges that measure.
+"""Pose graphs as Markov networks of residual factors alone, one an edge.
 
-An edge is a measurement of one pose, or landmark, seen from another, z = relative(x, y) + e. Poses
-that are held are known, as evidence; all others have flat priors, of infinite variance. Twice the
-negative log-density of the network is then, but for a constant, the error
+An edge is a measurement z of one pose, or landmark, seen from another: the factor
+N(relative(x, y) − z; 0, C). Edges leave open where on the plane all of it lies, and how it is
+turned: the network has no density until a pose is held. Poses that are held are known, as evidence.
+Twice the negative logarithm of the product is, but for a constant, the error
 
     χ² = Σ rᵀ Ω r,    r = −z ⊕ relative(x, y),
 
@@ -11,9 +12,10 @@ of g2o, whose r is seen from the measured pose: C turns the inverse of the file'
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import networkx as nx
 import numpy as np
@@ -23,37 +25,40 @@ from scipy.sparse.csgraph import connected_components
 
 import pgm
 from models import motion
-from pgm.cpds import CPD
 from pgm.recordings import Edges, PoseGraph
 
 Array = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.intp]
+Mask = npt.NDArray[np.bool_]
 _POSE = {"components": ("east", "north", "heading"), "angles": ("heading",)}
-_MOTION = {"components": ("forward", "left", "turn"), "angles": ("turn",)}
 _PLACE = {"components": ("east", "north")}
-_SIGHT = {"components": ("forward", "left")}
 
 
 @dataclass(frozen=True, eq=False)
 class PoseGraphNetwork:
-    """A pose graph's network, with what is given and where to begin.
+    """A pose graph's network, its factors by row, what is given and where to begin.
 
     Attributes
     ----------
     graph : PoseGraph
-    network : BayesianNetwork
+    network : MarkovNetwork
     evidence : mapping of Variable to ndarray
-        The measurements, and the poses that are held.
+        The poses that are held.
     poses, landmarks : tuple of Variable
         As in the graph.
+    edges, sightings : tuple of NonlinearGaussianFactor
+        As in the graph; a posterior has the weight of each, ``posterior.weights[edge]``.
     held : tuple of int
         Rows of the poses that are known exactly: those that the file fixes, else the first.
     """
 
     graph: PoseGraph
-    network: pgm.BayesianNetwork
+    network: pgm.MarkovNetwork
     evidence: Mapping[pgm.Variable, Array]
     poses: tuple[pgm.Variable, ...]
     landmarks: tuple[pgm.Variable, ...]
+    edges: tuple[pgm.NonlinearGaussianFactor, ...]
+    sightings: tuple[pgm.NonlinearGaussianFactor, ...]
     held: tuple[int, ...]
 
     @cached_property
@@ -73,10 +78,14 @@ class PoseGraphNetwork:
                 poses[branch.child] = leads(poses[branch.parent], told)
         return poses, landmarks
 
-    def start(self, poses: Array, landmarks: Array) -> dict[pgm.Variable, Array]:
-        """Means for ``start=``, at poses (N, 3) and landmarks (L, 2)."""
-        means = {self.poses[row]: poses[row] for row in self.free}
-        return means | dict(zip(self.landmarks, landmarks, strict=True))
+    def start(
+        self, poses: Array | None = None, landmarks: Array | None = None
+    ) -> dict[pgm.Variable, Array]:
+        """Means for ``start=``, at poses (N, 3) and landmarks (L, 2); the graph's own without."""
+        at = self.graph.poses if poses is None else poses
+        marks = self.graph.landmarks if landmarks is None else landmarks
+        means = {self.poses[row]: at[row] for row in self.free}
+        return means | dict(zip(self.landmarks, marks, strict=True))
 
     @property
     def free(self) -> list[int]:
@@ -96,6 +105,11 @@ class PoseGraphNetwork:
         covs[free] = posterior.covs([self.poses[row] for row in free])
         landmarks = posterior.covs(self.landmarks) if self.landmarks else np.zeros((0, 2, 2))
         return covs, landmarks
+
+    def weights(self, posterior: pgm.results.Posterior) -> Array:
+        """The weight of each edge, then of each sighting, (E + S,); 1 for Gaussian noise."""
+        found = posterior.weights
+        return np.array([found[factor] for factor in (*self.edges, *self.sightings)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,21 +137,27 @@ class Branch:
     onward: bool
 
 
-def pose_graph_network(graph: PoseGraph, noise: pgm.RobustNoise | None = None) -> PoseGraphNetwork:
-    r"""The Bayesian network of a pose graph.
+def pose_graph_network(
+    graph: PoseGraph,
+    noise: pgm.RobustNoise | None = None,
+    doubted: npt.ArrayLike | None = None,
+) -> PoseGraphNetwork:
+    r"""The Markov network of a pose graph.
 
     Parameters
     ----------
     graph : PoseGraph
-        The tree prefers edges to the next pose, then the file's order.
     noise : RobustNoise, optional
-        The noise of all edges and sightings that are not of the tree, some of which may be wrong;
-        Gaussian, if not given.
+        The noise of edges and sightings that may be wrong; Gaussian, if not given.
+    doubted : array_like of int, optional
+        Which may be wrong: rows of the edges, and of the sightings behind them, (0 to E + S − 1);
+        if not given, all but the first edge between each pose and the next. All may be.
 
     Raises
     ------
     EvidenceError
-        If the information of an edge has no covariance, or a vertex hangs on nothing.
+        If the information of an edge has no covariance, a vertex hangs on nothing, or `doubted` are
+        no rows.
 
     Examples
     --------
@@ -145,49 +165,92 @@ def pose_graph_network(graph: PoseGraph, noise: pgm.RobustNoise | None = None) -
     >>> edge = "EDGE_SE2 0 1 1 0 0 9 0 0 9 0 9\n"
     >>> file = StringIO("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 2 0 0\n" + 2 * edge)
     >>> made = pose_graph_network(pgm.recordings.read_pose_graph(file))
-    >>> made.network.cpds[1:]
-    (GaussianCPD(x1), NonlinearGaussianCPD(z0 | x0, x1), NonlinearGaussianCPD(z1 | x0, x1))
+    >>> made.network
+    MarkovNetwork(φ(x0, x1)  φ(x0, x1))
     """
     poses = pgm.variables((f"x{name}" for name in graph.names.tolist()), **_POSE)
     landmarks = pgm.variables((f"m{name}" for name in graph.landmark_names.tolist()), **_PLACE)
     held = tuple(dict.fromkeys(graph.fixed.tolist())) or (0,)
     _require_hanging(graph, held)
-    certain = [] if noise is None else _branches(graph, held)
-    cpds: list[CPD] = []
-    for vertices, means in ((poses, graph.poses), (landmarks, graph.landmarks)):
-        if vertices:
-            anywhere = pgm.GaussianCPD(vertices[0], means[0], np.inf)
-            cpds.extend(pgm.plate(anywhere, {vertices[0]: vertices}, mean=means))
+    robust = _robust(graph, noise, doubted)
     evidence = {poses[row]: graph.poses[row] for row in held}
-    for letter, form, edges, ends, kind in (
-        ("z", _MOTION, graph.edges, poses, _POSE),
-        ("s", _SIGHT, graph.sightings, landmarks, _PLACE),
+    count = len(graph.edges)
+    edges = _factors(graph, graph.edges, (poses, poses), noise, robust[:count])
+    sightings = _factors(graph, graph.sightings, (poses, landmarks), noise, robust[count:])
+    network = pgm.MarkovNetwork([*edges, *sightings])
+    return PoseGraphNetwork(graph, network, evidence, poses, landmarks, edges, sightings, held)
+
+
+def _robust(graph: PoseGraph, noise: pgm.RobustNoise | None, doubted: Any) -> Mask:
+    """Which edges, and then sightings, have robust noise, (E + S,)."""
+    count = len(graph.edges) + len(graph.sightings)
+    found = np.zeros(count, dtype=bool)
+    if noise is None:
+        if doubted is not None:
+            raise pgm.EvidenceError(
+                "doubted are rows of edges that have the robust noise=, and none is given; give "
+                "one, such as pgm.Cauchy(1.0)"
+            )
+        return found
+    if doubted is None:
+        found[:] = True
+        found[_onward(graph)] = False
+        return found
+    rows = np.asarray(doubted)
+    if (
+        rows.ndim != 1
+        or (rows.size and rows.dtype.kind != "i")
+        or ((rows < 0) | (rows >= count)).any()
     ):
-        if not len(edges):
+        raise pgm.EvidenceError(
+            f"doubted are rows of the edges, and of the sightings behind them, from 0 to "
+            f"{count - 1}; found {doubted!r}"
+        )
+    found[rows.astype(int)] = True
+    return found
+
+
+def _onward(graph: PoseGraph) -> Integers:
+    """The first edge between each pose and the next, where there is one."""
+    edges = graph.edges
+    chain = np.setdiff1d(np.arange(len(edges)), graph.loops)
+    _, rows = np.unique(np.minimum(edges.first, edges.second)[chain], return_index=True)
+    return chain[rows]
+
+
+def _factors(
+    graph: PoseGraph,
+    edges: Edges,
+    ends: tuple[Sequence[pgm.Variable], Sequence[pgm.Variable]],
+    noise: pgm.RobustNoise | None,
+    robust: Mask,
+) -> tuple[pgm.NonlinearGaussianFactor, ...]:
+    """The factors of edges, or sightings: a plate of Gaussian noise, and one of robust."""
+    covs = _covariances(graph, edges)
+    found: dict[int, pgm.NonlinearGaussianFactor] = {}
+    for rows, own in ((np.flatnonzero(~robust), None), (np.flatnonzero(robust), noise)):
+        if not rows.size:
             continue
-        covs = _covariances(graph, edges)
-        z = pgm.variables((f"{letter}{row}" for row in range(len(edges))), **form)
-        evidence |= dict(zip(z, edges.motions, strict=True))
-        leads = np.zeros(len(edges), dtype=bool)
-        leads[[branch.edge for branch in certain if branch.edges is edges]] = True
-        one, other = pgm.Variable("one", **_POSE), pgm.Variable("other", **kind)
-        for rows, own in ((np.flatnonzero(leads), None), (np.flatnonzero(~leads), noise)):
-            if rows.size:
-                seen = pgm.NonlinearGaussianCPD(
-                    z[0],
-                    given=(one, other),
-                    function=motion.relative,
-                    cov=np.eye(z[0].dimension),
-                    jacobian={one: motion.relative_by_state, other: motion.relative_by_other},
-                    noise=own,
-                )
-                over = {
-                    z[0]: [z[row] for row in rows],
-                    one: [poses[row] for row in edges.first[rows]],
-                    other: [ends[row] for row in edges.second[rows]],
-                }
-                cpds.extend(pgm.plate(seen, over, cov=covs[rows]))
-    return PoseGraphNetwork(graph, pgm.BayesianNetwork(cpds), evidence, poses, landmarks, held)
+        seen = (
+            [ends[0][row] for row in edges.first[rows]],
+            [ends[1][row] for row in edges.second[rows]],
+        )
+        one, other = (
+            of[0]._with(name=name) for of, name in zip(seen, ("one", "other"), strict=True)
+        )
+        size = edges.motions.shape[1]
+        any_edge = pgm.NonlinearGaussianFactor(
+            (one, other),
+            motion.relative,
+            cov=np.eye(size),
+            angles=(False, False, True)[:size],
+            jacobian={one: motion.relative_by_state, other: motion.relative_by_other},
+            noise=own,
+        )
+        over = dict(zip((one, other), seen, strict=True))
+        made = pgm.plate(any_edge, over, value=edges.motions[rows], cov=covs[rows])
+        found.update(zip(rows.tolist(), made, strict=True))
+    return tuple(found[row] for row in range(len(edges)))
 
 
 def squared_errors(graph: PoseGraph, poses: Array, landmarks: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import chain
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -23,12 +23,12 @@ def growing(work: Surveyed, *, compiled: bool = False) -> Contender:
     CPDs are declared beforehand, as those of a robot would be by a plate.
     """
     made = pose_graph_network(work.graph)
-    held, steps = made.poses[0], _steps(work, made)
-    priors = {cpd.child: cpd for cpd in made.network.cpds}
+    held, priors = made.poses[0], _priors(made)
+    steps = _steps(work, made, priors)
 
     def call() -> Array:
         grown = pgm.GrowingMap(compiled=compiled)
-        grown = grown.add([priors[held]], {held: made.evidence[held]})
+        grown = grown.add([priors[0]], {held: made.evidence[held]})
         here = made.evidence[held]
         for key, (before, move, onward, cpds, evidence) in enumerate(steps, start=1):
             if before != key - 1:
@@ -42,15 +42,41 @@ def growing(work: Surveyed, *, compiled: bool = False) -> Contender:
     return Contender(call, work.units)
 
 
-def _steps(work: Surveyed, made: PoseGraphNetwork) -> list[Step]:
+def _priors(made: PoseGraphNetwork) -> tuple[pgm.GaussianCPD, ...]:
+    """Flat priors of the poses: a growing map is of CPDs."""
+    anywhere = pgm.GaussianCPD(made.poses[0], made.graph.poses[0], np.inf)
+    return pgm.plate(anywhere, {made.poses[0]: made.poses}, mean=made.graph.poses)
+
+
+def _measured(made: PoseGraphNetwork) -> tuple[pgm.NonlinearGaussianCPD, ...]:
+    """The edges as CPDs of what was measured."""
+    edges, poses = made.graph.edges, made.poses
+    z = pgm.variables((f"z{row}" for row in range(len(edges))), poses[0].components, ("heading",))
+    one, other = pgm.variables("one other", poses[0].components, ("heading",))
+    seen = pgm.NonlinearGaussianCPD(
+        z[0],
+        given=(one, other),
+        function=motion.relative,
+        cov=np.eye(3),
+        jacobian={one: motion.relative_by_state, other: motion.relative_by_other},
+    )
+    over = {
+        z[0]: z,
+        one: [poses[row] for row in edges.first],
+        other: [poses[row] for row in edges.second],
+    }
+    covs = [factor.cov for factor in made.edges if isinstance(factor.cov, np.ndarray)]
+    return pgm.plate(seen, over, cov=np.stack(covs))
+
+
+def _steps(work: Surveyed, made: PoseGraphNetwork, priors: Sequence[pgm.GaussianCPD]) -> list[Step]:
     """By pose, from the second: by which edge it comes in, and the CPDs and evidence it brings."""
     edges, found = work.graph.edges, []
-    own = {cpd.child.name: cpd for cpd in made.network.cpds}
+    measured = _measured(made)
     for key, rows in enumerate(arriving(work), start=1):
         leading = max(rows, key=lambda row: min(edges.first[row], edges.second[row]))
         one, other = int(edges.first[leading]), int(edges.second[leading])
-        seen = [own[f"z{row}"] for row in rows]
-        cpds = list(chain([own[made.poses[key].name]], seen))
-        evidence = {cpd.child: made.evidence[cpd.child] for cpd in seen}
+        cpds: list[CPD] = [priors[key], *(measured[row] for row in rows)]
+        evidence = {measured[row].child: edges.motions[row] for row in rows}
         found.append((min(one, other), edges.motions[leading], one < other, cpds, evidence))
     return found

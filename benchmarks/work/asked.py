@@ -22,7 +22,7 @@ class Asked:
 
     Attributes
     ----------
-    network : BayesianNetwork
+    network : MarkovNetwork
     evidence : mapping of Variable
     kinds : tuple
         Variables of as many components each.
@@ -30,7 +30,7 @@ class Asked:
         Where CPDs are linearised first; none of a linear network.
     """
 
-    network: pgm.BayesianNetwork
+    network: pgm.MarkovNetwork
     evidence: Mapping[pgm.Variable, Array | float]
     kinds: tuple[tuple[pgm.Variable, ...], ...]
     start: Mapping[pgm.Variable, Array] = field(default_factory=dict)

@@ -256,19 +256,21 @@ def misled(given: Given, wrong: PoseGraph, noise: pgm.RobustNoise | None = None)
 def _judged(given: Given, solved: Solved, right: Solved, many: int = 0) -> dict[str, Any]:
     """Errors of the poses, the first of which is held, and which closures were used.
 
-    `many` false closures are the last of the measurements.
+    `many` false closures are the last of the edges.
     """
     assert given.truth is not None
     truth = given.truth[1:]
     beliefs, due = solved.beliefs[1:], right.beliefs[1:]
-    used = np.ones(many) if solved.weights is None else solved.weights
+    right_ones = len(given.graph.edges)
+    left_out = solved.weights <= USED
+    false, true = left_out[right_ones : right_ones + many], left_out[:right_ones]
     return {
         "rmse": float(consistency.rmse(beliefs, truth, PLANE)),
         "nees": float(consistency.nees(beliefs, truth).mean() / 3.0),
-        "error": float(solved.errors[: len(given.graph.edges)].sum()),
+        "error": float(solved.errors[:right_ones].sum()),
         "moved": float(np.abs(consistency.error(beliefs, due.mean) / due.std).max()),
-        "false_used": float((used[-many:] > USED).mean()) if many else None,
-        "right_left_out": float((used[:-many] <= USED).mean()) if used.size > many else None,
+        "false_used": float(1.0 - false.mean()) if many else None,
+        "right_left_out": float(true.mean()) if many else None,
         "iterations": int(solved.status.iterations),
         "settled": "yes" if solved.status.converged.all() else "no",
     }

@@ -99,13 +99,12 @@ def misled(given: Given, wrong: PoseGraph, led: Mapping[str, Solved], least: flo
     """
     assert given.truth is not None
     figure, axes = plt.subplots(2, 2, figsize=(10.0, 10.0), layout="constrained")
-    false = slice(len(given.graph.edges), None)
+    false = slice(len(given.graph.edges), len(wrong.edges))
     closing = np.stack([wrong.edges.first[false], wrong.edges.second[false]], axis=1)
     for k, (ax, (title, solved)) in enumerate(zip(axes.flat, led.items(), strict=True)):
         ax.plot(*given.truth[:, :2].T, color=MUTED, lw=2.5, alpha=0.6)
         ax.plot(*solved.poses[:, :2].T, color=PALETTE[0], lw=0.8)
-        used = np.ones(len(closing)) if solved.weights is None else solved.weights[-len(closing) :]
-        lines = list(solved.poses[closing[used > least], :2])
+        lines = list(solved.poses[closing[solved.weights[false] > least], :2])
         ax.add_collection(LineCollection(lines, colors=PALETTE[1], lw=0.8, alpha=0.8))
         ax.set(
             title=title,

@@ -58,9 +58,8 @@ class Solved:
     status : Status
     seconds : float
         What inferring took, with all covariances.
-    weights : ndarray or None
-        (M,): those of the measurements, in the order of `made.evidence`; None where their noise is
-        Gaussian.
+    weights : ndarray
+        Of each edge, then of each sighting: 1 where their noise is Gaussian.
     """
 
     poses: Array
@@ -69,7 +68,7 @@ class Solved:
     errors: Array
     status: Any
     seconds: float
-    weights: Array | None = None
+    weights: Array
 
     @property
     def beliefs(self) -> pgm.Gaussian:
@@ -107,8 +106,5 @@ def solve(
     covs, _ = made.covs(posterior)
     seconds = perf_counter() - begun
     errors = squared_errors(made.graph, poses, landmarks)
-    robust = any(getattr(cpd, "noise", None) is not None for cpd in made.network.cpds)
-    held = {made.poses[row] for row in made.held}
-    measured = [z for z in made.evidence if z not in held] if robust else []
-    weights = np.array([posterior.weights[z] for z in measured]) if robust else None
+    weights = made.weights(posterior)
     return Solved(poses, landmarks, covs, errors, posterior.status, seconds, weights)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar, Self
@@ -13,8 +14,8 @@ import numpy.typing as npt
 
 from pgm.arguments import public
 from pgm.boundary import as_generator, as_lengths, as_mapping
-from pgm.display import Listing, Shown, Summary
-from pgm.errors import ModelError
+from pgm.display import Listing, Shown, Summary, titled
+from pgm.errors import ModelError, PgmError
 from pgm.factors.arrays import Shape, clash, flat
 from pgm.factors.axes import as_known
 from pgm.factors.scope import Scope, as_scope, as_value, listed, namesake, one_name_each
@@ -124,6 +125,8 @@ class CPD(Shown, Immutable):
     partial: bool = False
     """Whether its density takes readings in which components are NaN, as not measured."""
     _origin: CPD | None = None
+    # Of a factor's residual, as which a Markov network is solved, the factor: messages name it.
+    _of: Shown | None = None
 
     def _set_scope(
         self, child: Variable, given: Variable | Iterable[Variable], noise_given: Scope = ()
@@ -135,7 +138,8 @@ class CPD(Shown, Immutable):
                 f"the child of a CPD cannot be {child!r}: declare it for {child.template!r}",
                 variable=child,
             )
-        given = as_scope(given, f"{type(self).__name__} of {child!r}: given")
+        kind = f"{type(self).__name__} of {child!r}: given"
+        given = as_scope(given, kind if self._of is None else f"{titled(self._of)}: scope")
         if child in given:
             raise ModelError(
                 f"{child!r} is given as its own parent; did you mean {child.name}.previous?",
@@ -360,6 +364,12 @@ class CPD(Shown, Immutable):
         found.__dict__.update(self.__dict__, **self._over(moved), **changed)
         return found
 
+    def _with_child(self, child: Variable) -> Self:
+        """A copy of another child, of as many components and the same angles."""
+        found = object.__new__(type(self))
+        found.__dict__.update(self.__dict__, child=child)
+        return found
+
     def _bare(self) -> dict[str, Any]:
         """The attributes without what was worked out from them."""
         cls = type(self)
@@ -375,6 +385,8 @@ class CPD(Shown, Immutable):
 
     @property
     def _title(self) -> str:
+        if self._of is not None:
+            return titled(self._of)
         parents = listed(self.parents)
         return f"{type(self).__name__}({self.child!r}{' | ' if parents else ''}{parents})"
 
@@ -389,3 +401,17 @@ class CPD(Shown, Immutable):
 
     def __str__(self) -> str:
         return self._summary().text()
+
+
+@contextmanager
+def naming_factors() -> Iterator[None]:
+    """Let errors about a factor's residual carry the factor, and a variable of it."""
+    try:
+        yield
+    except PgmError as error:
+        factor = getattr(error.cpd, "_of", None)
+        if factor is not None:
+            error.cpd = factor
+            if error.variable not in factor.scope:
+                error.variable = factor.scope[0]
+        raise

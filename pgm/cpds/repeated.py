@@ -1,20 +1,21 @@
-"""Plates as users declare them: a CPD repeated for many rows of variables, with numbers by row."""
+"""Plates as users declare them: a CPD, or factor, repeated for many rows of variables."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from pgm.arguments import public
 from pgm.boundary import as_floats, as_mapping, as_tuple, is_unordered
-from pgm.cpds.base import CPD
+from pgm.cpds.base import CPD, naming_factors
 from pgm.cpds.conditional import ConditionalGaussian, Noise
 from pgm.cpds.gaussian import AffineCPD, GaussianCPD, LinearGaussianCPD, NonlinearGaussianCPD
+from pgm.cpds.residual import NonlinearGaussianFactor, free_name
 from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.factors.arrays import Shape, as_covariance, covariance_fault, diagonal, symmetrised
@@ -24,7 +25,8 @@ from pgm.kernels.arrays import Array, frozen
 from pgm.resources import uncollected
 from pgm.variables import Variable
 
-C = TypeVar("C", bound=ConditionalGaussian)
+C = TypeVar("C", bound=ConditionalGaussian | NonlinearGaussianFactor)
+K = TypeVar("K", bound=ConditionalGaussian)
 
 
 @public
@@ -36,31 +38,35 @@ def plate(
     cov: npt.ArrayLike | None = None,
     offset: npt.ArrayLike | None = None,
     given: Mapping[Variable, npt.ArrayLike] | None = None,
+    value: npt.ArrayLike | None = None,
 ) -> tuple[C, ...]:
-    """Many CPDs of one kind, a row of variables each: a plate.
+    """Many CPDs of one kind, or factors of one function, a row of variables each: a plate.
 
     They are those that are declared one by one, in about a tenth of the time: the covariances are
     checked as one stack, and nothing is done row by row but to put variables in their places.
 
     Parameters
     ----------
-    cpd : GaussianCPD, LinearGaussianCPD or NonlinearGaussianCPD
+    cpd : GaussianCPD, LinearGaussianCPD, NonlinearGaussianCPD or NonlinearGaussianFactor
         That of any row. Its variables stand for those of the rows, and may be strangers to the
         network.
     over : mapping of Variable to array_like of Variable
-        Of the child, and of parents, the variables of the rows that stand in their places: arrays
-        or lists of one shape, (*rows). They have the same components and angles. One variable
-        alone, or a parent that is left out, is the same in all rows; but ``x.previous`` follows x.
+        Of the child, and of parents, or of a factor's variables, those of the rows that stand in
+        their places: arrays or lists of one shape, (*rows). They have the same components and
+        angles. One variable alone, or one other than the child that is left out, is the same in all
+        rows; but ``x.previous`` follows x.
     mean, cov, offset : array_like, optional
         Numbers of each row, in place of those of `cpd`: what its kind takes, after the axes of
         the rows. So `cov` is (*rows,), a variance for all components of the row; (*rows, d),
         variances; or (*rows, d, d). What all rows share stands in `cpd`.
     given : mapping of Variable to array_like, optional
         Matrices of each row by parents of `cpd`: (*rows, d, n), or (*rows,) for multiples of I.
+    value : array_like, optional
+        The value of each row's factor: (*rows, d), or (*rows,) of one component.
 
     Returns
     -------
-    tuple of CPD
+    tuple of CPD, or of NonlinearGaussianFactor
         In the order of the rows, the last axis fastest.
 
     Raises
@@ -87,12 +93,42 @@ def plate(
     >>> readings[0], readings[-1]
     (LinearGaussianCPD(z0 | x0_0, x0_1), LinearGaussianCPD(z9899 | x99_98, x99_99))
     """
+    numbers = {"mean": mean, "cov": cov, "offset": offset, "matrices": given, "values": value}
+    told = {name: each for name, each in numbers.items() if each is not None}
+    if isinstance(cpd, NonlinearGaussianFactor):
+        return cast("tuple[C, ...]", _factors(cpd, over, told))
     known: tuple[type[CPD], ...] = AffineCPD, NonlinearGaussianCPD
     if not isinstance(cpd, known):
         raise ModelError(
-            "a plate is of a GaussianCPD, LinearGaussianCPD or NonlinearGaussianCPD, not of "
-            f"{titled(cpd)}; declare others one by one"
+            "a plate is of a GaussianCPD, LinearGaussianCPD, NonlinearGaussianCPD or "
+            f"NonlinearGaussianFactor, not of {titled(cpd)}; declare others one by one"
         )
+    shape, rows = _rows(cpd, over)
+    _Numbers(cpd, shape, rows).take(told)
+    return tuple(rows)
+
+
+def _factors(
+    factor: NonlinearGaussianFactor, over: Any, told: Mapping[str, Any]
+) -> tuple[NonlinearGaussianFactor, ...]:
+    """The factors of a plate: as the CPDs of their residuals, whose messages name the factors."""
+    with naming_factors():
+        cpd = factor._cpd._copy(lambda variable: variable, _of=factor)
+        shape, rows = _rows(cpd, over)
+        made = [NonlinearGaussianFactor._made(row, factor.value) for row in rows]
+        for row, own in zip(rows, made, strict=True):
+            row.__dict__["_of"] = own
+        numbers = _Numbers(cpd, shape, rows)
+        numbers.take(told)
+    for row in rows:  # which a factor holds, and not the other way round
+        row.__dict__["_of"] = None
+    for own, value in zip(made, numbers.factors, strict=bool(numbers.factors)):
+        own.__dict__["value"] = value
+    return tuple(made)
+
+
+def _rows(cpd: K, over: Any) -> tuple[Shape, list[K]]:
+    """The shape of a plate's rows, and their CPDs, all with the numbers of the plate's."""
     shape, columns = _columns(cpd, over)
     bare = object.__new__(type(cpd))
     bare.__dict__.update(cpd._bare(), _origin=None)
@@ -101,54 +137,53 @@ def plate(
     with uncollected(len(columns[0])):
         rows = [bare._copy(dict(zip(scope, each, strict=True)).__getitem__) for each in families]
     _require_families(rows, columns)
-    numbers = _Numbers(cpd, shape, rows)
-    if mean is not None:
-        numbers.mean(mean)
-    if cov is not None:
-        numbers.cov(cov)
-    if offset is not None:
-        numbers.offset(offset)
-    if given is not None:
-        numbers.matrices(given)
-    return tuple(rows)
+    return shape, rows
 
 
 def _columns(cpd: ConditionalGaussian, over: Any) -> tuple[Shape, list[Sequence[Variable]]]:
     """The shape of the rows, and their variables in place of each of the CPD's scope."""
     what = f"plate of {cpd!r}"
     found = as_mapping(over, f"{what}: over", ModelError, cpd=cpd)
+    factor = cpd._of is not None  # whose residual no user knows
+    family = cpd.parents if factor else cpd.scope
     for key in found:
-        if key not in cpd.scope:
+        if key not in family:
             variable = key if isinstance(key, Variable) else None
             raise ModelError(
-                f"{what}: {key!r} is none of its variables ({listed(cpd.scope)})"
-                f"{namesake(key, cpd.scope)}",
+                f"{what}: {key!r} is none of its variables ({listed(family)})"
+                f"{namesake(key, family)}",
                 variable=variable,
                 cpd=cpd,
             )
     single = {v: other for v, other in found.items() if isinstance(other, Variable)}
     arrays = {v: _array(cpd, v, each) for v, each in found.items() if v not in single}
-    if cpd.child not in arrays:
+    leading = next(iter(arrays), family[0]) if factor else cpd.child
+    if leading not in arrays:
+        lacks = "variables" if factor else "a child"
         raise ModelError(
-            f"{what}: no row has a child of its own; give over={{{cpd.child!r}: [...]}}, a "
+            f"{what}: no row has {lacks} of its own; give over={{{leading!r}: [...]}}, a "
             "variable for each row",
-            variable=cpd.child,
+            variable=leading,
             cpd=cpd,
         )
-    shape = arrays[cpd.child].shape
+    shape = arrays[leading].shape
     for variable, array in arrays.items():
         if array.shape != shape:
             raise ModelError(
                 f"{what}: the variables for {variable!r} have shape {array.shape}, and those for "
-                f"{cpd.child!r} {shape}; give each the same rows, or one variable for all",
+                f"{leading!r} {shape}; give each the same rows, or one variable for all",
                 variable=variable,
                 cpd=cpd,
             )
-    count = arrays[cpd.child].size
+    count = arrays[leading].size
     columns: dict[Variable, Sequence[Variable]] = {v: a.ravel().tolist() for v, a in arrays.items()}
     columns |= {variable: (other,) * count for variable, other in single.items()}
     for variable, column in columns.items():
         _require_alike(cpd, variable, column)
+    if factor:
+        taken = {v.name for column in columns.values() for v in column}
+        own = cpd.child._with(name=free_name(cpd.child.name, taken))
+        columns[cpd.child] = (own,) * count
     return shape, [_column(v, columns, count) for v in cpd.scope]
 
 
@@ -215,6 +250,13 @@ class _Numbers:
         self, cpd: ConditionalGaussian, shape: Shape, rows: Sequence[ConditionalGaussian]
     ) -> None:
         self.cpd, self.shape, self.rows = cpd, shape, rows
+        # Values of factors, (d,) each; empty where all have that of the plate's.
+        self.factors: Sequence[Array] = ()
+
+    def take(self, told: Mapping[str, Any]) -> None:
+        """Take the numbers that are told, by the name of their method."""
+        for name, value in told.items():
+            getattr(self, name)(value)
 
     def mean(self, value: npt.ArrayLike) -> None:
         """Take means, (*rows, ..., d)."""
@@ -313,6 +355,23 @@ class _Numbers:
             for row, *each in zip(self.rows, *stacks, strict=True):
                 matrices = dict(zip(row.given, each, strict=True))
                 row.__dict__["matrices"] = MappingProxyType(matrices)
+
+    def values(self, value: npt.ArrayLike) -> None:
+        """Take values of factors, (*rows) or (*rows, d)."""
+        if self.cpd._of is None:
+            raise ModelError(
+                f"plate of {self.cpd!r}: value is of a NonlinearGaussianFactor; the child of a CPD "
+                "has evidence, in infer",
+                variable=self.cpd.child,
+                cpd=self.cpd,
+            )
+        array, size = self._array(value, "value"), self._size
+        if array.ndim == 1 and size == 1:
+            array = array[:, None]
+        if array.shape[1:] != (size,):
+            raise self._unfit("value", array.shape[1:], f"{'() or ' * (size == 1)}({size},)")
+        self._require_finite(array, "value")
+        self.factors = [*frozen(array)]
 
     @property
     def _size(self) -> int:

@@ -2,51 +2,59 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from pgm.arguments import public
-from pgm.boundary import as_tuple
+from pgm.boundary import as_floats, as_tuple
 from pgm.cpds.conditional import Noise
 from pgm.cpds.gaussian import NonlinearGaussianCPD
 from pgm.cpds.robust import RobustNoise
-from pgm.display import Listing, Shown, Summary
+from pgm.display import Listing, Shown, Summary, vector
 from pgm.errors import ModelError
 from pgm.factors.scope import Scope, as_scope, listed
 from pgm.immutable import Immutable
+from pgm.kernels.arrays import Array, frozen
 from pgm.linearisers import Lineariser
 from pgm.variables import Variable
 
 
 @public
 class NonlinearGaussianFactor(Shown, Immutable):
-    r"""A factor of a residual: a function of its variables that is zero but for Gaussian noise.
+    r"""A factor of a residual: a function of its variables, less a value, that is Gaussian noise.
 
-    .. math:: \phi(x) = N(r(x); 0, R)
+    .. math:: \phi(x) = N(f(x) - z; 0, R)
 
     - x: the variables of the scope;
-    - r: the residual, d components, of which those that are angles are wrapped to [−π, π);
-    - R: its covariance.
+    - f: the function, d components;
+    - z: the value that was measured of it, or zero. Components of f − z that are angles are wrapped
+      to [−π, π);
+    - R: the noise covariance.
 
-    What two poses of a pose graph have in common, an equation that holds but for noise, a custom
-    factor. It has no direction: none of its variables needs another factor.
+    A motion between two poses, an equation that holds but for noise, a custom factor. It has no
+    direction: none of its variables needs another factor. Thousands of one function that differ by
+    what was measured are declared by a `plate`, and linearised in one call of the function.
+
+    Nonlinear factors are linearised first at `start`; without one, variables that no CPD of the
+    network explains are taken to be zero.
 
     Parameters
     ----------
     scope : Variable or sequence of Variable
         Continuous variables, in the order of the function's arguments.
     function : callable
-        ``function(*scope)``, the residual (..., d), of arrays (..., dimension); as of a
-        `NonlinearGaussianCPD`.
+        ``function(*scope)``, (..., d), of arrays (..., dimension); as of a `NonlinearGaussianCPD`.
     cov : array_like or Noise
         (d, d), positive semidefinite; or (d,), the variance of each component; or one variance.
+    value : array_like, optional
+        z, (d,), what the function would be without noise; zero, if not given.
     angles : sequence of bool, optional
-        The mask (d,) of the residual's components that are angles, in radians; none, if not given.
+        The mask (d,) of the function's components that are angles, in radians; none, if not given.
     size : int, optional
-        d, where neither `cov` nor `angles` tells it; 1, if not given.
+        d, where neither `cov`, `value` nor `angles` tells it; 1, if not given.
     jacobian : mapping of Variable to callable, optional
         Derivatives by some or all variables; as of a `NonlinearGaussianCPD`.
     lineariser : Lineariser, optional
@@ -58,11 +66,16 @@ class NonlinearGaussianFactor(Shown, Immutable):
     ----------
     scope : tuple of Variable
         The variables, then those that a noise depends on.
+    function, cov, noise
+        As given; `cov` is (d, d), or a `Noise`.
+    value : ndarray
+        (d,).
 
     Raises
     ------
     ModelError
-        As of a `NonlinearGaussianCPD`; and if `angles` or `size` do not fit the covariance.
+        As of a `NonlinearGaussianCPD`; and if `value`, `angles` or `size` do not fit the
+        covariance, or a value is NaN or infinite.
 
     References
     ----------
@@ -71,7 +84,7 @@ class NonlinearGaussianFactor(Shown, Immutable):
     Examples
     --------
     >>> a, b = pgm.variables("a b")
-    >>> apart = pgm.NonlinearGaussianFactor((a, b), lambda a, b: b - a - 2.0, cov=0.1)
+    >>> apart = pgm.NonlinearGaussianFactor((a, b), lambda a, b: b - a, cov=0.1, value=2.0)
     >>> held = pgm.NonlinearGaussianFactor(a, lambda a: a, cov=1e-4)
     >>> network = pgm.MarkovNetwork([apart, held])
     >>> network
@@ -81,7 +94,8 @@ class NonlinearGaussianFactor(Shown, Immutable):
     """
 
     scope: Scope
-    # The residual as a child that is observed to be zero.
+    value: Array
+    # The function as the mean of a child that has the value for evidence.
     _cpd: NonlinearGaussianCPD
 
     def __init__(
@@ -90,6 +104,7 @@ class NonlinearGaussianFactor(Shown, Immutable):
         function: Callable[..., Any],
         cov: npt.ArrayLike | Noise,
         *,
+        value: npt.ArrayLike | None = None,
         angles: Sequence[bool] | None = None,
         size: int | None = None,
         jacobian: Mapping[Variable, Callable[..., Any]] | None = None,
@@ -100,7 +115,8 @@ class NonlinearGaussianFactor(Shown, Immutable):
         if not given:
             raise ModelError("a NonlinearGaussianFactor is of one variable or more")
         of = f"the NonlinearGaussianFactor of ({listed(given)})"
-        residual = _residual(of, given, cov, angles, size)
+        measured = None if value is None else _value(of, given, value)
+        residual = _residual(of, given, cov, measured, angles, size)
         try:
             cpd = NonlinearGaussianCPD(
                 residual,
@@ -115,23 +131,67 @@ class NonlinearGaussianFactor(Shown, Immutable):
             raise ModelError(
                 f"{of}, whose residual is the child here: {error}", variable=given[0]
             ) from None
-        self._set(scope=cpd.parents, _cpd=cpd)
+        zero = np.zeros(residual.dimension)
+        self._set(scope=cpd.parents, value=frozen(zero if measured is None else measured), _cpd=cpd)
+
+    @classmethod
+    def _made(cls, cpd: NonlinearGaussianCPD, value: Array) -> Self:
+        """The factor of a child that has a value, both checked."""
+        found = object.__new__(cls)
+        found.__dict__.update(scope=cpd.parents, value=value, _cpd=cpd)
+        return found
+
+    @property
+    def function(self) -> Callable[..., Any]:
+        """The function of the variables."""
+        return self._cpd.function
+
+    @property
+    def cov(self) -> Array | Noise:
+        """The covariance of the noise, (d, d)."""
+        return self._cpd.cov
+
+    @property
+    def noise(self) -> RobustNoise | None:
+        """The robust noise; None of Gaussian."""
+        return self._cpd.noise
 
     @property
     def _title(self) -> str:
         return f"NonlinearGaussianFactor({listed(self.scope)})"
 
     def _summary(self) -> Summary:
-        parts: list[str | Listing] = list(self._cpd._parts())
-        return Summary(self._title, parts)
+        parts: list[str | Listing] = []
+        if self.value.any():
+            parts.append(f"value {vector(self.value)}")
+        return Summary(self._title, [*parts, *self._cpd._parts()])
 
 
-def _residual(of: str, given: Scope, cov: Any, angles: Any, size: Any) -> Variable:
+def _value(of: str, given: Scope, value: Any) -> Array:
+    """A value of a factor's function, (d,), checked."""
+    array = as_floats(value, f"{of}: value", variable=given[0])
+    found = np.array(array[None] if array.ndim == 0 else array)
+    if found.ndim > 1:
+        raise ModelError(
+            f"{of}: value has shape {found.shape}; a factor has one, (d,), and many factors are a "
+            "plate, pgm.plate(factor, over, value=...)",
+            variable=given[0],
+        )
+    if not np.isfinite(found).all():
+        raise ModelError(f"{of}: the value has entries that are NaN or infinite", variable=given[0])
+    return found
+
+
+def _residual(
+    of: str, given: Scope, cov: Any, value: Array | None, angles: Any, size: Any
+) -> Variable:
     """The variable of a residual, of as many components as is told, of which some are angles."""
     told: dict[str, int] = {}
     shape = () if isinstance(cov, Noise) else np.shape(cov)
     if shape:
         told["cov"] = int(shape[-1])
+    if value is not None:
+        told["value"] = len(value)
     mask: tuple[Any, ...] = ()
     if angles is not None:
         mask = as_tuple(angles) or ()
@@ -151,7 +211,11 @@ def _residual(of: str, given: Scope, cov: Any, angles: Any, size: Any) -> Variab
     count = next(iter(told.values()), 1)
     names = tuple(f"r{k}" for k in range(count)) if count > 1 else ("residual",)
     turned = tuple(name for name, angle in zip(names, mask, strict=False) if angle)
-    name = "residual"
-    while name in {v.name for v in given}:
+    return Variable(free_name("residual", {v.name for v in given}), components=names, angles=turned)
+
+
+def free_name(name: str, taken: Collection[str]) -> str:
+    """A name like another that no variable has yet."""
+    while name in taken:
         name = f"{name} "
-    return Variable(name, components=names, angles=turned)
+    return name

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from pgm.boundary import as_floats
+from pgm.display import titled
 from pgm.errors import ModelError, PgmError
 from pgm.factors.scope import Scope
 from pgm.kernels.arrays import Array, Integers
@@ -138,8 +139,10 @@ class Call:
             place = index[-1] if index else 0
             run, which = self.numbering.run(place), f", {self.numbering.words(place)},"
         at = "" if step is None else f" at step {step}"
+        factor = getattr(self.cpd, "_of", None)
+        of = f"the CPD of {self.child.name}" if factor is None else titled(factor)
         return kind(
-            f"the {self.what} of the CPD of {self.child.name}{at}{which} {fault}",
+            f"the {self.what} of {of}{at}{which} {fault}",
             variable=self.child,
             cpd=self.cpd,
             step=step,

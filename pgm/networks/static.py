@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from pgm.cpds import CPD, GaussianCPD, TableCPD
 from pgm.cpds.base import Values
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
-from pgm.factors.scope import one_name_each, unknown_name
+from pgm.factors.scope import Scope, one_name_each, unknown_name
 from pgm.networks import checks, sampling
 from pgm.networks.markov import MarkovNetwork
 from pgm.resources import uncollected
@@ -67,11 +67,18 @@ class BayesianNetwork(MarkovNetwork):
         if not found:
             raise ModelError("a network needs at least one CPD")
         with uncollected(len(found)):
-            self._set(**self._checked(found))
+            self._set(**self._attributes(self._checked(found)))
+
+    @classmethod
+    def _made(cls, ordered: Iterable[CPD]) -> Self:
+        """The network of CPDs that fit, parents before children, which are not checked."""
+        found = object.__new__(cls)
+        found._set(**cls._attributes(tuple(ordered)))
+        return found
 
     @staticmethod
-    def _checked(found: tuple[CPD, ...]) -> dict[str, Any]:
-        """The attributes of a network of some CPDs, checked."""
+    def _checked(found: tuple[CPD, ...]) -> tuple[CPD, ...]:
+        """The CPDs of a network, parents before children, checked."""
         one_name_each(v for cpd in found for v in cpd.scope)
         checks.one_cpd_each(found)
         kinds = {cpd.discrete for cpd in found}
@@ -79,8 +86,7 @@ class BayesianNetwork(MarkovNetwork):
         checks.no_step_before(found)
         ordered = checks.in_order(found, lambda cpd: cpd.parents)
         by_child = {cpd.child: cpd for cpd in ordered}
-        parents = dict.fromkeys(v for cpd in ordered for v in cpd.parents)
-        inputs = tuple(v for v in parents if v not in by_child)
+        inputs = _inputs(ordered, by_child)
         for cpd in ordered if True in kinds or any(isinstance(v, Discrete) for v in inputs) else ():
             for parent in cpd.parents:
                 if parent not in by_child and (cpd.discrete or isinstance(parent, Discrete)):
@@ -89,6 +95,12 @@ class BayesianNetwork(MarkovNetwork):
                         variable=parent,
                         cpd=cpd,
                     )
+        return ordered
+
+    @staticmethod
+    def _attributes(ordered: tuple[CPD, ...]) -> dict[str, Any]:
+        by_child = {cpd.child: cpd for cpd in ordered}
+        inputs, kinds = _inputs(ordered, by_child), {cpd.discrete for cpd in ordered}
         return {
             "factors": ordered,
             "_cpds": ordered,
@@ -217,6 +229,12 @@ class BayesianNetwork(MarkovNetwork):
         # networkx renamed it in 3.3.
         separated = nx.is_d_separator if hasattr(nx, "is_d_separator") else nx.d_separated
         return bool(separated(self.to_networkx(), a, b, given))
+
+
+def _inputs(cpds: Iterable[CPD], explained: Collection[Variable]) -> Scope:
+    """The parents that no CPD explains, as they come first."""
+    parents = dict.fromkeys(v for cpd in cpds for v in cpd.parents)
+    return tuple(v for v in parents if v not in explained)
 
 
 def _set(cpd: CPD, value: Any) -> CPD:

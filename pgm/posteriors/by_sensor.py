@@ -27,9 +27,14 @@ class EachSensor(Shown, Mapping[Variable, Value]):
         self._found = dict(found)
 
     def __getitem__(self, variable: Variable) -> Value:
-        if require_variable(variable) not in self._found:
-            raise EvidenceError(self._absent(variable), variable=variable)
+        if self._asked(variable) not in self._found:
+            about = variable if isinstance(variable, Variable) else None
+            raise EvidenceError(self._absent(variable), variable=about)
         return self._found[variable]
+
+    def _asked(self, variable: Variable) -> Variable:
+        """The key that is asked for; one of another kind is refused."""
+        return require_variable(variable)
 
     def _absent(self, variable: Variable) -> str:
         """The text of the error for a variable without results, which a subclass may replace."""

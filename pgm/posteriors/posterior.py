@@ -425,12 +425,13 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
         return self._ask("rejected")  # type: ignore[no-any-return]
 
     @property
-    def weights(self) -> Mapping[Variable, Array]:
+    def weights(self) -> Mapping[Any, Array]:
         """By sensor, (*runs, M): the weight w of each of its M measurements.
 
-        Of a network without time it is (*runs), by observed variable, which is one measurement. A
-        measurement counts as a Gaussian of covariance `cov` / w: 1 of Gaussian noise, less of
-        robust noise. NaN where nothing was measured.
+        Of a network without time it is (*runs), by observed variable, which is one measurement; of
+        a `MarkovNetwork` by factor, ``posterior.weights[factor]``: each `NonlinearGaussianFactor`,
+        and each CPD of robust noise. A measurement counts as a Gaussian of covariance `cov` / w: 1
+        of Gaussian noise, less of robust noise. NaN where nothing was measured.
         """
         return self._ask("weights")  # type: ignore[no-any-return]
 

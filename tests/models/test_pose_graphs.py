@@ -106,6 +106,97 @@ def test_the_mode_is_that_of_least_squares(fixed, begin):
     assert not covs[held].any()
 
 
+def directed(graph, made):
+    """The same graph in CPDs: flat priors of all vertices, and edges that are measured."""
+    vertices = [*made.poses, *made.landmarks]
+    cpds = [pgm.GaussianCPD(v, np.zeros(v.dimension), np.inf) for v in vertices]
+    evidence = dict(made.evidence)
+    for k, factor in enumerate((*made.edges, *made.sightings)):
+        kind = ("forward", "left", "turn")[: len(factor.value)]
+        z = pgm.Variable(f"z{k}", kind, angles=kind[2:])
+        cpds.append(
+            pgm.NonlinearGaussianCPD(
+                z, factor.scope, motion.relative, factor.cov, noise=factor.noise
+            )
+        )
+        evidence[z] = factor.value
+    return pgm.BayesianNetwork(cpds), evidence
+
+
+@pytest.mark.parametrize("noise", [None, pgm.Cauchy(2.0)], ids=["Gaussian", "robust"])
+@pytest.mark.parametrize("fixed", [(), (3, 7)])
+def test_the_posterior_is_that_of_measured_flat_priors(noise, fixed):
+    """Residual factors alone, with the derivatives given, and CPDs whose own are traced."""
+    graph = read_pose_graph(StringIO(written(fixed)))
+    made = pose_graph_network(graph, noise)
+    assert all(isinstance(f, pgm.NonlinearGaussianFactor) for f in made.network.factors)
+    assert len(made.network.factors) == len(graph.edges) + len(graph.sightings)
+    schedule = pgm.Calibration(iterations=200, tolerance=1e-12)
+    found, due = (
+        pgm.infer(pgm.compile(network), evidence, schedule=schedule, start=made.start())
+        for network, evidence in ((made.network, made.evidence), directed(graph, made))
+    )
+    for one, other in zip(made.means(found), made.means(due), strict=True):
+        assert_allclose(one, other, rtol=0.0, atol=1e-9)
+    for one, other in zip(made.covs(found), made.covs(due), strict=True):
+        assert_allclose(one, other, rtol=0.0, atol=1e-9)
+    weights = {v.name: weight for v, weight in due.weights.items()}
+    read = [weights[f"z{k}"] for k in range(len(made.network.factors))]
+    assert_allclose(made.weights(found), read, atol=1e-8)
+    assert (min(read) < 0.95) == (noise is not None)
+
+
+def test_what_edges_leave_open_is_refused_until_a_pose_is_held():
+    """By evidence, which knows it exactly, or by an anchor: a factor of that pose alone."""
+    graph = read_pose_graph(StringIO(written()))
+    made = pose_graph_network(graph)
+    first, cov = made.poses[0], np.diag([0.04, 0.09, 0.01])
+    start = made.start() | {first: graph.poses[0]}
+    with pytest.raises(pgm.NumericalError, match=r"has no proper belief .* direction .* open"):
+        pgm.infer(pgm.compile(made.network), {}, schedule=CALIBRATION, start=start)
+    anchor = pgm.NonlinearGaussianFactor(
+        first, lambda x: x, cov, value=graph.poses[0], angles=(False, False, True)
+    )
+    network = pgm.MarkovNetwork([*made.network.factors, anchor])
+    posterior = pgm.infer(pgm.compile(network), {}, schedule=CALIBRATION, start=start)
+    held = pgm.infer(
+        pgm.compile(made.network), made.evidence, schedule=CALIBRATION, start=made.start()
+    )
+    # Edges say nothing of the first pose, whose marginal is the anchor, and all else hangs on it.
+    assert_allclose(posterior[first].mean, graph.poses[0], atol=1e-9)
+    assert_allclose(posterior[first].cov, cov, rtol=1e-9, atol=1e-12)
+    joint = posterior.joint(first, made.poses[4])
+    slope = joint.cov[3:, :3] @ np.linalg.inv(cov)
+    given = joint.cov[3:, 3:] - slope @ joint.cov[:3, 3:]
+    assert_allclose(given, held[made.poses[4]].cov, rtol=1e-6, atol=1e-10)
+    poses = made.poses[1:]
+    assert_allclose(posterior.means(poses), held.means(poses), atol=1e-7)
+
+
+def test_edges_that_may_be_wrong():
+    """By default all but the first edge between each pose and the next."""
+    edge = "EDGE_SE2 {} {} 1 0 0 9 0 0 9 0 9"
+    lines = [f"VERTEX_SE2 {k} {k} 0 0" for k in range(3)] + ["VERTEX_XY 7 1 1"]
+    lines += [edge.format(*ends) for ends in ((0, 1), (1, 0), (2, 1), (0, 2))]
+    graph = read_pose_graph(StringIO("\n".join([*lines, "EDGE_SE2_XY 0 7 1 1 9 0 9"])))
+    noise = pgm.Huber(1.345)
+
+    def robust(*asked):
+        made = pose_graph_network(graph, *asked)
+        return [f.noise is not None for f in (*made.edges, *made.sightings)]
+
+    assert robust() == [False] * 5
+    assert robust(noise) == [False, True, False, True, True]
+    assert robust(noise, [0, 4]) == [True, False, False, False, True]
+    assert robust(noise, []) == [False] * 5
+    assert robust(noise, range(5)) == [True] * 5
+    for asked in ([5], [-1], [0.5], [[0]], [True]):
+        with pytest.raises(pgm.EvidenceError, match=r"doubted are rows of the edges, .* 0 to 4"):
+            pose_graph_network(graph, noise, asked)
+    with pytest.raises(pgm.EvidenceError, match="robust noise=, and none is given"):
+        pose_graph_network(graph, None, [0])
+
+
 def test_a_tree_is_followed_without_a_residual():
     tree = "\n".join(
         line for line in written().split("\n") if not line.endswith("400") or "EDGE" not in line
@@ -166,9 +257,8 @@ def test_marginals_of_manhattan_are_those_of_dense_rows():
     slopes = motion.relative_by_state(one, other), motion.relative_by_other(one, other)
     away = edges.motions - motion.relative(one, other)
     away[:, 2] = (away[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
-    noise = {cpd.child.name: cpd.cov for cpd in made.network.cpds}
     for k in range(len(edges)):
-        lower = np.linalg.cholesky(noise[f"z{k}"])
+        lower = np.linalg.cholesky(made.edges[k].cov)
         own = slice(3 * k, 3 * k + 3)
         right[own] = solve_triangular(lower, away[k], lower=True)
         for row, slope in zip((edges.first[k], edges.second[k]), slopes, strict=True):

@@ -244,6 +244,13 @@ def test_what_is_refused():
     ("options", "words"),
     [
         ({"cov": [1.0, 1.0], "angles": (True,)}, "found 2 by cov=, 1 by angles="),
+        ({"cov": [1.0, 1.0], "value": 3.0}, "found 2 by cov=, 1 by value="),
+        (
+            {"cov": 1.0, "value": [[1.0]]},
+            r"value has shape \(1, 1\); a factor has one, \(d,\), and",
+        ),
+        ({"cov": 1.0, "value": np.nan}, "the value has entries that are NaN or infinite"),
+        ({"cov": 1.0, "value": "far"}, r"of \(a, b\): value must be numbers"),
         ({"cov": 1.0, "size": 0}, "size is how many components"),
         ({"cov": 1.0, "angles": "yes"}, "angles is a mask"),
         ({"cov": -1.0}, "whose residual is the child here"),

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from pgm.beliefs.gaussian.outcome import GaussianOutcome
+from pgm.beliefs.gaussian.reweighting import weights_shown
 from pgm.beliefs.gaussian.run import run
 from pgm.beliefs.gaussian.undirected import Directed, directed, side
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.cpds import NonlinearGaussianFactor
+from pgm.cpds.base import naming_factors
 from pgm.cpds.conditional import ConditionalGaussian
 from pgm.errors import NumericalError
 from pgm.evidence import Evidence
@@ -23,6 +26,7 @@ from pgm.linearisers import Lineariser
 from pgm.networks import BayesianNetwork
 from pgm.networks.markov import Factor
 from pgm.posteriors.status import ENOUGH_DIGITS
+from pgm.posteriors.weights import FactorWeights
 from pgm.schedules.schedule import Schedule
 from pgm.schedules.starting_points import Start
 from pgm.variables import Variable
@@ -49,8 +53,9 @@ def run_factors(
     for variable in evidence:
         if variable not in known:
             raise no_evidence_for(variable, known)
-    zero = {v: np.zeros(v.dimension) for v in made.residuals}
-    found = run(made.graph, {**evidence, **zero}, schedule, lineariser, start, warn=False)
+    with naming_factors():
+        values = {**evidence, **made.values}
+        found = run(made.graph, values, schedule, lineariser, start, warn=False)
     status = found.status
     if made.lost > 10.0**-ENOUGH_DIGITS:
         status = status._losing(np.full(status.converged.size, made.lost), NEARLY_FLAT)
@@ -87,16 +92,19 @@ class MarkovOutcome(GaussianOutcome):
         found = super().entered(run)
         return {v: value for v, value in found.items() if v not in self._made.residuals}
 
-    @property
+    @cached_property
     def weights(self) -> Mapping[Any, Array]:
-        """By factor of robust noise, (*runs): the weight of its residual."""
+        """By factor, (*runs): the weight of its residual, 1 for Gaussian noise."""
         assert self._made is not None
-        by_child: dict[Factor, Array] = {}
-        for child, weight in super().weights.items():
-            factor = self._made.residuals.get(child)
-            if factor is not None and _is_robust(factor):
-                by_child[factor] = weight
-        return by_child
+        factors = self._made.residuals
+        by_child = weights_shown(self._model)
+        return FactorWeights(
+            {
+                factor: by_child[child]
+                for child, factor in factors.items()
+                if child in by_child and _is_measured(factor)
+            }
+        )
 
     def message(self, source: int | Cluster, target: int | Cluster) -> CanonicalForm:
         """The message from one cluster to a neighbour, over their sepset, unnormalised."""
@@ -122,6 +130,8 @@ def _raised(form: CanonicalForm, level: float) -> CanonicalForm:
     return CanonicalForm._make(form.scope, form.K, form.h, form.g + level)
 
 
-def _is_robust(factor: Factor) -> bool:
-    cpd = factor._cpd if isinstance(factor, NonlinearGaussianFactor) else factor
-    return isinstance(cpd, ConditionalGaussian) and cpd.noise is not None
+def _is_measured(factor: Factor) -> bool:
+    """Whether a factor is a residual, or a CPD that counts as one: of robust noise."""
+    if isinstance(factor, ConditionalGaussian):
+        return factor.noise is not None
+    return isinstance(factor, NonlinearGaussianFactor)

@@ -38,7 +38,9 @@ def contradiction(model: Model, cluster: int, runs: Sequence[Integers]) -> Contr
 
 
 def _contradiction(model: Model, cluster: int, run: int) -> Contradiction:
-    scope = model.layout.graph.clusters[cluster].scope
+    graph = model.layout.graph
+    residuals = {cpd.child for cpd in graph.network.cpds if cpd._of is not None}
+    scope = tuple(v for v in graph.clusters[cluster].scope if v not in residuals)
     which = f", run {run}" if model.lead else ""
     return Contradiction(
         f"evidence contradicts an exact model at cluster {cluster}, {names(scope)}{which}: "

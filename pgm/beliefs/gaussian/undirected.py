@@ -1,8 +1,9 @@
 r"""A Gaussian Markov network as a Bayesian one: its factors as measurements of flat priors.
 
-A factor is a *residual* r = A x − y or r(x) that is observed to be zero: N(0; r(x), R). A CPD stays
-one where its child has no other and no cycle arises; each variable that no CPD is left for has a
-flat prior. A canonical form is, with K = AᵀA and h = Aᵀ y,
+A factor is a *residual*: r = A x − y that is observed to be zero, N(0; r, R), or a function f(x)
+that is observed to be a value z, N(z; f(x), R). A CPD stays one where its child has no other and no
+cycle arises; each variable that no CPD is left for has a flat prior. A canonical form is, with
+K = AᵀA and h = Aᵀ y,
 
     exp(−½ xᵀK x + hᵀx + g) = N(0; A x − y, I) exp(g + ½ yᵀy + r/2 ln 2π),
 
@@ -13,7 +14,7 @@ logarithm.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
@@ -25,14 +26,16 @@ import numpy as np
 from pgm.clustergraph import ClusterGraph
 from pgm.cpds import CPD, AffineCPD, GaussianCPD, LinearGaussianCPD, NonlinearGaussianCPD
 from pgm.cpds.conditional import ConditionalGaussian
+from pgm.cpds.plates import plate
 from pgm.cpds.residual import NonlinearGaussianFactor
 from pgm.errors import ModelError
 from pgm.factors import CanonicalForm
 from pgm.factors.scope import names
 from pgm.kernels import canonical
 from pgm.kernels.arrays import LOG_2PI, Array
-from pgm.networks import BayesianNetwork, MarkovNetwork
+from pgm.networks import BayesianNetwork, MarkovNetwork, checks
 from pgm.networks.markov import Factor
+from pgm.resources import uncollected
 from pgm.variables import Variable
 
 
@@ -45,7 +48,9 @@ class Directed:
     graph : ClusterGraph
         Its clusters are those of the network's graph, each with the residuals of its factors too.
     residuals : dict of Variable
-        Those that are observed to be zero, with the factors that they are of.
+        Those that are observed, with the factors that they are of.
+    values : dict of Variable
+        The values (d,) of the residuals: zero, but of factors that have a value.
     levels : ndarray
         By cluster, (clusters,).
     lost : float
@@ -55,18 +60,26 @@ class Directed:
 
     graph: ClusterGraph
     residuals: dict[Variable, Factor]
+    values: dict[Variable, Array]
     levels: Array
     lost: float
 
 
 def directed(graph: ClusterGraph) -> Directed:
     """The Bayesian network of a Markov network's graph."""
+    with uncollected(len(graph.network.factors)):
+        return _measured(graph)
+
+
+def _measured(graph: ClusterGraph) -> Directed:
     network = graph.network
     taken = {v.name for v in network.variables}
     names_left = (name for k in count(1) if (name := f"residual {k}") not in taken)
     kept = _directed(network)
-    cpds: list[CPD] = []
+    measured: list[CPD] = []
     residuals: dict[Variable, Factor] = {}
+    values: dict[Variable, Array] = {}
+    alike: dict[Hashable, NonlinearGaussianCPD] = {}
     # Of each cluster the children of its CPDs, and its level.
     children = [list[Variable]() for _ in graph._members]
     levels, lost = np.zeros(len(graph._members)), 0.0
@@ -75,30 +88,49 @@ def directed(graph: ClusterGraph) -> Directed:
             factor = network.factors[number]
             if number in kept:
                 assert isinstance(factor, CPD)
-                cpd: CPD | None = factor
-            else:
-                cpd, level, own = _measurement(factor, next(names_left))
-                levels[k] += level
-                lost = max(lost, own)
+                children[k].append(factor.child)
+                continue
+            cpd, level, uncertain = _measurement(factor, next(names_left), alike)
+            levels[k] += level
+            lost = max(lost, uncertain)
             if cpd is None:
                 continue
-            cpds.append(cpd)
+            cpd.__dict__["_of"] = factor
+            measured.append(cpd)
             children[k].append(cpd.child)
-            if number not in kept:
-                residuals[cpd.child] = factor
-    explained = {network.factors[number].scope[0] for number in kept}
+            residuals[cpd.child] = factor
+            values[cpd.child] = _value(factor, cpd)
+    own = [each for k in sorted(kept) if isinstance(each := network.factors[k], CPD)]
+    explained = {each.child for each in own}
+    cpds: list[CPD] = []
+    flat: dict[int, GaussianCPD] = {}
     homes: dict[int, int] = {}
     for k, members in enumerate(graph._members):
         for place in members:
             homes.setdefault(place, k)
     for place, variable in enumerate(network.variables):
         if variable not in explained:
-            size = variable.dimension
-            cpds.append(GaussianCPD(variable, np.zeros(size), np.full(size, np.inf)))
+            cpds.append(_anywhere(variable, flat))
             children[homes[place]].append(variable)
-            levels[homes[place]] += 0.5 * LOG_2PI * size
-    made = _widened(graph, BayesianNetwork(cpds), children)
-    return Directed(made, residuals, levels, lost)
+            levels[homes[place]] += 0.5 * LOG_2PI * variable.dimension
+    cpds += checks.in_order(own, lambda cpd: cpd.parents)
+    made = _widened(graph, BayesianNetwork._made([*cpds, *measured]), children)
+    return Directed(made, residuals, values, levels, lost)
+
+
+def _value(factor: Factor, cpd: CPD) -> Array:
+    """What the residual of a factor is observed to be, (d,)."""
+    if isinstance(factor, NonlinearGaussianFactor):
+        return factor.value
+    return np.zeros(cpd.child.dimension)
+
+
+def _anywhere(variable: Variable, flat: dict[int, GaussianCPD]) -> GaussianCPD:
+    """A flat prior of a variable, with the numbers of another's of as many components."""
+    size = variable.dimension
+    if size not in flat:
+        flat[size] = GaussianCPD(variable, np.zeros(size), np.full(size, np.inf))
+    return flat[size]._with_child(variable)
 
 
 def _widened(
@@ -142,19 +174,20 @@ def _directed(network: MarkovNetwork) -> set[int]:
     return set(kept.values())
 
 
-def _measurement(factor: Factor, name: str) -> tuple[CPD | None, float, float]:
+def _measurement(
+    factor: Factor, name: str, alike: dict[Hashable, NonlinearGaussianCPD]
+) -> tuple[CPD | None, float, float]:
     """A factor as a CPD of a residual of some name, None of a mere number; its level; what is lost.
 
-    See `Directed`.
+    See `Directed`. `alike` has the first residual of each plate of nonlinear CPDs, and gets others.
     """
     if isinstance(factor, NonlinearGaussianFactor):
-        residual = factor._cpd.child
-        child = Variable(name, residual.components, residual.angles)
-        return factor._cpd._copy(lambda v: child if v == residual else v), 0.0, 0.0
+        child = factor._cpd.child._with(name=name)
+        return factor._cpd._with_child(child), 0.0, 0.0
     if isinstance(factor, CanonicalForm):
         return _of_form(factor, name)
     assert isinstance(factor, ConditionalGaussian)
-    return _of_cpd(factor, name), 0.0, 0.0
+    return _of_cpd(factor, name, alike), 0.0, 0.0
 
 
 def _of_form(form: CanonicalForm, name: str) -> tuple[CPD | None, float, float]:
@@ -183,7 +216,9 @@ def _of_form(form: CanonicalForm, name: str) -> tuple[CPD | None, float, float]:
     return LinearGaussianCPD(child, given, offset=-target, cov=np.eye(rank)), level, lost
 
 
-def _of_cpd(cpd: ConditionalGaussian, name: str) -> CPD:
+def _of_cpd(
+    cpd: ConditionalGaussian, name: str, alike: dict[Hashable, NonlinearGaussianCPD]
+) -> CPD:
     """A CPD as a measurement of its child less its mean, whose residual is of the child's kind."""
     flat = isinstance(cpd.cov, np.ndarray) and not np.isfinite(cpd.cov).all()
     if cpd._lead() or flat:
@@ -199,9 +234,13 @@ def _of_cpd(cpd: ConditionalGaussian, name: str) -> CPD:
         given = {y: np.eye(y.dimension)} | {p: -matrix for p, matrix in cpd.matrices.items()}
         return LinearGaussianCPD(child, given, offset=-cpd.offset, cov=cpd.cov, noise=cpd.noise)
     assert isinstance(cpd, NonlinearGaussianCPD)
+    key = plate(cpd)
+    if key in alike:  # of one function, so that they are linearised in one call
+        places = dict(zip(alike[key].scope, (child, y, *cpd.parents), strict=True))
+        return alike[key]._copy(places.__getitem__, cov=cpd.cov)
     own = _Less(cpd)
     jacobian = {p: _Negative(derivative) for p, derivative in cpd.jacobian.items()}
-    return NonlinearGaussianCPD(
+    alike[key] = NonlinearGaussianCPD(
         child,
         (y, *cpd.given),
         own,
@@ -210,6 +249,7 @@ def _of_cpd(cpd: ConditionalGaussian, name: str) -> CPD:
         lineariser=cpd.lineariser,
         noise=cpd.noise,
     )
+    return alike[key]
 
 
 class _Less:

@@ -125,6 +125,12 @@ class Map:
         return np.concatenate([poses.reshape(*lead, -1), marks.reshape(*lead, -1)], axis=-1)
 
 
+def measurement(name, factor):
+    """A variable of what a pose graph's factor is of: a motion, or a place as it is seen."""
+    kind = [("forward", "left"), ("forward", "left", "turn")][len(factor.value) - 2]
+    return pgm.Variable(name, kind, kind[2:])
+
+
 @dataclass
 class Motions:
     """A pose graph of which a tree's edges are hidden motions, that poses follow without noise."""
@@ -139,25 +145,26 @@ class Motions:
     @classmethod
     def of(cls, graph, noise=None):
         made = pose_graph_network(graph)
-        measured = {cpd.child: cpd for cpd in made.network.cpds if cpd.given}
+        left = {f"z{k}": factor for k, factor in enumerate(made.edges)}
+        left |= {f"s{k}": factor for k, factor in enumerate(made.sightings)}
         known = [pgm.GaussianCPD(made.poses[row], graph.poses[row], 0.0) for row in made.held]
-        told, cpds = {}, []
+        told, cpds, evidence = {}, [], {}
         for branch in made.branches:
-            z = next(v for v in measured if v.name == f"{'zs'[branch.sees]}{branch.edge}")
-            sensor = measured.pop(z)
-            u = pgm.Variable(f"u_{z.name}", components=z.components, angles=z.angles)
+            name = f"{'zs'[branch.sees]}{branch.edge}"
+            u = measurement(f"u_{name}", factor := left.pop(name))
             told[u] = branch.edges.motions[branch.edge]
             child = (made.landmarks if branch.sees else made.poses)[branch.child]
             leads = motion.increment if branch.onward else motion.retreat
             leads = motion.place if branch.sees else leads
             parents = made.poses[branch.parent], u
-            cpds.append(pgm.GaussianCPD(u, told[u], sensor.cov))
+            cpds.append(pgm.GaussianCPD(u, told[u], factor.cov))
             cpds.append(pgm.NonlinearGaussianCPD(child, parents, leads, 0.0))
-        cpds += [
-            pgm.NonlinearGaussianCPD(z, cpd.given, motion.relative, cpd.cov, noise=noise)
-            for z, cpd in measured.items()
-        ]
-        evidence = {z: made.evidence[z] for z in measured}
+        for name, factor in left.items():
+            z = measurement(name, factor)
+            evidence[z] = factor.value
+            cpds.append(
+                pgm.NonlinearGaussianCPD(z, factor.scope, motion.relative, factor.cov, noise=noise)
+            )
         network = pgm.BayesianNetwork([*known, *cpds])
         return cls(graph, network, evidence, list(made.poses), list(made.landmarks), told)
 
