@@ -58,6 +58,8 @@ _FEW, _SHORT = 54, 2000
 # But beyond this size and up to so many runs LAPACK is quickest, run by run. Parts of 32
 # runs have the bits of the whole.
 _BRIEF, _STACKED = 16, 31
+# And of the fewest each is updated by itself, by lines of Python on floats.
+_FEWEST = 9
 
 
 def deviations(cov: Array) -> Array:
@@ -131,6 +133,9 @@ def predict(cov: Array, matrix: Array, noise: Array, bare: tuple[int, ...] = ())
         spread: Array = quick(cov, matrix, noise)
     elif cov.ndim == 2:
         spread = symmetric(step.predict(Dense(cov), Dense(matrix), Dense(noise)).array)
+    elif cov.ndim == 3 and cov.shape[-1] <= _STACKED:
+        parts = (Stack(components_last(each, 2)) for each in (cov, matrix, noise))
+        spread = components_first(step.predict(*parts).array, 2)
     else:
         with scratch():
             spread = step.predict(Runs(cov, True), Runs(matrix), Runs(noise)).array
@@ -309,14 +314,19 @@ def _update_many(
 
     None if a pivot of S is at most `least` times its diagonal entry, in any run.
     """
+    found: tuple[Array, Array, Array] | None
     size = len(mean) * len(residual) * (len(mean) + len(residual))
+    few = cov.ndim == 3 and cov.shape[-1] <= _FEWEST
+    if few and _is_small(len(mean), len(residual)):
+        found = _update_each(mean, cov, matrix, residual, noise)
+        if found is not None:
+            return found
     if size > _BRIEF and cov.ndim == 3 and cov.shape[-1] <= _STACKED:
         return _update_stack(mean, cov, matrix, residual, noise, least)
     few = cov.ndim == 3 and cov.shape[-1] <= _SHORT
     quick = _updating_rows(len(mean), len(residual), least) if few else ()
     with quiet():  # of what is not regular
         for function in quick:
-            found: tuple[Array, Array, Array] | None
             found = function(mean, cov, matrix, residual, noise)
             if found is not None:
                 return found
@@ -336,6 +346,26 @@ def _update_many(
             after = step.given(before, belief, slope, off, error, root, gain)
         density = _log_density(after, len(residual))
         return after.mean.array[:, 0], after.cov.array, density
+
+
+def _update_each(
+    mean: Array, cov: Array, matrix: Array, residual: Array, noise: Array
+) -> tuple[Array, Array, Array] | None:
+    """The result of `_update_many` by `update_one`, run by run; None where one of them is None."""
+    after, spread = np.empty(mean.shape), np.empty(cov.shape)
+    density = np.empty(mean.shape[1:])
+    for run in range(mean.shape[1]):
+        one = update_one(
+            mean[:, run],
+            cov[..., run],
+            matrix[..., run if matrix.shape[2] > 1 else 0],
+            residual[:, run],
+            noise[..., run if noise.shape[2] > 1 else 0],
+        )
+        if one is None:
+            return None
+        after[:, run], spread[..., run], density[run] = one
+    return after, spread, density
 
 
 def _update_stack(

@@ -4,8 +4,8 @@
 first axis of arrays is that of members or components; the *batch* comes last where arrays have
 their n components first, (n, members, *batch), as on the way forward, and second where these come
 last, (members, *batch, n), as on the way back. `owner` (members, *batch) is the component that each
-member belongs to. A member or component of log-weight −∞ is *dead*: it stands for a hypothesis that
-is impossible, and its moments are any finite numbers.
+member belongs to, None where all are members of one. A member or component of log-weight −∞ is
+*dead*: it stands for a hypothesis that is impossible, and its moments are any finite numbers.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from pgm.kernels import roots
 from pgm.kernels.arrays import (
     Array,
     Integers,
+    Mask,
     apply,
     components_last,
     deviation,
@@ -27,7 +28,7 @@ from pgm.kernels.arrays import (
     transpose,
     variances,
 )
-from pgm.kernels.semirings import log_sum
+from pgm.kernels.semirings import log_sum, subtrahend
 from pgm.kernels.step import nearest
 
 # Covariances are widened by this share of the mixture's for the losses of merging, which invert
@@ -38,7 +39,7 @@ _WIDENED = 1e-9
 def normalised(logs: Array) -> tuple[Array, Array]:
     """Log-weights (members, *batch) of sum one, and the logarithm of the sum that they had."""
     total = log_sum(logs, 0)
-    return logs - np.where(total > -np.inf, total, 0.0), total
+    return logs - subtrahend(total), total
 
 
 class Merged(NamedTuple):
@@ -57,7 +58,7 @@ class Merged(NamedTuple):
 
 
 def merged(
-    logs: Array, owner: Integers, count: int, mean: Array, cov: Array, angles: Integers
+    logs: Array, owner: Integers | None, count: int, mean: Array, cov: Array, angles: Integers
 ) -> Merged:
     r"""The Gaussians of the moments of each component's members.
 
@@ -65,36 +66,57 @@ def merged(
               P = \sum_a v_a \big(P_a + (\mu_a - \mu)(\mu_a - \mu)^\top\big)
 
     `logs` (members, *batch) are log-weights, and v_a the weights within a component; `mean`
-    (n, members, *batch) and `cov` (n, n, members, *batch); `angles` are the numbers of the n
-    components that are angles. Of a dead component the moments are those of the likeliest member
-    of all.
+    (n, members, *batch) and `cov` (n, n, members, *batch), whose batch may be of length one;
+    `angles` are the numbers of the n components that are angles. Of a dead component the moments
+    are those of the likeliest member of all.
     """
-    own = owner == np.arange(count).reshape(count, *(1,) * owner.ndim)
-    parts = np.where(own, logs, -np.inf)
-    best = parts.argmax(axis=1)
-    top = parts.max(axis=1)
+    if owner is None and len(logs) == 1:
+        return Merged(logs, mean, cov, mean)
+    parts = logs[None] if owner is None else np.where(_own(owner, count), logs, -np.inf)
+    top = np.maximum.reduce(parts, 1)
+    if np.minimum.reduce(top, None) == -np.inf:
+        shares, found = _with_dead(parts, top, logs)
+    else:
+        shares = np.exp(parts - top[:, None])
+        total = np.add.reduce(shares, 1)
+        shares /= total[:, None]
+        found = top + np.log(total)
+    if angles.size:
+        best = shares.argmax(axis=1)
+        mean = np.broadcast_to(mean, (len(mean), *logs.shape)).copy()
+        middle = np.take_along_axis(mean[angles], best[None], axis=1)
+        mean[angles] = nearest(mean[angles], _of_owner(middle, owner))
+    centre = np.einsum("kh...,ih...->ik...", shares, mean)
+    away = mean - _of_owner(centre, owner)
+    spread = cov + away[:, None] * away
+    whole = np.einsum("kh...,ijh...->ijk...", shares, spread)
+    return Merged(found, centre, 0.5 * (whole + whole.swapaxes(0, 1)), mean)
+
+
+def _own(owner: Integers, count: int) -> Mask:
+    """Whether a member is of a component, (components, members, *batch)."""
+    found: Mask = owner == np.arange(count).reshape(count, *(1,) * owner.ndim)
+    return found
+
+
+def _of_owner(parts: Array, owner: Integers | None) -> Array:
+    """The entries of each member's component, (..., members, *batch), by those of components."""
+    return parts if owner is None else np.take_along_axis(parts, owner[None], axis=1)
+
+
+def _with_dead(parts: Array, top: Array, logs: Array) -> tuple[Array, Array]:
+    """The weights of members within components, some of which are dead, and the components' logs.
+
+    `parts` (components, members, *batch) are the log-weights of each component's own members, and
+    `top` the largest; a dead one is given the likeliest of all members, of log-weights `logs`.
+    """
     some = top > -np.inf
-    if not some.all():
-        best = np.where(some, best, logs.argmax(axis=0))
     shares = np.exp(parts - np.where(some, top, 0.0)[:, None])
     total = shares.sum(axis=1)
     with np.errstate(divide="ignore"):
         found = top + np.log(total)
-    if some.all():
-        shares = shares / total[:, None]
-    else:
-        alone = best[:, None] == np.arange(len(logs)).reshape(-1, *(1,) * (logs.ndim - 1))
-        shares = np.where(some[:, None], shares / np.where(some, total, 1.0)[:, None], alone)
-    if angles.size:
-        mean = mean.copy()
-        middle = np.take_along_axis(mean[angles], best[None], axis=1)
-        at = np.take_along_axis(middle, owner[None], axis=1)
-        mean[angles] = nearest(mean[angles], at)
-    centre = np.einsum("kh...,ih...->ik...", shares, mean)
-    away = mean - np.take_along_axis(centre, owner[None], axis=1)
-    spread = cov + away[:, None] * away[None]
-    whole = np.einsum("kh...,ijh...->ijk...", shares, spread)
-    return Merged(found, centre, 0.5 * (whole + whole.swapaxes(0, 1)), mean)
+    alone = logs.argmax(axis=0) == np.arange(len(logs)).reshape(-1, *(1,) * (logs.ndim - 1))
+    return np.where(some[:, None], shares / np.where(some, total, 1.0)[:, None], alone), found
 
 
 def seeded(
@@ -167,8 +189,7 @@ def _losses(logs: Array, mean: Array, cov: Array, angles: Integers) -> Array:
         best = logs.argmax(axis=0)[None, None]
         mean = mean.copy()
         mean[angles] = nearest(mean[angles], np.take_along_axis(mean[angles], best, axis=1))
-    every = np.zeros(logs.shape, dtype=np.intp)
-    whole = merged(logs, every, 1, mean, cov, angles[:0])
+    whole = merged(logs, None, 1, mean, cov, angles[:0])
     centre, spread = whole.mean, np.sqrt(np.einsum("ii...->i...", whole.cov))
     unit = np.where(spread > 0.0, spread, 1.0)
     m = np.moveaxis(components_last((mean - centre) / unit, 1), 0, -2)  # (*batch, members, n)
@@ -260,8 +281,7 @@ def split(
     spread, axes, middle = _principal(into, later[0] - mean, later[1])
     batch: tuple[Integers, ...] = np.indices(owner.shape[1:], sparse=True)
     at = (owner, *(axis[None] for axis in batch))
-    own = owner == np.arange(len(mean)).reshape(-1, *(1,) * owner.ndim)
-    alive = own & (logs > -np.inf)
+    alive = _own(owner, len(mean)) & (logs > -np.inf)
     alone = alive.sum(axis=1) <= 1
     if alone.all():
         return Split(within(logs, owner, len(mean)), later[0][at], later[1][at])
@@ -357,10 +377,8 @@ def _multiplied(
 
 def within(logs: Array, owner: Integers, count: int) -> Array:
     """Log-weights of members, of sum one within each of so many components."""
-    own = owner == np.arange(count).reshape(-1, *(1,) * owner.ndim)
-    sums = log_sum(np.where(own, logs, -np.inf), 1)
-    some = np.where(sums > -np.inf, sums, 0.0)
-    found: Array = logs - np.take_along_axis(some, owner, axis=0)
+    sums = log_sum(np.where(_own(owner, count), logs, -np.inf), 1)
+    found: Array = logs - np.take_along_axis(subtrahend(sums), owner, axis=0)
     return found
 
 

@@ -17,6 +17,9 @@ Axes = int | tuple[int, ...]
 # The logarithm of the smallest number of float64 that has all digits, rounded up.
 _LEAST = -708.0
 
+# The least number of all that are finite.
+_LEAST = float(np.finfo(np.float64).min)
+
 
 @dataclass(frozen=True, eq=False)
 class Semiring:
@@ -70,12 +73,17 @@ def log_sum(values: Array, axis: Axes, out: Array | None = None) -> Array:
 
     They are put into `out` if that is given.
     """
-    top = np.maximum.reduce(values, axis, keepdims=True)
-    top = np.where(top == -np.inf, 0.0, top)
+    top = np.maximum.reduce(values, axis, keepdims=True, initial=_LEAST)
     with np.errstate(divide="ignore", under="ignore"):
         result: Array = np.log(np.add.reduce(np.exp(values - top), axis), out)
     result += top.squeeze(axis)
     return result
+
+
+def subtrahend(logs: Array) -> Array:
+    """Logarithms to be subtracted from others: −∞ is the least number, so that −∞ less it is −∞."""
+    found: Array = np.maximum(logs, _LEAST)
+    return found
 
 
 def exp(logs: Array, out: Array | None = None) -> Array:

@@ -156,8 +156,8 @@ class BackwardChain:
             (flow.mean, flow.cov),
             (components_last(stage.mean, 1), components_last(stage.cov, 2)),
             stage.owner,
-            members.logs,
-            (components_last(members.mean, 1), components_last(members.cov, 2)),
+            stage.logs,
+            (components_last(stage.moved, 1), components_last(members.cov, 2)),
         )
         logs = found.logs + np.take_along_axis(flow.logs, stage.owner, axis=0)
         return Flow(logs, found.mean + components_last(stage.turned, 1), found.cov)

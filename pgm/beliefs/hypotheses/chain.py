@@ -16,6 +16,7 @@ that are merged into components: pairs first, then components with a candidate e
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -158,15 +159,10 @@ class HypothesisChain:
 
     def _mixed(self, step: int, belief: Belief, logs: Array, counts: Counts) -> Pairs:
         """The pairs of one Gaussian and each regime, mixed of all components beforehand."""
-        size, (count, _, runs) = len(belief.mean), logs.shape
-        shape = (count, self.regimes.size, runs)
-        mean = np.broadcast_to(belief.mean[:, :, None], (size, *shape))
-        cov = np.broadcast_to(belief.cov[:, :, :, None], (size, size, *shape))
-        owner = np.zeros(shape, dtype=np.intp)
-        logs, counts = best_of(logs, counts, owner, 1)
-        found = merging.merged(logs, owner, 1, mean, cov, self.angles)
-        turned = mean - found.members
-        before = Mixing(logs, found.members, turned, cov, found.mean, found.cov)
+        mean, cov = belief.mean[:, :, None], belief.cov[:, :, :, None]
+        logs, counts = best_of(logs, counts, None, 1)
+        found = merging.merged(logs, None, 1, mean, cov, self.angles)
+        before = Mixing(logs, mean, found.members, cov, found.mean, found.cov)
         after = self._trials.moved(step, found.mean, found.cov, 1)
         choice = self._trials.moving.of[:1, :, None]
         pairs = Pairs(found.logs, counts, *after, choice, after, before)
@@ -276,11 +272,11 @@ class HypothesisChain:
         """Pairs (K, S, runs) as members of a stage."""
         copies, count, runs = logs.shape
         shape, size = (copies * count, runs), len(mean)
-        regime = np.broadcast_to(np.tile(np.arange(count), copies)[:, None], shape)
+        regime = _numbers(count, copies, runs)
         if isinstance(counts, np.ndarray):
             counts = counts.reshape(shape)
         moments = mean.reshape(size, *shape), cov.reshape(size, size, *shape)
-        return Members(logs.reshape(shape), counts, regime, *moments, count)
+        return Members(logs.reshape(shape), counts, regime, *moments, count, paired=True)
 
     def _between(self, sensor: OpenSensor, step: int, members: Members) -> int:
         """How many components are kept of a step's members before an open sighting."""
@@ -357,14 +353,17 @@ class HypothesisChain:
         With `between`, before an open sighting, they are merged into so many components of one
         regime each, which is then what the belief has for memories.
         """
-        regimes, (logs, counts, regime, mean, cov, _) = self.regimes, members
+        regimes, (logs, counts, regime, mean, cov, *_) = self.regimes, members
         if between is None:
-            count, kinds, kind = self.settings.count, regimes.memories, regimes.memory[regime]
+            count, kinds = self.settings.count, regimes.memories
         else:
-            count, kinds, kind = between, regimes.size, regime
-        if count == kinds and not (between is not None and self._exclusive):
-            owner = kind
-            memory = np.broadcast_to(np.arange(count)[:, None], (count, self.runs))
+            count, kinds = between, regimes.size
+        by_kind = count == kinds and not (between is not None and self._exclusive)
+        if by_kind and members.paired and kinds == regimes.size:
+            return self._of_regimes(members)
+        kind = regimes.memory[regime] if between is None else regime
+        if by_kind:
+            owner, memory = kind, _numbers(count, 1, self.runs)
         else:
             ranked = logs
             if isinstance(counts, np.ndarray) and ((logs > -np.inf).sum(axis=0) > count).any():
@@ -372,15 +371,32 @@ class HypothesisChain:
             owner, memory = merging.seeded(ranked, kind, mean, cov, count, APART, self.angles)
         logs, counts = best_of(logs, counts, owner, count)
         found = merging.merged(logs, owner, count, mean, cov, self.angles)
-        own = members._replace(logs=logs, mean=found.members)
-        stage = Stage(own, mean - found.members, owner, found.mean, found.cov)
+        stage = Stage(members, logs, found.members, owner, found.mean, found.cov)
         return Belief(found.logs, memory, counts, found.mean, found.cov), stage
+
+    def _of_regimes(self, members: Members) -> tuple[Belief, Stage]:
+        """Pairs merged into a component of each regime, and the stage."""
+        count, size, runs = self.regimes.size, self.size, self.runs
+        shape = -1, count, runs
+        counts = members.counts
+        if isinstance(counts, np.ndarray):
+            counts = counts.reshape(shape)
+        logs, counts = best_of(members.logs.reshape(shape), counts, None, 1)
+        mean, cov = members.mean.reshape(size, *shape), members.cov.reshape(size, size, *shape)
+        found = merging.merged(logs, None, 1, mean, cov, self.angles)
+        if isinstance(counts, np.ndarray):
+            counts = counts[0]
+        each = found.mean[:, 0], found.cov[:, :, 0]
+        moved = found.members.reshape(members.mean.shape)
+        stage = Stage(members, logs.reshape(members.logs.shape), moved, members.regime, *each)
+        return Belief(found.logs[0], _numbers(count, 1, runs), counts, *each), stage
 
     def by_regime(self, shares: Array, members: Members) -> Array:
         """The log-probabilities of the regimes, (S, runs), by those of members."""
         count = self.regimes.size
-        if members.copies == count and not self._open:
-            return log_sum(shares.reshape(-1, count, self.runs), 0)
+        if members.paired:
+            each = shares.reshape(-1, count, self.runs)
+            return each[0] if len(each) == 1 else log_sum(each, 0)
         own = members.regime == np.arange(count)[:, None, None]
         return log_sum(np.where(own, shares, -np.inf), 1)
 
@@ -398,7 +414,7 @@ class HypothesisChain:
             each = shares.reshape(-1, copies, self.runs)
             found.append(each.sum(axis=0))
             known, before = each.sum(axis=1), stage.members
-            logs = merging.within(before.logs, stage.owner, len(known))
+            logs = merging.within(stage.logs, stage.owner, len(known))
             shares = np.exp(logs) * np.take_along_axis(known, stage.owner, axis=0)
             copies = before.copies
         for sensor, each in zip(sensors, reversed(found), strict=True):
@@ -432,3 +448,9 @@ class HypothesisChain:
             step=step,
             run=run,
         )
+
+
+@lru_cache(maxsize=64)
+def _numbers(count: int, copies: int, runs: int) -> Integers:
+    """The numbers of the things that each copy has, (copies · count, runs)."""
+    return np.broadcast_to(np.tile(np.arange(count), copies)[:, None], (copies * count, runs))

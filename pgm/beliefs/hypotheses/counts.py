@@ -24,7 +24,9 @@ def leading(logs: Array, counts: Counts, axes: int | tuple[int, ...]) -> Array:
     return np.where(counts == counts.max(axis=axes, keepdims=True), logs, -np.inf)
 
 
-def best_of(logs: Array, counts: Counts, owner: Integers, count: int) -> tuple[Array, Counts]:
+def best_of(
+    logs: Array, counts: Counts, owner: Integers | None, count: int
+) -> tuple[Array, Counts]:
     """The log-weights of the members of the highest count of each component; −∞ of the others.
 
     And the counts of the components, (count, *batch). `owner` is as of `kernels.merging`.
@@ -32,6 +34,9 @@ def best_of(logs: Array, counts: Counts, owner: Integers, count: int) -> tuple[A
     if not isinstance(counts, np.ndarray):
         return logs, counts
     counts = np.where(logs > -np.inf, counts, -1)
+    if owner is None:
+        most = counts.max(axis=0, keepdims=True)
+        return np.where(counts == most, logs, -np.inf), most
     own = owner == np.arange(count).reshape(count, *(1,) * owner.ndim)
     most = np.where(own, counts, -1).max(axis=1)
     return np.where(counts == np.take_along_axis(most, owner, axis=0), logs, -np.inf), most

@@ -14,7 +14,7 @@ import numpy as np
 from pgm.beliefs.hypotheses.counts import Counts, leading
 from pgm.beliefs.moments.steps.readings import Moments
 from pgm.kernels.arrays import Array, Integers
-from pgm.kernels.semirings import log_sum
+from pgm.kernels.semirings import log_sum, subtrahend
 
 
 class Belief(NamedTuple):
@@ -64,24 +64,30 @@ State = Belief | Pairs
 class Mixing(NamedTuple):
     """The components of a step as they were mixed for each regime of the next: (K, S, runs).
 
-    `logs` are the log-weights of the components in each regime; `members` their means, moved to the
-    branch of the mixture, from which `turned` leads back; `cov` their covariances; `mean`
-    (n, 1, S, runs) and `whole` are the moments of the mixtures.
+    `logs` are the log-weights of the components in each regime; `own` their means, and `members`
+    these moved to the branch of the mixture; `cov` their covariances; `mean` (n, 1, S, runs) and
+    `whole` are the moments of the mixtures. What is the same in all regimes is (K, 1, runs).
     """
 
     logs: Array
+    own: Array
     members: Array
-    turned: Array
     cov: Array
     mean: Array
     whole: Array
+
+    @property
+    def turned(self) -> Array:
+        """The whole turns that lead from `members` back to `own`, (n, K, S or 1, runs)."""
+        return self.own - self.members
 
 
 class Members(NamedTuple):
     """The hypotheses of a stage, before they are merged: (members, runs), and moments.
 
     Each is one of so many `copies` of a component before, which vary fastest; of pairs these are
-    regimes, and of sightings alternatives. `regime` is the regime of each.
+    regimes, and of sightings alternatives. `regime` is the regime of each; `paired` says that they
+    are pairs.
     """
 
     logs: Array
@@ -90,26 +96,33 @@ class Members(NamedTuple):
     mean: Array
     cov: Array
     copies: int
+    paired: bool = False
 
     def scaled(self) -> tuple[Members, Array]:
         """The members with log-weights of sum one, and the logarithm of the sum they had."""
         total = log_sum(leading(self.logs, self.counts, 0), 0)
-        return self._replace(logs=self.logs - np.where(total > -np.inf, total, 0.0)), total
+        return self._replace(logs=self.logs - subtrahend(total)), total
 
 
 class Stage(NamedTuple):
     """Members as they were merged into components, for what flows back.
 
-    The members' means are on the branch of their component, from which `turned` (n, members, runs)
-    leads back to their own; and those of lower counts than others of it are dead. `owner` is the
-    component of each, `mean` and `cov` are the components'.
+    Of `logs`, the members' log-weights, those of lower counts than others of their component are
+    −∞; `moved` are their means on its branch. `owner` is the component of each, `mean` and `cov`
+    are the components'.
     """
 
     members: Members
-    turned: Array
+    logs: Array
+    moved: Array
     owner: Integers
     mean: Array
     cov: Array
+
+    @property
+    def turned(self) -> Array:
+        """The whole turns that lead from `moved` back to the members' means, (n, members, runs)."""
+        return self.members.mean - self.moved
 
 
 class Kept(NamedTuple):

@@ -94,7 +94,8 @@ class Regimes:
         self._plan = plan
         self._first = first
         self._slices = TableSlices(plan, _own(bound, model, tables), 1 + first)
-        self._evidence = [_rows_of(bound, v) for _, v in chosen]
+        # Of the observed variables: their states in each regime, how many, and those observed.
+        self._evidence = [(self.states(v), v.size, _rows_of(bound, v)) for _, v in chosen]
 
     def states(self, variable: Variable) -> Integers:
         """The state of a discrete variable in each regime, (size,).
@@ -119,10 +120,10 @@ class Regimes:
     def onward(self, step: int) -> Array:
         """Ln p(regime at a step | memory at the step before), (memories, size, runs or 1)."""
         logs = self._same if self._fixed else self._onward(step)
-        for variable, rows in zip(self._observed_ones, self._evidence, strict=True):
-            own = self.states(variable)[:, None] == rows[step - 1, :, 0]
+        for own_states, size, rows in self._evidence:
+            own = own_states[:, None] == rows[step - 1, :, 0]
             # Each state has the probability 1 / size in the tables, and is known.
-            logs = logs + np.where(own, math.log(variable.size), -np.inf)
+            logs = logs + np.where(own, math.log(size), -np.inf)
         return logs
 
     def given(self, step: int, memory: Integers) -> Array:
@@ -132,7 +133,7 @@ class Regimes:
         """
         onward = self.onward(step)
         if onward.shape[-1] == 1:
-            return np.moveaxis(onward[memory][..., 0], -1, 1)
+            return onward[memory][..., 0].swapaxes(1, 2)
         return np.moveaxis(onward[memory, :, np.arange(memory.shape[-1])], -1, 1)
 
     @property
@@ -158,11 +159,6 @@ class Regimes:
     @property
     def _runs(self) -> int:
         return self._slices.bound.runs
-
-    @property
-    def _observed_ones(self) -> States:
-        hidden = (*self.hidden, _NOTHING)
-        return tuple(v for v in self.variables if v not in hidden)
 
     @cached_property
     def _fixed(self) -> bool:

@@ -161,7 +161,7 @@ class Trials:
         shape = copies, batch.which.size, self.runs
         own = _as_runs(pairs.mean, pairs.cov, batch.which, copies, chain)
         after, density = chain.take(chain.plan.first + local, own, parts)
-        density = np.broadcast_to(density, chain.plan.batch).reshape(shape)
+        density = np.reshape(density, shape)
         after = Moments(after.mean.reshape(size, *shape), after.cov.reshape(size, size, *shape))
         bad = unsound(after, density)
         if bad is not None:
@@ -174,16 +174,9 @@ class Trials:
             after = replaced(after, bad)
         assert chain.certain is not None
         certain = chain.certain.count
-        if np.any(certain):
-            certain = np.broadcast_to(certain, chain.plan.batch).reshape(shape)
-        else:
-            certain = 0
-        return Taken(
-            after.mean,
-            after.cov,
-            density,
-            certain,
-        )
+        if not isinstance(certain, int):
+            certain = np.reshape(certain, shape) if np.any(certain) else 0
+        return Taken(after.mean, after.cov, density, certain)
 
     def settled(self) -> tuple[list[Array], Mask]:
         """The largest moves at each relinearisation, (runs,), and whether a run settled."""

@@ -6,6 +6,8 @@ them, which is impossible, has NaN for its moments or its density, and is given 
 
 from __future__ import annotations
 
+from math import isfinite
+
 import numpy as np
 
 from pgm.beliefs.hypotheses.cases import Given
@@ -19,8 +21,8 @@ def unsound(after: Moments, density: Array | None = None) -> Mask | None:
 
     A log-density of −∞ is one: that of a contradiction.
     """
-    total = after.mean.sum() + after.cov.sum()
-    if np.isfinite(total if density is None else total + density.sum()):
+    total = np.add.reduce(after.mean, None) + np.add.reduce(after.cov, None)
+    if isfinite(total if density is None else total + np.add.reduce(density, None)):
         return None
     bad = ~(np.isfinite(after.mean).all(axis=0) & np.isfinite(after.cov).all(axis=(0, 1)))
     if density is not None:
