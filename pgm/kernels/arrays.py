@@ -79,7 +79,7 @@ def components_last(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
     axes = array.ndim
     if axes == own:
         return array
-    found: npt.NDArray[Kind] = array.transpose(*range(own, axes), *range(own))
+    found: npt.NDArray[Kind] = array.transpose(_turned(axes, own))
     return found
 
 
@@ -91,8 +91,14 @@ def components_first(array: npt.NDArray[Kind], own: int) -> npt.NDArray[Kind]:
     axes = array.ndim
     if axes == own:
         return array
-    found: npt.NDArray[Kind] = array.transpose(*range(axes - own, axes), *range(axes - own))
+    found: npt.NDArray[Kind] = array.transpose(_turned(axes, axes - own))
     return found
+
+
+@lru_cache(maxsize=64)
+def _turned(axes: int, first: int) -> tuple[int, ...]:
+    """The axes of an array whose `first` ones are moved behind the others."""
+    return (*range(first, axes), *range(first))
 
 
 def times(matrix: Array, vector: Array) -> Array:

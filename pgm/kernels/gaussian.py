@@ -59,7 +59,7 @@ _FEW, _SHORT = 54, 2000
 # runs have the bits of the whole.
 _BRIEF, _STACKED = 16, 31
 # And of the fewest each is updated by itself, by lines of Python on floats.
-_FEWEST = 9
+_FEWEST = 12
 
 
 def deviations(cov: Array) -> Array:
@@ -134,8 +134,8 @@ def predict(cov: Array, matrix: Array, noise: Array, bare: tuple[int, ...] = ())
     elif cov.ndim == 2:
         spread = symmetric(step.predict(Dense(cov), Dense(matrix), Dense(noise)).array)
     elif cov.ndim == 3 and cov.shape[-1] <= _STACKED:
-        parts = (Stack(components_last(each, 2)) for each in (cov, matrix, noise))
-        spread = components_first(step.predict(*parts).array, 2)
+        belief, slope, error = (Stack(components_last(each, 2)) for each in (cov, matrix, noise))
+        spread = components_first(step.predict(belief, slope, error).array, 2)
     else:
         with scratch():
             spread = step.predict(Runs(cov, True), Runs(matrix), Runs(noise)).array
@@ -316,11 +316,13 @@ def _update_many(
     """
     found: tuple[Array, Array, Array] | None
     size = len(mean) * len(residual) * (len(mean) + len(residual))
-    few = cov.ndim == 3 and cov.shape[-1] <= _FEWEST
-    if few and _is_small(len(mean), len(residual)):
-        found = _update_each(mean, cov, matrix, residual, noise)
-        if found is not None:
-            return found
+    fewest = cov.ndim == 3 and cov.shape[-1] <= _FEWEST
+    one_by_one = _updating_each(len(mean), len(residual)) if fewest else None
+    if one_by_one is not None:
+        every = one_by_one(mean, cov, matrix, residual, noise)
+        if every is not None:
+            width = len(mean)
+            return every[:width], every[width:-1].reshape(cov.shape), every[-1]
     if size > _BRIEF and cov.ndim == 3 and cov.shape[-1] <= _STACKED:
         return _update_stack(mean, cov, matrix, residual, noise, least)
     few = cov.ndim == 3 and cov.shape[-1] <= _SHORT
@@ -346,26 +348,6 @@ def _update_many(
             after = step.given(before, belief, slope, off, error, root, gain)
         density = _log_density(after, len(residual))
         return after.mean.array[:, 0], after.cov.array, density
-
-
-def _update_each(
-    mean: Array, cov: Array, matrix: Array, residual: Array, noise: Array
-) -> tuple[Array, Array, Array] | None:
-    """The result of `_update_many` by `update_one`, run by run; None where one of them is None."""
-    after, spread = np.empty(mean.shape), np.empty(cov.shape)
-    density = np.empty(mean.shape[1:])
-    for run in range(mean.shape[1]):
-        one = update_one(
-            mean[:, run],
-            cov[..., run],
-            matrix[..., run if matrix.shape[2] > 1 else 0],
-            residual[:, run],
-            noise[..., run if noise.shape[2] > 1 else 0],
-        )
-        if one is None:
-            return None
-        after[:, run], spread[..., run], density[run] = one
-    return after, spread, density
 
 
 def _update_stack(
@@ -424,6 +406,24 @@ def _updating(size: int, height: int) -> Callable[..., Any] | None:
         return [*arrays, _log_density(after, height)], after.share > NEARLY_SINGULAR
 
     return written.function(_shapes(size, height), body)
+
+
+@lru_cache(maxsize=64)
+def _updating_each(size: int, height: int) -> Callable[..., Any] | None:
+    """The function of the means, covariances and log-densities of several runs, one by one.
+
+    Of n components and d measurements they are as rows (n + n² + 1, runs); None where n and d are
+    large.
+    """
+    if not _is_small(size, height):
+        return None
+
+    def body(*moments: Matrix) -> tuple[list[Any], Any]:
+        after = step.update(*moments)
+        numbers = [number for part in (after.mean, after.cov) for row in part.rows for number in row]
+        return [*numbers, _log_density(after, height)], after.share > NEARLY_SINGULAR
+
+    return written.each(_shapes(size, height), body)
 
 
 @lru_cache(maxsize=64)

@@ -15,6 +15,7 @@ from struct import pack
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from pgm.kernels.numbers import Matrix
 
@@ -24,8 +25,6 @@ _ALONG_RUNS = {
     "({} and {})": "(({}) & ({}))",
     "({} or {})": "(({}) | ({}))",
 }
-_OF_FLOATS = {"array": np.ndarray, "pack": pack, "sqrt": sqrt, "log": log, "rint": round}
-_OF_RUNS = {"stack": np.array, "sqrt": np.sqrt, "log": np.log, "rint": np.rint, "where": np.where}
 # From matrices of arguments, what a function returns, and the truth unless which it is None.
 Body = Callable[..., tuple[Sequence[Any], Any]]
 
@@ -129,22 +128,54 @@ def function(
     to be returned, as a tuple if several, and a truth unless which the function returns None. None
     is also returned where a root, a logarithm or a quotient of floats has no value.
     """
-    arguments = [_argument(name, *shape) for name, shape in shapes.items()]
+    arguments, targets = _arguments(shapes)
     found, truth = body(*arguments)
-    lines = []
-    for argument, (name, shape) in zip(arguments, shapes.items(), strict=True):
-        names = [[number.pattern for number in row] for row in argument.rows]
-        places = [_tuple(row) if len(shape) > 1 else row[0] for row in names]
-        lines.append(f"{_tuple(places)} = {name}{'' if along_runs else '.tolist()'}")
+    given = [name if along_runs else f"{name}.tolist()" for name in shapes]
+    lines = [f"{target} = {name}" for target, name in zip(targets, given, strict=True)]
     program = _Program([truth, *found], lines, _ALONG_RUNS if along_runs else {})
     lines.append(f"if not {program.text(truth)}: return None")
     lines.append(f"return {', '.join([program.text(number) for number in found])}")
-    source = f"def function({', '.join(shapes)}):\n try:\n  " + "\n  ".join(lines)
+    return _compiled(shapes, lines, _OF_RUNS if along_runs else _OF_FLOATS)
+
+
+def each(shapes: Mapping[str, tuple[int, ...]], body: Body) -> Callable[..., Any]:
+    """The function of arrays of these shapes in several runs, one after another, in floats.
+
+    The arrays have the runs as a further axis, the last, of length one where all have the same; the
+    first array has all. The body returns numbers; the function an array of them, (numbers, runs),
+    or None where that is returned of any run. See `function`.
+    """
+    arguments, targets = _arguments(shapes)
+    found, truth = body(*arguments)
+    lines: list[str] = []
+    program = _Program([truth, *found], lines, {})
+    lines.append(f"if not {program.text(truth)}: return None")
+    lines.append(f"found += {_tuple([program.text(number) for number in found])}")
+    first, *_ = shapes
+    runs = ", ".join([f"by_run({name}, runs)" for name in shapes])
+    head = [f"runs, found = {first}.shape[-1], []", f"for {_tuple(targets)} in zip({runs}):"]
+    size = len(found)
+    last = f"return array((runs, {size}), float, pack(f'{{runs * {size}}}d', *found)).T"
+    return _compiled(shapes, [*head, *(f" {line}" for line in lines), last], _OF_FLOATS)
+
+
+def _compiled(names: Iterable[str], lines: Iterable[str], scope: dict[str, Any]) -> Any:
+    """The function of these lines, which returns None where a float has no value."""
+    source = f"def function({', '.join(names)}):\n try:\n  " + "\n  ".join(lines)
     source += "\n except (ValueError, ZeroDivisionError):\n  return None"
-    scope: dict[str, Any] = dict(_OF_RUNS if along_runs else _OF_FLOATS)
+    scope = dict(scope)
     exec(source, scope)
-    compiled: Callable[..., Any] = scope["function"]
-    return compiled
+    return scope["function"]
+
+
+def _arguments(shapes: Mapping[str, tuple[int, ...]]) -> tuple[list[Matrix], list[str]]:
+    """The matrices of arguments, and the tuples of names that their lists are assigned to."""
+    arguments = [_argument(name, *shape) for name, shape in shapes.items()]
+    targets = []
+    for argument, shape in zip(arguments, shapes.values(), strict=True):
+        names = [[number.pattern for number in row] for row in argument.rows]
+        targets.append(_tuple([_tuple(row) if len(shape) > 1 else row[0] for row in names]))
+    return arguments, targets
 
 
 def _argument(name: str, height: int, width: int = 1) -> Matrix:
@@ -153,6 +184,24 @@ def _argument(name: str, height: int, width: int = 1) -> Matrix:
 
 def _tuple(texts: Iterable[str]) -> str:
     return f"({''.join(text + ', ' for text in texts)})"
+
+
+def _by_run(array: npt.NDArray[np.float64], runs: int) -> list[Any]:
+    """The numbers of an array (*shape, runs or 1) by run, as lists."""
+    numbers: list[Any] = array.transpose(array.ndim - 1, *range(array.ndim - 1)).tolist()
+    return numbers if len(numbers) == runs else numbers * runs
+
+
+# The names in programs.
+_OF_FLOATS = {
+    "array": np.ndarray,
+    "by_run": _by_run,
+    "pack": pack,
+    "sqrt": sqrt,
+    "log": log,
+    "rint": round,
+}
+_OF_RUNS = {"stack": np.array, "sqrt": np.sqrt, "log": np.log, "rint": np.rint, "where": np.where}
 
 
 class _Program:

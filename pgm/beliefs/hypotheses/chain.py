@@ -90,6 +90,8 @@ class HypothesisChain:
         # Of each memory the choice in each regime; one row where the memory makes no difference.
         of = self._trials.moving.of
         self.by_memory = bool((of != of[:1]).any())
+        # Whether each regime has a choice by itself, in the order of regimes.
+        self._own_choices = np.array_equal(of[0], np.arange(self._trials.moving.count))
         if settings.mix and self.by_memory:
             raise ModelError(
                 "mix=True mixes the Gaussians of all states of the step before, and motions are "
@@ -147,7 +149,8 @@ class HypothesisChain:
             cov = np.broadcast_to(cov, (*cov.shape[:2], *shape))
         elif not self.by_memory:
             choice = of[:1, :, None]
-            mean, cov = mean[:, :, of[0]], cov[:, :, :, of[0]]
+            if not self._own_choices:
+                mean, cov = mean[:, :, of[0]], cov[:, :, :, of[0]]
         else:
             choice = np.moveaxis(of[belief.memory], -1, 1)
             mean = np.take_along_axis(mean, choice[None], axis=2)
@@ -251,9 +254,10 @@ class HypothesisChain:
                 members, more = self._tried(sensor, step, row, known, used).scaled()
                 total = total + more
                 told.append(sensor)
-        if not (total > -np.inf).all():
+        if not total.min() > -np.inf:
             self._refuse(step, total)
-        self._tell(told, stages, members)
+        if stages:
+            self._tell(told, stages, members)
         return stages, members, total
 
     def informed(self, step: int, pairs: Pairs) -> Members:

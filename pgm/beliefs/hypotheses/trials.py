@@ -90,7 +90,7 @@ class Trials:
         found: list[Moments] = []
         for batch in parts:
             chain, local = batch.at(step)
-            own = _as_runs(mean, cov, batch.which, copies, chain)
+            own = _as_runs(mean, cov, batch.which, chain)
             chain.check = check
             moved, batch.used = chain.predict(local, own), True
             chain.check = False
@@ -159,7 +159,7 @@ class Trials:
         batch.used = True
         copies, size = len(pairs.logs), len(pairs.mean)
         shape = copies, batch.which.size, self.runs
-        own = _as_runs(pairs.mean, pairs.cov, batch.which, copies, chain)
+        own = _as_runs(pairs.mean, pairs.cov, batch.which, chain)
         after, density = chain.take(chain.plan.first + local, own, parts)
         density = np.reshape(density, shape)
         after = Moments(after.mean.reshape(size, *shape), after.cov.reshape(size, size, *shape))
@@ -256,14 +256,11 @@ class Trials:
         )
 
 
-def _as_runs(mean: Array, cov: Array, which: Integers, copies: int, chain: MomentChain) -> Moments:
+def _as_runs(mean: Array, cov: Array, which: Integers, chain: MomentChain) -> Moments:
     """Some of the moments (n, copies, choices or 1, runs) as the runs of a batch."""
     size, batch = len(mean), chain.plan.batch
-    runs = mean.shape[-1]
     if mean.shape[2] == 1:
-        shape = copies, which.size, runs
-        mean = np.broadcast_to(mean, (size, *shape))
-        cov = np.broadcast_to(cov, (size, size, *shape))
+        mean, cov = mean.repeat(which.size, 2), cov.repeat(which.size, 3)
     elif mean.shape[2] != which.size:
         mean, cov = mean[:, :, which], cov[:, :, :, which]
     return Moments(mean.reshape(size, *batch), cov.reshape(size, size, *batch))

@@ -6,14 +6,12 @@ them, which is impossible, has NaN for its moments or its density, and is given 
 
 from __future__ import annotations
 
-from math import isfinite
-
 import numpy as np
 
 from pgm.beliefs.hypotheses.cases import Given
 from pgm.beliefs.moments.steps.readings import Moments
 from pgm.errors import NumericalError
-from pgm.kernels.arrays import Array, Mask
+from pgm.kernels.arrays import Array, Mask, is_finite
 
 
 def unsound(after: Moments, density: Array | None = None) -> Mask | None:
@@ -21,8 +19,7 @@ def unsound(after: Moments, density: Array | None = None) -> Mask | None:
 
     A log-density of −∞ is one: that of a contradiction.
     """
-    total = np.add.reduce(after.mean, None) + np.add.reduce(after.cov, None)
-    if isfinite(total if density is None else total + np.add.reduce(density, None)):
+    if all(map(is_finite, after if density is None else (*after, density))):
         return None
     bad = ~(np.isfinite(after.mean).all(axis=0) & np.isfinite(after.cov).all(axis=(0, 1)))
     if density is not None:

@@ -159,9 +159,10 @@ def _absorb(
     least_share = least or NEGLIGIBLE
     found = gaussian.update(mean, cov, matrix, residual, noise, exact=exact, least=least_share)
     density = found.log_density
-    finite = isfinite(density) if isinstance(density, float) else np.isfinite(density.sum())
-    if not finite and certain is None:  # else it is asked for hypotheses that have a probability
-        refusals.indefinite(parts, step)
+    if certain is None:  # else it is asked for hypotheses that have a probability
+        finite = isfinite(density) if isinstance(density, float) else np.isfinite(density.sum())
+        if not finite:
+            refusals.indefinite(parts, step)
     if least == NEARLY_SINGULAR and not found.regular:
         return None
     if found.left is not None:
