@@ -5,9 +5,9 @@ covariance of its residual z − H m. A component of a prediction F x + b + w, w
 *bare* if w is zero in it, so that the component is that of F x + b.
 
 The arithmetic is that of `step`; each function chooses the fastest kind of matrices: for one small
-Gaussian, and for updates of up to some thousand small ones, lines of Python for their size
-(`written`); for a larger one LAPACK, for a batch rows of runs (`dense`). Where S is nearly
-singular, all updates are left to `moments`, which tells singular covariances from rounding.
+Gaussian, and for updates of a dozen or up to some thousand small ones, lines of Python for their
+size (`written`); for a larger one, or a few, LAPACK, for a batch rows of runs (`dense`). Where S is
+nearly singular, all updates are left to `moments`, which tells singular covariances from rounding.
 """
 
 from __future__ import annotations
@@ -420,7 +420,9 @@ def _updating_each(size: int, height: int) -> Callable[..., Any] | None:
 
     def body(*moments: Matrix) -> tuple[list[Any], Any]:
         after = step.update(*moments)
-        numbers = [number for part in (after.mean, after.cov) for row in part.rows for number in row]
+        numbers = [
+            number for part in (after.mean, after.cov) for row in part.rows for number in row
+        ]
         return [*numbers, _log_density(after, height)], after.share > NEARLY_SINGULAR
 
     return written.each(_shapes(size, height), body)

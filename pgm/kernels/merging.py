@@ -67,10 +67,10 @@ def merged(
 
     `logs` (members, *batch) are log-weights, and v_a the weights within a component; `mean`
     (n, members, *batch) and `cov` (n, n, members, *batch), whose batch may be of length one;
-    `angles` are the numbers of the n components that are angles. Of a dead component the moments
-    are those of the likeliest member of all.
+    `angles` are the numbers of the n components that are angles. A dead component has the mean of
+    the likeliest member of all, and a covariance no narrower.
     """
-    if owner is None and len(logs) == 1:
+    if owner is None and len(logs) == 1 and mean.shape[1:] == logs.shape:
         return Merged(logs, mean, cov, mean)
     parts = logs[None] if owner is None else np.where(_own(owner, count), logs, -np.inf)
     top = np.maximum.reduce(parts, 1)

@@ -159,13 +159,16 @@ def each(shapes: Mapping[str, tuple[int, ...]], body: Body) -> Callable[..., Any
     return _compiled(shapes, [*head, *(f" {line}" for line in lines), last], _OF_FLOATS)
 
 
-def _compiled(names: Iterable[str], lines: Iterable[str], scope: dict[str, Any]) -> Any:
+def _compiled(
+    names: Iterable[str], lines: Iterable[str], scope: Mapping[str, Any]
+) -> Callable[..., Any]:
     """The function of these lines, which returns None where a float has no value."""
     source = f"def function({', '.join(names)}):\n try:\n  " + "\n  ".join(lines)
     source += "\n except (ValueError, ZeroDivisionError):\n  return None"
-    scope = dict(scope)
-    exec(source, scope)
-    return scope["function"]
+    own = dict(scope)
+    exec(source, own)
+    compiled: Callable[..., Any] = own["function"]
+    return compiled
 
 
 def _arguments(shapes: Mapping[str, tuple[int, ...]]) -> tuple[list[Matrix], list[str]]:

@@ -13,7 +13,7 @@ from tests.dense import random_covariance
 SMALL = [(1, 1), (1, 4), (2, 1), (2, 2), (3, 1), (3, 2), (3, 3), (4, 2), (5, 1)]
 LARGE = [(7, 3), (2, 9), (6, 4), (1, 12)]
 sizes = pytest.mark.parametrize(("size", "height"), SMALL + LARGE)
-batches = pytest.mark.parametrize("batch", [(), (1,), (5,), (40,)], ids=repr)
+batches = pytest.mark.parametrize("batch", [(), (1,), (5,), (20,), (40,)], ids=repr)
 F = np.vectorize(Fraction, otypes=[object])
 
 

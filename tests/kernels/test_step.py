@@ -524,6 +524,30 @@ def test_lines_of_what_is_not_definite_return_nothing():
     assert read(np.zeros((2, 2))) is None
 
 
+def test_lines_run_by_run():
+    """Of runs that have one argument in common; none where one of them has no root."""
+
+    def body(a, b):
+        root = a.root()
+        return [*[row[0] for row in root.solve(b).rows], root.volume], root.share > 1e-6
+
+    found = written.each({"a": (2, 2), "b": (2,)}, body)
+    rng = np.random.default_rng(0)
+    factor, b = rng.normal(size=(3, 2, 2)), rng.normal(size=(2, 3))
+    a = np.moveaxis(factor @ factor.swapaxes(1, 2) + np.eye(2), 0, -1)
+    for shared in (b, b[:, :1]):
+        many = found(a, shared)
+        assert many.shape == (3, 3)
+        for run in range(3):
+            lower = np.linalg.cholesky(a[..., run])
+            due = np.linalg.solve(lower, shared[:, min(run, shared.shape[1] - 1)])
+            np.testing.assert_allclose(many[:2, run], due, atol=1e-14)
+            np.testing.assert_allclose(many[2, run], np.log(np.diag(lower)).sum(), atol=1e-14)
+    for bad in (-np.eye(2), np.ones((2, 2)) + 1e-9 * np.eye(2)):
+        a[..., 1] = bad
+        assert found(a, b) is None
+
+
 def test_one_matrix_for_runs_along_two_axes():
     rng = np.random.default_rng(0)
     many, one = rng.normal(size=(3, 2, 4, 5)), rng.normal(size=(3, 2))
