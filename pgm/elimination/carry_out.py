@@ -91,14 +91,15 @@ class Calibrated(Generic[F]):
     def back(self) -> Iterator[tuple[Step, F, F | None]]:
         """Each step, from the last one to the first, with its joint, and that of what it leaves.
 
-        The latter is None of a root, whose result no step takes.
+        The latter is None of a root, whose result no step takes. This is done once: each product
+        is let go of, since all of them take as much memory as all joints.
         """
         algebra, steps, first = self.algebra, self.plan.steps, len(self.plan.scopes)
         # Of each step whose result was taken, the joint of what it leaves.
         waiting: dict[int, F] = {}
         for number in range(len(steps) - 1, -1, -1):
             step, outside = steps[number], waiting.pop(number, None)
-            joint = algebra.joint(step, self.products[number], self.totals[number], outside)
+            joint = algebra.joint(step, self.products.pop(), self.totals.pop(), outside)
             for factor in step.factors:
                 if factor >= first:
                     child = factor - first
