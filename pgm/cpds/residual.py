@@ -171,7 +171,7 @@ def _value(of: str, given: Scope, value: Any) -> Array:
     """A value of a factor's function, (d,), checked."""
     array = as_floats(value, f"{of}: value", variable=given[0])
     found = np.array(array[None] if array.ndim == 0 else array)
-    if found.ndim > 1:
+    if found.ndim > 1 or not found.size:
         raise ModelError(
             f"{of}: value has shape {found.shape}; a factor has one, (d,), and many factors are a "
             "plate, pgm.plate(factor, over, value=...)",

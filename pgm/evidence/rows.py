@@ -199,6 +199,12 @@ def as_log_weights(variable: Discrete, value: Soft, where: Place = in_run) -> Ar
     bad = ~(np.isfinite(array) & (value.log | (array >= 0.0)) | (array == zero))
     if bad.any():
         raise EvidenceError(f"{what}: {wrong}{where(bad.any(axis=-1))}", variable=variable)
+    if value.log and (np.abs(array[array > -np.inf]) > LARGEST).any():
+        raise EvidenceError(
+            f"{what}: log-weights of more than {LARGEST:g}, beside which float64 has no digits for "
+            "any other number; take a common part off",
+            variable=variable,
+        )
     empty = (array == zero).all(axis=-1)
     if empty.any():
         raise EvidenceError(
@@ -210,6 +216,8 @@ def as_log_weights(variable: Discrete, value: Soft, where: Place = in_run) -> Ar
     return array if value.log else LOG_SUM_PRODUCT.entries(array)
 
 
+# The largest log-weight, whatever its sign.
+LARGEST = 1e100
 WRONG = "weights that are negative, NaN or infinite"
 
 

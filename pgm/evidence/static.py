@@ -224,7 +224,8 @@ def scaled(weights: Array) -> tuple[Array, Array]:
     """
     top: Array = weights.max(axis=-1)
     top = np.where(top == -np.inf, 0.0, top)
-    return weights - top[..., None], top
+    with np.errstate(over="ignore"):  # a weight next to nothing beside the largest
+        return weights - top[..., None], top
 
 
 def _of_dynamic(variable: Discrete, value: Sightings | Constant) -> EvidenceError:

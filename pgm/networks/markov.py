@@ -106,6 +106,7 @@ class MarkovNetwork(Drawn, Immutable):
                     variable=variable,
                 )
         discrete = _of_one_kind(found)
+        found = tuple(factor if factor.scope else _number(factor, discrete) for factor in found)
         self._set(factors=found, variables=variables, discrete=discrete, mixed=False)
 
     @cached_property
@@ -272,6 +273,18 @@ def _of_one_kind(factors: Iterable[Factor]) -> bool:
             "variables choose CPDs (pgm.SwitchingCPD)"
         )
     return True in kinds
+
+
+def _number(factor: Factor, discrete: bool) -> Factor:
+    """A factor over nothing, a table or a form as all other factors are."""
+    if discrete and isinstance(factor, CanonicalForm):
+        return Table((), 1.0, factor.g)
+    if discrete or not isinstance(factor, Table):
+        return factor
+    level = float(factor.log_values)
+    if level == -np.inf:
+        raise ModelError("a factor over no variable is zero, and so is the product of all factors")
+    return CanonicalForm((), np.zeros((0, 0)), np.zeros(0), level)
 
 
 def product(factors: Sequence[Factor]) -> str:

@@ -368,6 +368,8 @@ def test_a_chain_of_hypotheses():
         ([[0, 0, 0], [-np.inf] * 3], r"all −∞ \(first in run 1\), which is impossible"),
         ([-900.0, -901.0], r"shape \(2,\); the last axis"),
         ({"0": -900.0}, "the weights are a mapping"),
+        ([0.0, -1e101, 1.0], r"log-weights of more than 1e\+100, beside which"),
+        ([0.0, 1e308, -np.inf], r"log-weights of more than 1e\+100"),
     ],
 )
 def test_malformed_log_weights_are_refused(weights, words):

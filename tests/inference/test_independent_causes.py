@@ -482,3 +482,28 @@ def test_pictures_and_pages(tmp_path):
     file = tmp_path / "page.html"
     pgm.view(pgm.infer(graph, {Y: "yes"}), file)
     assert file.stat().st_size
+
+
+@pytest.mark.parametrize("combine", [np.maximum, np.bitwise_xor])
+def test_assignments_agree_with_what_is_observed(combine):
+    """Parts of all assignments that the evidence excludes have no assignment at all."""
+    causes = [Discrete(f"c{k}", 2) for k in range(5)]
+    child = Discrete("y", 2)
+    cpds = [TableCPD(v, table=[0.7, 0.3]) for v in causes]
+    cpd = CausalIndependence(child, causes, [np.eye(2)] * 5, combine=combine)
+    found = pgm.most_probable(pgm.compile(pgm.BayesianNetwork([*cpds, cpd])), {child: 1}, count=99)
+    twin = pgm.compile(pgm.BayesianNetwork(as_tables([*cpds, cpd])))
+    expected = pgm.most_probable(twin, {child: 1}, count=99)
+    assert_allclose(found.log_probability, expected.log_probability, atol=1e-12)
+    assert (found.assignment[child] == 1).all()
+
+
+def test_questions_that_would_maximise_over_what_causes_amount_to():
+    net, found, _ = findings(1)
+    graph = pgm.compile(net)
+    with pytest.raises(GraphError, match=r"no max-marginals for NoisyOr\(f0.* not summed"):
+        pgm.max_marginals(graph, {})
+    with pytest.raises(GraphError, match="no max-product by a schedule for NoisyOr"):
+        pgm.most_probable(graph, {}, schedule=pgm.Flooding())
+    with pytest.raises(GraphError, match="there is no sensitivity for NoisyOr"):
+        pgm.sensitivity(net, {MANY[0]: "yes"}, {found[0]: "yes"})

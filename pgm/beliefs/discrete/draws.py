@@ -62,7 +62,7 @@ def draws(
 
     reading = beliefs.read_each if isinstance(beliefs, TreeBeliefs) else beliefs.read
     found = reading(read)
-    found = found.reshape(variables, most, count, -1).astype(np.intp)
+    found = found.reshape(variables, most, count, runs).astype(np.intp)
     own = found[:, 0] if which is None else found[:, ranks(which), :, which].transpose(1, 2, 0)
     return dict(zip(storage.homes, own, strict=True))
 

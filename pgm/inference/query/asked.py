@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pgm.errors import EvidenceError
+from pgm.clustergraph import ClusterGraph
+from pgm.cpds.causal_independence import CausalIndependence
+from pgm.errors import EvidenceError, GraphError
 
 
 def require_mapping(evidence: Any, what: str = "evidence") -> None:
@@ -16,3 +18,17 @@ def require_mapping(evidence: Any, what: str = "evidence") -> None:
             f"{what} maps variables to states; found {type(evidence).__name__}"
             f"{records if what == 'evidence' else ''}"
         )
+
+
+def require_whole_tables(graph: ClusterGraph, what: str, why: str) -> None:
+    """Raise a GraphError if CPDs of independent causes are in factors, over intermediate variables.
+
+    `what` begins the error's text, and `why` tells how the answer would be wrong.
+    """
+    if graph._factorised is graph.network:
+        return
+    cpd = next(f for f in graph.network.factors if isinstance(f, CausalIndependence))
+    raise GraphError(
+        f"{what} for {cpd!r}, whose causes are combined one after another: {why}. Where its table "
+        f"fits, pgm.TableCPD({cpd.child!r}, given=..., table=cpd.table) is the same CPD"
+    )

@@ -126,7 +126,7 @@ class _Question:
         logs = [given(k)[..., 0] for k in range(len(plan.scopes))]
         best = Search(Problem(plan.scopes, logs, plan.sizes, self.plan.maximised)).found()
         if best is None:
-            return np.zeros((len(self.wanted), 1), dtype=np.intp), 0.0
+            return self._in_turn({}, evidence), 0.0  # the evidence is impossible
         states = {self.plan.order[x]: np.array([own]) for x, own in best.states.items()}
         return self._in_turn(states, evidence), best.bound - best.level
 

@@ -29,7 +29,7 @@ from pgm.factors import Table
 from pgm.factors.axes import discrete
 from pgm.factors.scope import namesake
 from pgm.immutable import Immutable
-from pgm.inference.query.asked import require_mapping
+from pgm.inference.query.asked import require_mapping, require_whole_tables
 from pgm.inference.query.log_tables import table_of
 from pgm.kernels.arrays import Array, frozen
 from pgm.kernels.semirings import MAX_PRODUCT
@@ -260,3 +260,8 @@ def _require_tables(graph: ClusterGraph) -> None:
             f"{titled(graph)} has loops, and max_marginals is for trees; compile a junction tree, "
             "pgm.compile(network)"
         )
+    require_whole_tables(
+        graph,
+        "there are no max-marginals",
+        "what they amount to would be maximised over, not summed; pgm.most_probable sums",
+    )

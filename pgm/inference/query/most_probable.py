@@ -36,7 +36,7 @@ from pgm.evidence.static import BoundStates, bind_discrete
 from pgm.factors.axes import States, discrete
 from pgm.factors.scope import namesake
 from pgm.immutable import Immutable
-from pgm.inference.query.asked import require_mapping
+from pgm.inference.query.asked import require_mapping, require_whole_tables
 from pgm.inference.query.k_best import likeliest
 from pgm.inference.query.marginal_map import marginal_map
 from pgm.inference.query.maximising import Search, in_parts, maxima
@@ -345,6 +345,11 @@ def most_probable(
             "pgm.infer(...), and mixtures have posterior[x].modes()"
         )
     if schedule is not None:
+        require_whole_tables(
+            graph,
+            "there is no max-product by a schedule",
+            "what they amount to would be maximised over, not summed; leave the schedule out",
+        )
         bound = bind_discrete(frozenset(graph.network.variables), evidence)
         with reporting(progress):
             return _max_product(graph, bound, schedule)

@@ -36,7 +36,7 @@ from pgm.evidence.static import BoundStates, bind_discrete
 from pgm.factors.axes import discrete
 from pgm.factors.scope import namesake
 from pgm.immutable import Immutable
-from pgm.inference.query.asked import require_mapping
+from pgm.inference.query.asked import require_mapping, require_whole_tables
 from pgm.inference.query.elimination import NOTHING
 from pgm.kernels.arrays import Array, frozen
 from pgm.kernels.semirings import exp, log_sum
@@ -136,7 +136,8 @@ class Sensitivity(Shown, Immutable):
                 f"to {values.max():g}",
                 cpd=self.cpd,
             )
-        share = np.minimum(share, 1.0)
+        # A column whose sum is one but for rounding is taken whole by an entry of one.
+        share = np.where(values == 1.0, 1.0, np.minimum(share, 1.0))
         event, given = (
             (1.0 - share) * low + share * high
             for low, high in zip(self._first, self._last, strict=True)
@@ -548,4 +549,8 @@ def _tree(network: Any) -> ClusterGraph:
             f"sensitivity is for networks of tables, and this one is {asked._kind}; of continuous "
             "variables, compare posteriors of networks with other numbers"
         )
-    return graph if graph is not None and graph.is_tree else compile(asked)
+    tree = graph if graph is not None and graph.is_tree else compile(asked)
+    require_whole_tables(
+        tree, "there is no sensitivity", "its table's entries stand in none of the tree's factors"
+    )
+    return tree

@@ -19,7 +19,9 @@ def changed(net, cpd, at, theta):
     column, state = table[at[:-1]], at[-1]
     total, left = column.sum(), np.delete(column, state)
     others = left / left.sum() if left.sum() else np.full(left.size, 1.0 / left.size)
-    table[at[:-1]] = np.insert(others * max(total - theta, 0.0), state, theta)
+    # Where the sum is one but for rounding, an entry of one leaves nothing.
+    rest = total - theta if theta < min(total, 1.0) else 0.0
+    table[at[:-1]] = np.insert(others * rest, state, theta)
     new = pgm.TableCPD(cpd.child, cpd.given, table=table)
     return pgm.BayesianNetwork([new if c is cpd else c for c in net.cpds])
 
