@@ -30,6 +30,9 @@ from pgm.kernels.arrays import (
 )
 
 Canonical = tuple[Array, Array, Array]
+# Of forms that are flat along directions: information along one, in units in which each component's
+# own is one, that is none, and the part in such a direction of a component that has moments.
+FLAT, LOOSE = 1e-10, 1e-6
 
 
 def strict_root(matrix: Array) -> Array:
@@ -235,6 +238,23 @@ def squares(precision: Array, h: Array) -> Squares | None:
         (along @ slope) * unit,
         max(rounding, below) / float(values[some].min(initial=np.inf)),
     )
+
+
+def determined_moments(precision: Array, h: Array) -> tuple[Array, Array, Mask]:
+    """The moments of forms K (..., n, n), h (..., n, m) that may be flat along directions.
+
+    Returns means (..., n, m), covariances (..., n, n), and a mask (..., n) of the components that a
+    flat direction has a part in, which have no moments: their numbers are as if the flat directions
+    were known. Directions are flat as of `squares`, but for 10⁻¹⁰ in place of roundings.
+    """
+    own = np.diagonal(precision, axis1=-2, axis2=-1)
+    unit = np.where(own > 0.0, np.sqrt(own), 1.0)
+    values, axes = np.linalg.eigh(precision / unit[..., :, None] / unit[..., None, :])
+    flat = values <= FLAT
+    loose = (np.where(flat[..., None, :], axes, 0.0) ** 2).sum(axis=-1) > LOOSE**2
+    root = axes * np.where(flat, 0.0, 1.0 / np.sqrt(np.where(flat, 1.0, values)))[..., None, :]
+    root = root / unit[..., None]
+    return root @ (transpose(root) @ h), root @ transpose(root), loose
 
 
 def _backward_indefinite(

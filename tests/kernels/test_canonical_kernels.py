@@ -152,3 +152,21 @@ def test_batches_are_their_singles(lead):
         for part in range(3):
             assert_allclose(combined[part][k], one[part], atol=1e-8)
             assert_allclose(back[part][k], one_back[part], atol=1e-8)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_moments_of_forms_with_flat_directions(seed):
+    """Where x_2 and x_3 are known by their difference alone, x_0 and x_1 have their moments."""
+    rng = np.random.default_rng(seed)
+    rows = np.zeros((2, 4, 4))
+    rows[:, :3, :2] = rng.normal(size=(2, 3, 2))
+    rows[:, 3, 2:] = 1e4, -1e4
+    units = np.array([1.0, 1e5, 1.0, 1.0])
+    precision = rows.mT @ rows * units[:, None] * units
+    h = rng.normal(size=(2, 4, 3)) * units[:, None]
+    h[:, 2:] = [[1.0], [-1.0]]
+    mean, cov, loose = canonical.determined_moments(precision, h)
+    assert loose.tolist() == [[False, False, True, True]] * 2
+    due = np.linalg.inv(precision[:, :2, :2])
+    np.testing.assert_allclose(cov[:, :2, :2], due, rtol=1e-8)
+    np.testing.assert_allclose(mean[:, :2], due @ h[:, :2], rtol=1e-8)

@@ -391,7 +391,8 @@ SOLUTIONS = listed(
     {"kernels/merging.py": "_losses _principal _whitening"},
     # Information: canonical forms, rows of square roots, elements of a scan.
     {"kernels/canonical.py": "_backward_indefinite _invertible_root _split backward combine"},
-    {"kernels/canonical.py": "from_affine from_moments marginalise squares to_moments"},
+    {"kernels/canonical.py": "determined_moments from_affine from_moments marginalise"},
+    {"kernels/canonical.py": "squares to_moments"},
     {"kernels/rows.py": "_eliminate_proper _svd triangular"},
     {"kernels/elements.py": "_meet compose moved"},
     {"beliefs/gaussian/potentials.py": "_factor", "beliefs/gaussian/joints.py": "_gain"},

@@ -235,11 +235,6 @@ def test_what_is_refused():
         with pytest.raises(pgm.ModelError, match=words):
             pgm.infer(pgm.compile(pgm.MarkovNetwork([form, proper])), {})
     network = pgm.MarkovNetwork([proper])
-    posterior = pgm.infer(pgm.compile(network), {})
-    with pytest.raises(pgm.ModelError, match="of a MarkovNetwork there are none"):
-        pgm.audit(posterior, rng=0)
-    with pytest.raises(pgm.ModelError, match="starts= are points that the CPDs"):
-        pgm.infer(pgm.compile(network), {}, belief=pgm.Gaussians(2, starts=4))
     with pytest.raises(pgm.EvidenceError, match="which the network does not have"):
         pgm.infer(pgm.compile(network), {B: 1.0})
     state = pgm.Discrete("state", 2)

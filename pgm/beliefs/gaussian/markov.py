@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from pgm.beliefs.gaussian.model import Model
 from pgm.beliefs.gaussian.outcome import GaussianOutcome
 from pgm.beliefs.gaussian.reweighting import weights_shown
-from pgm.beliefs.gaussian.run import run
+from pgm.beliefs.gaussian.run import linearised, run
 from pgm.beliefs.gaussian.undirected import Directed, directed, side
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.cpds import NonlinearGaussianFactor
@@ -20,6 +21,7 @@ from pgm.cpds.conditional import ConditionalGaussian
 from pgm.errors import NumericalError
 from pgm.evidence import Evidence
 from pgm.evidence.rows import no_evidence_for
+from pgm.evidence.static import BoundValues
 from pgm.factors import CanonicalForm
 from pgm.kernels.arrays import Array, frozen
 from pgm.linearisers import Lineariser
@@ -44,24 +46,53 @@ def run_factors(
     schedule: Schedule | None,
     lineariser: Lineariser,
     start: Start | None = None,
+    *,
+    values: Mapping[Variable, Array] | None = None,
+    warn: bool = True,
 ) -> GaussianOutcome:
-    """The posterior of a continuous network of any factors; of CPDs alone as by `run`."""
+    """The posterior of a continuous network of any factors; of CPDs alone as by `run`.
+
+    `values` are those of the residuals where they have axes of runs, (*runs, d), as a start without
+    evidence asks for. `warn` is False where the caller warns of few digits.
+    """
     if isinstance(graph.network, BayesianNetwork):
-        return run(graph, evidence, schedule, lineariser, start)
+        return run(graph, evidence, schedule, lineariser, start, warn=warn)
+    made, known = _measured(graph, evidence)
+    known |= values or {}
+    with naming_factors():
+        found = run(made.graph, known, schedule, lineariser, start, warn=False)
+    status = found.status
+    if made.lost > 10.0**-ENOUGH_DIGITS:
+        status = status._losing(np.full(status.converged.size, made.lost), NEARLY_FLAT)
+    if warn:
+        status._warn()
+    own = {field.name: getattr(found, field.name) for field in fields(found)}
+    return MarkovOutcome(**(own | {"graph": graph, "status": status}), _made=made)
+
+
+def linearised_factors(
+    graph: ClusterGraph, evidence: Evidence, schedule: Schedule, lineariser: Lineariser
+) -> tuple[Model, BoundValues, float]:
+    """A network of any factors linearised where it begins, with its evidence; nothing is solved.
+
+    The last result is the logarithm of its density less that of the model.
+    """
+    if isinstance(graph.network, BayesianNetwork):
+        return *linearised(graph, evidence, schedule, lineariser), 0.0
+    made, known = _measured(graph, evidence)
+    with naming_factors():
+        model, bound = linearised(made.graph, known, schedule, lineariser)
+    return model, bound, float(made.levels.sum())
+
+
+def _measured(graph: ClusterGraph, evidence: Evidence) -> tuple[Directed, dict[Variable, Any]]:
+    """A Markov network with measurements in the place of its factors, and the evidence of both."""
     made = graph.derived(directed)
     known = graph.network._places
     for variable in evidence:
         if variable not in known:
             raise no_evidence_for(variable, known)
-    with naming_factors():
-        values = {**evidence, **made.values}
-        found = run(made.graph, values, schedule, lineariser, start, warn=False)
-    status = found.status
-    if made.lost > 10.0**-ENOUGH_DIGITS:
-        status = status._losing(np.full(status.converged.size, made.lost), NEARLY_FLAT)
-    status._warn()
-    own = {field.name: getattr(found, field.name) for field in fields(found)}
-    return MarkovOutcome(**(own | {"graph": graph, "status": status}), _made=made)
+    return made, {**evidence, **made.values}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -76,9 +107,13 @@ class MarkovOutcome(GaussianOutcome):
         return self._made.levels
 
     @property
+    def _level(self) -> float:
+        return float(self._levels.sum())
+
+    @property
     def log_evidence(self) -> Array:
         """The value ln Z, (...), of all factors with the evidence put in."""
-        value = np.asarray(super().log_evidence + self._levels.sum())
+        value = np.asarray(super().log_evidence + self._level)
         if not np.isfinite(value).all():
             raise NumericalError(
                 "ln Z is beyond the range of float64: a factor is more than 1e150 deviations from "

@@ -69,6 +69,11 @@ class GaussianOutcome(Outcome[Gaussian]):
     def _hidden(self) -> Scope:
         return self._model.layout.hidden
 
+    @property
+    def _level(self) -> float:
+        """The logarithm of the network's density less that of its `_model`."""
+        return 0.0
+
     def entered(self, run: int) -> dict[Variable, Array]:
         """The values that were given, by variable, (d,) each."""
         found = dict[Variable, Array]()

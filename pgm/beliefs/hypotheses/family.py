@@ -66,8 +66,10 @@ class Gaussians(BeliefFamily[Any]):
         fixed points that are more than half a deviation apart, whole turns of angles aside, are the
         modes of the posterior, weighed by their evidence: one call of as many runs. So it is of a
         network without time, by `infer`, where starts are points that its CPDs make of white noise,
-        and iterations those of a `Calibration`. Of a filter the number of narrower Gaussians that
-        its prior is cut into, which are merged into `count` from the first step on.
+        and iterations those of a `Calibration`. Where variables have no prior of finite variance,
+        as in a `MarkovNetwork`, points are of the Gaussian that its affine factors make together,
+        and a `ModelError` names what these leave open. Of a filter the number of narrower Gaussians
+        that its prior is cut into, which are merged into `count` from the first step on.
     draws : int
         With `starts`, the number of draws of all hidden variables in each run, by which the modes'
         weights and moments are adapted, in three rounds; 0 is none. Draws are of the modes'

@@ -1,6 +1,7 @@
 """Several modes of the posterior of a network without time: calibrations from many starts.
 
-A start is a point of the prior: white noise, turned by the CPDs into values of all variables.
+A start is a point of the prior: white noise, turned by the CPDs into values of all variables. Where
+there is no prior of finite variance, as of a Markov network, the linear part takes its place.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from pgm.beliefs.gaussian.model import Model
 from pgm.beliefs.gaussian.outcome import GaussianOutcome
 from pgm.beliefs.modes.adapted import Laws, adapt, warn_of_few, without_density
 from pgm.beliefs.modes.arrivals import arrived, chosen, patient, warn_of_unsettled
+from pgm.beliefs.modes.linear_part import LinearPart, linear_part
 from pgm.beliefs.modes.network_density import NetworkDensity
 from pgm.beliefs.modes.outcome import Found, NetworkModes
 from pgm.beliefs.modes.points import white_points
@@ -21,12 +23,13 @@ from pgm.beliefs.moments.trajectories.density import has_exact
 from pgm.beliefs.moments.trajectories.model import Proposing, Weighed
 from pgm.beliefs.moments.trajectories.proposal import Path, Proposal
 from pgm.clustergraph import ClusterGraph
+from pgm.cpds.base import naming_factors
 from pgm.errors import EvidenceError, GraphError, ModelError
 from pgm.evidence import Evidence
 from pgm.evidence.static import BoundValues
 from pgm.factors import Gaussian
-from pgm.factors.scope import Scope, angle_mask, as_scope
-from pgm.kernels.arrays import Array, Index, Integers
+from pgm.factors.scope import Scope, angle_mask, as_scope, listed
+from pgm.kernels.arrays import Array, Index, Integers, deviation
 from pgm.kernels.moments import Conditional
 from pgm.networks import BayesianNetwork
 from pgm.schedules.convergence import is_iterated
@@ -47,33 +50,25 @@ def run(
             f"{call.schedule!r} sends messages round loops, and starts= weighs modes by their "
             "evidence, which a tree has: compile a junction tree, pgm.compile(network)"
         )
-    if not isinstance(graph.network, BayesianNetwork):
-        raise ModelError(
-            "starts= are points that the CPDs of a Bayesian network make of white noise, and a "
-            "MarkovNetwork has none; infer it from several points, start={variable: mean}"
-        )
-    for cpd in graph.network.cpds:
-        cpd.require_proper("starts= are points of the prior")
     if graph.network.lead:
         raise ModelError(
             "starts= are runs beside the evidence's own, and a CPD of this network differs by run: "
             "give one run a call"
         )
     schedule = patient(call, Calibration)
-    if not evidence:
+    if not evidence and isinstance(graph.network, BayesianNetwork):
         raise EvidenceError(
             "starts= looks for modes that evidence leaves, and there is none: give some, or leave "
             "starts out"
         )
-    model, bound = gaussian.linearised(graph, evidence, schedule, call.lineariser)
+    model, bound, level = gaussian.linearised_factors(graph, evidence, schedule, call.lineariser)
     hidden, lead = model.layout.hidden, model.lead
     if not hidden:
         raise EvidenceError(
             "starts= looks for modes of hidden variables, and all are observed: leave starts out"
         )
-    begun = NetworkDensity.make(model, relative=False).drawn(
-        white_points(starts, model.layout.size)
-    )
+    base = _base(model)
+    begun = _density(model, base, level, near=True).drawn(white_points(starts, model.layout.size))
 
     def infer(some: Integers) -> GaussianOutcome:
         """The calibrations from some starts."""
@@ -84,13 +79,46 @@ def run(
             for variable in hidden
         }
         own = _repeated(bound, some.size)
-        return gaussian.run(graph, own, schedule, call.lineariser, start, warn=False)
+        asked = {v: own.pop(v) for v in evidence}
+        return gaussian.run_factors(
+            graph, asked, schedule, call.lineariser, start, values=own, warn=False
+        )
 
     parts = arrived(infer, starts)
     found = chosen(parts, hidden, lead, 0, count)
     if not is_iterated(call.schedule):  # which warns itself
         warn_of_unsettled(found, schedule.iterations)
-    return NetworkModes(graph, _adapted(graph, found, model, draws) if draws else found)
+    if draws:
+        with naming_factors():
+            target = AllVariables(model, _density(model, base, level, near=False))
+            found = _adapted(graph, found, target, model, draws)
+    return NetworkModes(graph, found)
+
+
+def _base(model: Model) -> LinearPart | None:
+    """The law of variables without a prior of finite variance; None if all have one.
+
+    A ModelError if affine factors leave some open.
+    """
+    density = NetworkDensity.make(model, relative=False, near=False)
+    if not density.open.size:
+        return None
+    centre = model.frame.mean
+    part = linear_part(model, density.open, density.unturned(centre), centre)
+    if part.open:
+        raise ModelError(
+            "starts= are points of a prior of finite variance, or of the law that affine factors "
+            f"with Gaussian noise make together, and neither bounds {listed(part.open)}: give "
+            "a wide GaussianCPD or CanonicalForm of it; or infer from several points, "
+            "start={variable: mean}, and compare log_evidence",
+            variable=part.open[0],
+        )
+    return part
+
+
+def _density(model: Model, base: LinearPart | None, level: float, *, near: bool) -> NetworkDensity:
+    density = NetworkDensity.make(model, relative=False, near=near, level=level)
+    return density if base is None else density.based(base.mean, base.cov)
 
 
 def _repeated(bound: BoundValues, count: int) -> dict[Variable, Array]:
@@ -105,16 +133,18 @@ def _repeated(bound: BoundValues, count: int) -> dict[Variable, Array]:
     return found
 
 
-def _adapted(graph: ClusterGraph, found: Found, model: Model, draws: int) -> Found:
+def _adapted(
+    graph: ClusterGraph, found: Found, target: AllVariables, model: Model, draws: int
+) -> Found:
     """The modes adapted by weighed draws."""
-    scope = model.layout.hidden
-    target, lead = AllVariables(model), np.shape(found.log_evidence)
+    scope, lead = model.layout.hidden, np.shape(found.log_evidence)
     joint = NetworkModes(graph, found).joint(*scope).components
     size = joint.mean.shape[-1]
     count, runs = found.weights.shape
     mean = np.moveaxis(joint.mean, -2, 0).reshape(count, 1, runs, size)
     cov = np.moveaxis(joint.cov, -3, 0).reshape(count, 1, runs, size, size)
     none = np.zeros((count, 0, runs, size)), np.zeros((count, 0, runs, size, size))
+    target.about(mean[:, 0], deviation(cov[:, 0]))
     adapted = adapt(target, Laws(found.weights, mean, cov, *none), draws)
     warn_of_few(adapted.effective, draws)
     laws = adapted.laws
@@ -160,15 +190,20 @@ class AllVariables:
 
     before = 0
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: Model, density: NetworkDensity) -> None:
         every = zip(model.layout.groups, model.families, strict=True)
         if has_exact(family for group, family in every if group.observed):
             raise without_density()
-        self._density = NetworkDensity.make(model, relative=False, near=False)
+        self._density = density
         self._free = self._density.free((model.runs, model.layout.size))
         self.states: Index = slice(None)
         self.turned = np.zeros(model.layout.size, dtype=bool)
         self.angles = angle_mask(model.layout.hidden)
+
+    def about(self, means: Array, stds: Array) -> None:
+        """Take one turn of angles without turns about modes, (K, runs, n) each."""
+        places = np.flatnonzero(self._density.unturned(means[0]))
+        self._density = self._density.turning(places, means[..., places], stds[..., places])
 
     def path(self, laws: Laws, k: int) -> Path:
         """The law of a mode, as it is drawn from."""

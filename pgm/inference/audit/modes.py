@@ -10,7 +10,7 @@ network without time. n is the number of the components of all slices together.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -40,12 +40,15 @@ class Modes:
         have the mode.
     missed : ndarray
         (runs,): the part of the fixed points' evidence that belongs to modes not drawn from; NaN
-        where no smoother arrived, not even from the answer itself.
+        where no smoother arrived, not even from the answer itself, or there was nowhere to start.
+    reason : str
+        Why it is NaN.
     """
 
     paths: Sequence[Path]
     shares: Array
     missed: Array
+    reason: str = "no smoother arrived at one"
 
     @classmethod
     def none(cls, runs: int) -> Modes:
@@ -56,6 +59,10 @@ class Modes:
     def unknown(cls, runs: int) -> Modes:
         """The `Modes` of runs in which the search has failed: none to draw from, `missed` NaN."""
         return cls((), np.zeros((0, runs)), np.full(runs, np.nan))
+
+    def unsearched(self, reason: str) -> Modes:
+        """The modes that were found, where others were not looked for, for the reason given."""
+        return replace(self, missed=np.full(len(self.missed), np.nan), reason=reason)
 
     @classmethod
     def made(cls, laws: Iterable[tuple[Callable[[], Path], Array]], missed: Array) -> Modes:

@@ -115,7 +115,8 @@ class Audit(Shown, Immutable):
     trusted : ndarray of bool
         (...): whether ten draws or more are effective, the tail of their weights allows estimates,
         and no more than a hundredth is `missed`. Where it is False, nothing follows from `suspect`
-        being False. A mode that no start has led to is not known of: see `audit`.
+        being False. It is so where other modes were not looked for, `missed` being NaN. A mode that
+        no start has led to is not known of: see `audit`.
     pareto_k : ndarray
         (...): the shape of the tail of the weights p/r at the Gaussian's draws. Below 0.5 their
         variance is finite; above about 0.7 neither the standard error nor the effective sample
@@ -129,7 +130,8 @@ class Audit(Shown, Immutable):
     missed : ndarray
         (...): the part of the evidence of all modes found, by Laplace's method, that belongs to
         modes not drawn from: beyond the likeliest eight, or beside a sensor without noise. NaN
-        where no smoother arrived, so that others may be there.
+        where no smoother arrived, or of a Markov network no affine factors say where to start, so
+        that others may be there.
     log_weights : ndarray
         (..., S): ln w of the Gaussian's own draws.
     innovations : mapping of Variable to InnovationCheck
@@ -175,6 +177,7 @@ class Audit(Shown, Immutable):
     log_weights: Array
     innovations: Mapping[Variable, InnovationCheck]
     _furthest: tuple[float, str]
+    _unknown: str
 
     def __init__(
         self,
@@ -218,6 +221,7 @@ class Audit(Shown, Immutable):
                 {v: each.divergences(lead) for v, each in alone.items()}
             ),
             innovations=MappingProxyType(dict(innovations)),
+            _unknown=modes.reason,
             _furthest=max((each.furthest(lead) for each in compared), default=(0.0, "")),
         )
 
@@ -290,7 +294,7 @@ class Audit(Shown, Immutable):
         if missed > MISSED:
             told.append(f"modes with {missed:.2g} of the mass were found, and not drawn from")
         if np.isnan(self.missed).any():
-            told.append("whether there are other modes is not known: no smoother arrived at one")
+            told.append(f"whether there are other modes is not known: {self._unknown}")
         return told
 
     def _gaps(self) -> list[str]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from pgm.arguments import public
 from pgm.boundary import as_generator, is_whole
+from pgm.cpds.base import naming_factors
 from pgm.errors import ModelError
 from pgm.inference.audit.batches import estimate
 from pgm.inference.audit.chain import ChainDraws
@@ -15,7 +16,6 @@ from pgm.inference.audit.innovation_checks import checks
 from pgm.inference.audit.result import Audit
 from pgm.inference.audit.switching import SwitchingDraws
 from pgm.inference.audit.tree import TreeDraws
-from pgm.networks import BayesianNetwork
 from pgm.posteriors.outcome import (
     BALANCED,
     CHAIN,
@@ -74,6 +74,13 @@ def audit(
     from one another, half of d's draws come from the Gaussians there. The masses of modes need not
     be known for this: all draws are weighed by the exact density.
 
+    Of a network without time starts are points of the prior. Where variables have none of finite
+    variance, as in a `MarkovNetwork` those that no CPD explains, the Gaussian that all affine
+    factors with Gaussian noise make together takes its place: of canonical forms, linear CPDs, and
+    residuals of affine functions. Where that is not proper, nothing tells where other modes could
+    be. Draws are then from the answer and from one with four times its deviations, `missed` is NaN,
+    and the audit is not `trusted`.
+
     The other draws of d leave q for one excursion: from some slice on and for some slices they
     follow the model's own CPDs, or q's conditionals, with Student's t₅ for the noise in either
     case. In a network without time they are all from the prior, or from q, with Student's t₅. The
@@ -92,6 +99,10 @@ def audit(
     are drawn exactly, and the divergences are those of paths. With nonlinear CPDs trajectories are
     drawn from the smoother of the path, and weighed by the exact density. Sightings that leave open
     of which candidate they are, and robust noise, are refused.
+
+    Of a Markov network p(x, z) is the product of its factors with their constants, and its integral
+    is Z. An angle that wrapped residuals alone tell of is a point of the circle: the integral is
+    over one turn.
 
     Residuals of measurements of angles are wrapped, and an angle that a function wraps is taken on
     the branch of the linearisation, so that wrapping it or not gives the same.
@@ -145,17 +156,12 @@ def audit(
     if outcome is None or outcome.form not in _DRAWS:
         raise ModelError(_advice(posterior))
     graph = outcome.graph
-    if outcome.form == NETWORK and not isinstance(graph.network, BayesianNetwork):
-        raise ModelError(
-            "an audit draws by the CPDs of a Bayesian network, parents before children, and weighs "
-            "with its priors; of a MarkovNetwork there are none"
-        )
-    for cpd in graph.network.cpds if outcome.form == NETWORK else graph.model.prior:
+    for cpd in () if outcome.form == NETWORK else graph.model.prior:
         cpd.require_proper("an audit draws from the posterior, and weighs with the prior")
-    draws: ChainDraws | TreeDraws | SwitchingDraws = _DRAWS[outcome.form].make(outcome)
     known = posterior.log_evidence
     require_runs(8 * samples, known.size, "the weights of an audit")
-    with reporting(progress):
+    with naming_factors(), reporting(progress):
+        draws: ChainDraws | TreeDraws | SwitchingDraws = _DRAWS[outcome.form].make(outcome)
         mixture, compared = estimate(draws, known.size, samples, generator)
     seen = {} if outcome.form in (NETWORK, SWITCHING) else checks(posterior.innovations)
     return Audit(mixture, known, compared, seen, draws.modes)

@@ -8,6 +8,10 @@ A component is *free* if it has noise given its parents; any other component is 
 parents and the free ones. Where an observed CPD has no noise, or the posterior no density,
 densities are *relative*: each CPD's density is divided by that of the linearised CPD. n is the
 number of components of all hidden variables, S the number of draws of a run.
+
+Variables may be *open*, without a prior of finite variance, as in Markov networks. The linear part
+of the network takes the place of their prior, where it is proper. Else draws are from the answer,
+WIDER times as wide, and whether there are other modes is not known.
 """
 
 from __future__ import annotations
@@ -17,17 +21,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.beliefs.gaussian.outcome import GaussianOutcome
+from pgm.beliefs.modes.linear_part import linear_part
 from pgm.beliefs.modes.network_density import NetworkDensity
 from pgm.beliefs.moments.trajectories.density import has_exact
 from pgm.beliefs.moments.trajectories.proposal import Path, Proposal
 from pgm.errors import GraphError
+from pgm.factors.scope import Scope, listed
 from pgm.inference.audit import tree_modes
 from pgm.inference.audit.corrected import Sums
 from pgm.inference.audit.draws import Draws, Strand
 from pgm.inference.audit.excursions import PREDICTED, Excursions
 from pgm.inference.audit.modes import MOST, Modes
-from pgm.kernels.arrays import Array, block
+from pgm.kernels.arrays import Array, Mask, block
 from pgm.kernels.moments import Conditional
+
+# How many times the answer's deviations are drawn from where the linear part is not proper.
+WIDER = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +97,9 @@ class TreeDraws:
         if layout.size:
             joint = posterior.joint(*layout.hidden)
             mean, cov = joint.mean.reshape(runs, -1), joint.cov.reshape(runs, *joint.cov.shape[-2:])
-        density = NetworkDensity.make(model, relative=relative)
+        density = NetworkDensity.make(model, relative=relative, level=posterior._level)
+        unturned = np.zeros(layout.size, dtype=bool) if relative else density.unturned(mean)
+        density, left = _based(density, unturned, mean, cov)
         free = density.free(mean.shape)
 
         def path(mean: Array, cov: Array) -> Path:
@@ -102,6 +113,18 @@ class TreeDraws:
         if relative or answer.regular:
             most = 0 if relative else MOST
             modes = tree_modes.find(posterior._plan, density, (mean, cov), path, most)
+        if left and not model.settled:
+            modes = modes.unsearched(
+                "there was nowhere to look from, as no prior or affine factor bounds "
+                f"{listed(left)}"
+            )
+        if unturned.any():
+            laws = [path.first for path in (answer, *modes.paths)]
+            places = np.flatnonzero(unturned)
+            centres = np.stack([law.offset[0][:, places] for law in laws])
+            roots = np.stack([law.lower[0][:, places] for law in laws])
+            widths = np.sqrt((roots * roots).sum(axis=-1))
+            density = density.turning(places, centres, widths)
         return cls(answer, modes, density, known, relative, mean[None], cov[None])
 
     @property
@@ -143,3 +166,21 @@ class TreeDraws:
         found = self.density.at(proposed, afresh, strict=not defensive)
         strand.weigh(nothing, found.values, found.log_tails)
         return strand.drawn(self.reference[:, None] + found.log_density, [found.values])
+
+
+def _based(
+    density: NetworkDensity, unturned: Mask, mean: Array, cov: Array
+) -> tuple[NetworkDensity, Scope]:
+    """The density with a base of its open variables, and those that its linear part leaves open.
+
+    `unturned` (n,) marks angles of which the density knows no turns; `mean` (runs, n) and `cov`
+    (runs, n, n) are the answer's.
+    """
+    places = density.open
+    if not places.size:
+        return density, ()
+    part = linear_part(density.model, places, unturned, mean)
+    if part.open:
+        wide = WIDER**2 * block(cov, places, places)
+        return density.based(mean[:, places], wide), part.open
+    return density.based(part.mean, part.cov), ()

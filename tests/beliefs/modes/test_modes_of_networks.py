@@ -193,7 +193,7 @@ def test_refusals():
     refused(pgm.ModelError, "start= is not for mixtures", network, seen, start={A: [1.0]})
     refused(pgm.GraphError, "round loops", network, seen, schedule=pgm.Flooding())
     flat = pgm.BayesianNetwork([pgm.GaussianCPD(A, 0.0, np.inf), square])
-    refused(pgm.ModelError, "infinite variance", flat, seen)
+    refused(pgm.ModelError, "prior of finite variance, or .* and neither bounds a:", flat, seen)
     by_run = pgm.BayesianNetwork([pgm.GaussianCPD(A, np.zeros((3, 1)), 1.0), square])
     refused(pgm.ModelError, "differs by run", by_run, seen)
     exact = pgm.LinearGaussianCPD(C, {A: 1.0}, cov=0.0)

@@ -74,8 +74,9 @@ class Term:
         value, and residuals of angles that are read are wrapped.
     linearised: The root of the linearised CPD's noise, (rows, runs, d, d). None if densities are
         not relative, and for an affine CPD, whose relative density is one.
-    taken: The mask of the components of a sensor's readings that were measured, (rows, runs or 1,
-        d); None if all were. The other components are given unit variance, and count for nothing.
+    taken: The mask of the components of a sensor's readings that were measured, or of a prior those
+        of finite variance, (rows, runs or 1, d); None if all are. The other components are given
+        unit variance, and count for nothing.
     """
 
     family: Family
@@ -152,7 +153,8 @@ class Term:
             proposed = nearest_branch(proposed, value, self.family.cpd.child.angle_mask)
         if afresh is not None:
             proposed = self._redrawn(value, own, proposed, afresh)
-        white = self._white(row, proposed - value)
+        # A component of infinite variance has the density (2π)^(−1/2) wherever it is.
+        white = self._white(row, self._read(row, proposed - value))
         log_density = normal_density.log_density(own, white)
         free = self.free()
         if not free.all():
@@ -214,7 +216,9 @@ class Term:
             )
             log_density = self._relative(rows, parents, moved[..., None, :], log_density)
         if self.taken is not None and not self.relative and self.family.cpd.noise is None:
-            missing = (~self.taken[rows]).sum(axis=-1)
+            # One of infinite variance has the density (2π)^(−1/2), as beliefs of networks have it.
+            proper: Mask = np.isfinite(np.diagonal(self.family.own_noise, axis1=-2, axis2=-1))
+            missing = (_at(proper, rows) & ~self.taken[rows]).sum(axis=-1)
             log_density = log_density + 0.5 * LOG_2PI * missing[..., None]
         log_density = np.where(lost, np.nan, log_density) if lost.any() else log_density
         total: Array = log_density.sum(axis=0)
@@ -246,11 +250,11 @@ class Term:
         return normal_density.whitener(self.own)
 
     def _read(self, rows: int | slice, residual: Array) -> Array:
-        """The residuals (..., S, d), set to zero in components that were not measured."""
+        """The residuals (..., S, d), set to zero in components that do not enter."""
         return residual if self.taken is None else np.where(self._seen(rows), residual, 0.0)
 
     def _seen(self, rows: int | slice) -> Mask | np.bool_:
-        """The mask of the components measured in `rows`, (..., 1, d); True if all were."""
+        """The mask of the components that enter in `rows`, (..., 1, d); True if all do."""
         return np.True_ if self.taken is None else self.taken[rows][..., None, :]
 
     def _relative(self, rows: int | slice, parents: Array, child: Array, own: Array) -> Array:
