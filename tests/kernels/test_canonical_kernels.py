@@ -168,5 +168,5 @@ def test_moments_of_forms_with_flat_directions(seed):
     mean, cov, loose = canonical.determined_moments(precision, h)
     assert loose.tolist() == [[False, False, True, True]] * 2
     due = np.linalg.inv(precision[:, :2, :2])
-    np.testing.assert_allclose(cov[:, :2, :2], due, rtol=1e-8)
-    np.testing.assert_allclose(mean[:, :2], due @ h[:, :2], rtol=1e-8)
+    assert_allclose(cov[:, :2, :2], due, rtol=1e-8)
+    assert_allclose(mean[:, :2], due @ h[:, :2], rtol=1e-8)

@@ -294,3 +294,29 @@ def test_refusals_name_the_factor():
     loopy = pgm.infer(pgm.compile(ring, method=pgm.Bethe()), {}, schedule=pgm.Flooding(100))
     with pytest.raises(pgm.GraphError, match="which only a calibrated tree has"):
         pgm.audit(loopy, rng=0)
+
+
+@pytest.mark.parametrize("cov", [0.01, 0.0], ids=["noise", "none"])
+def test_cpds_below_an_open_variable_are_drawn_from_it(cov):
+    """A form of a, b its square, but for noise or exactly, and a residual of b."""
+    network = pgm.MarkovNetwork(
+        [
+            pgm.CanonicalForm(A, [[1.0]], [0.3], 1.0),
+            pgm.NonlinearGaussianCPD(B, A, lambda a: a**2, cov=cov),
+            pgm.NonlinearGaussianFactor(B, np.sin, 0.1, value=0.8),
+        ]
+    )
+    a, b = np.linspace(-5.0, 5.0, 2001), np.linspace(-1.0, 18.0, 3801)
+    logs = -0.5 * a**2 + 0.3 * a + 1.0
+    if cov:
+        logs = logs[:, None] + normal(b - a[:, None] ** 2, cov) + normal(np.sin(b) - 0.8, 0.1)
+        total, (mean, _) = integral(logs, a, b)
+    else:
+        total, (mean,) = integral(logs + normal(np.sin(a**2) - 0.8, 0.1), a)
+    once = pgm.Calibration(50, damping=0.3)
+    posterior = pgm.infer(pgm.compile(network), {}, schedule=once, start={A: [0.9], B: [0.8]})
+    told(pgm.audit(posterior, samples=20_000, rng=0), total, {A: mean})
+    drawn = pgm.infer(
+        pgm.compile(network), {}, belief=pgm.Gaussians(8, starts=16, draws=20_000), schedule=once
+    )
+    assert drawn.log_evidence == pytest.approx(total, abs=0.03)
