@@ -221,7 +221,7 @@ def test_robust_residuals_that_contradict_one_another():
     total, (mean,) = integral(logs, axis)
     weak = pgm.CanonicalForm(A, [[0.01]], [0.0])
     told(audited(pgm.MarkovNetwork([*said, weak]), samples=8000), total, {A: mean})
-    # Noise with tails bounds nothing.
+    # Their tails are no Gaussian to look from.
     assert np.isnan(audited(pgm.MarkovNetwork(said)).missed)
 
 
