@@ -11,6 +11,7 @@ import typer
 import pgm
 from experiments.record import note
 from pgm import results
+from pgm.io.networks.uai_writers import TASKS
 
 
 def uai(
@@ -25,6 +26,11 @@ def uai(
     out: Annotated[Path | None, typer.Option(help="Where it goes; printed, if not.")] = None,
 ) -> None:
     """Answer a problem in a UAI file exactly, by a junction tree."""
+    if task not in TASKS:
+        raise typer.BadParameter(f"the task is one of {', '.join(TASKS)}, not {task!r}")
+    wanted = query or file.with_name(f"{file.name}.query")
+    if task == "MMAP" and not wanted.exists():
+        raise typer.BadParameter(f"no question in {wanted}; name its file, --query FILE")
     network = pgm.read_uai(file)
     beside = file.with_name(f"{file.name}.evid")
     given = evidence or (beside if beside.exists() else None)
@@ -35,8 +41,14 @@ def uai(
     if task == "MAP":
         answer = pgm.most_probable(graph, known)
     elif task == "MMAP":
-        asked = pgm.read_uai_query(query or file.with_name(f"{file.name}.query"), network)
+        asked = pgm.read_uai_query(wanted, network)
         answer = pgm.most_probable(graph, known, variables=asked)
+        if not answer.exact:
+            typer.echo(
+                f"the search was given up: ln p is {answer.log_probability:.6g} of this, and at "
+                f"most {answer.bound:.6g}",
+                err=True,
+            )
     else:
         answer = pgm.infer(graph, known)
     text = io.StringIO()
