@@ -30,14 +30,11 @@ from pgm.inference.growing import Association, CliqueTree, GrowingMap, Growth
 from pgm.inference.online import OnlineFilter
 from pgm.inference.prepared import Prepared, prepare
 from pgm.inference.query import query
+from pgm.inference.query.assignments import MostProbable
 from pgm.inference.query.max_marginals import MaxMarginals, max_marginals
-from pgm.inference.query.most_probable import MostProbable, most_probable
-from pgm.inference.query.sensitivity import (
-    SensitiveEntry,
-    Sensitivities,
-    Sensitivity,
-    sensitivity,
-)
+from pgm.inference.query.most_probable import most_probable
+from pgm.inference.query.sensitivities import SensitiveEntry, Sensitivities, Sensitivity
+from pgm.inference.query.sensitivity import sensitivity
 from pgm.posteriors.associations import Associations
 from pgm.posteriors.belief_kind import Kind
 from pgm.posteriors.figures import Threshold

@@ -6,14 +6,12 @@ The work itself is in `maximising`, and round loops in `pgm.beliefs.discrete.loo
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable
 from itertools import islice
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pgm.arguments import public
 from pgm.beliefs.discrete.decoding import decoded
@@ -29,23 +27,19 @@ from pgm.beliefs.markov.run import require_beliefs
 from pgm.boundary import is_whole
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
-from pgm.display import LEFT_OUT, Listing, Shown, Summary, few, titled
+from pgm.display import titled
 from pgm.errors import EvidenceError, GraphError, ModelError
 from pgm.evidence import Evidence
 from pgm.evidence.static import BoundStates, bind_discrete
 from pgm.factors.axes import States, discrete
-from pgm.factors.scope import namesake
-from pgm.immutable import Immutable
 from pgm.inference.query.asked import require_mapping, require_whole_tables
+from pgm.inference.query.assignments import MostProbable, best, known, named
 from pgm.inference.query.k_best import likeliest
 from pgm.inference.query.marginal_map import marginal_map
 from pgm.inference.query.maximising import Search, in_parts, maxima
 from pgm.inference.query.question import wanted
-from pgm.kernels.arrays import Array, Integers, Mask, frozen
+from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.kernels.semirings import MAX_PRODUCT
-from pgm.posteriors.posterior import require_variable
-from pgm.posteriors.status import Status
-from pgm.posteriors.summaries import spread
 from pgm.progress import Progress, reporting
 from pgm.schedules.binding import bind_chain
 from pgm.schedules.convergence import tell_of_messages
@@ -61,128 +55,6 @@ if TYPE_CHECKING:
 
 # How many paths of modes are kept at each step, if nothing else is asked for.
 PATHS_KEPT = 256
-# How many variables a repr lists.
-LISTED = 10
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class MostProbable(Shown, Immutable):
-    """The most probable assignment of discrete variables, given evidence.
-
-    Attributes
-    ----------
-    assignment : mapping of Discrete
-        The name of each variable's state, also of variables with evidence; or, if some variables
-        were asked for, of those, in their order. Where the evidence has axes of runs, the indices
-        of the states, (*runs), whose names `states` gives. For a dynamic network of steps 0 to T,
-        the indices of each hidden variable's states by step, (*runs, T+1); for a control, which has
-        no step 0, (*runs, T).
-    log_probability : ndarray
-        (*runs): ln p(assignment, evidence), natural logarithms.
-    exact : ndarray of bool
-        (*runs): whether it is known that no other assignment is more probable. It is not known of a
-        path of modes where others were left out, or CPDs linearised, nor of messages round loops,
-        nor of some variables whose search was given up.
-    bound : ndarray
-        (*runs): no assignment's ln p is above that, which is `log_probability` itself, but for
-        rounding, where `exact`. Infinity where nothing is known, of paths of modes and messages
-        round loops.
-    status : Status or None
-        Of max-product by a schedule, how many rounds were sent, whether each run converged to a
-        fixed point, and the residuals, as of `infer`; else None.
-
-    Examples
-    --------
-    >>> from pgm.examples import rain, still, wet
-    >>> graph = pgm.compile(still, steps=2)
-    >>> found = pgm.most_probable(graph, {wet: [1, 1]})
-    >>> found.assignment[rain]
-    array([1, 1, 1])
-    >>> found.states(rain).tolist()
-    ['yes', 'yes', 'yes']
-    """
-
-    assignment: Mapping[Discrete, str | Integers]
-    log_probability: Array
-    exact: Mask
-    bound: Array
-    status: Status | None = None
-
-    def states(self, variable: Variable) -> str | npt.NDArray[np.str_]:
-        """The name of a variable's most probable state.
-
-        Parameters
-        ----------
-        variable : Discrete
-
-        Returns
-        -------
-        str or ndarray of str
-            The name; an array of names where `assignment` has an array of indices, in its shape.
-
-        Raises
-        ------
-        EvidenceError
-            If the assignment does not have the variable.
-        """
-        if not isinstance(variable, Discrete) or variable not in self.assignment:
-            require_variable(variable)
-            raise EvidenceError(
-                f"{variable!r} is not in the assignment; its variables are {list(self.assignment)}"
-                f"{namesake(variable, self.assignment)}",
-                variable=variable,
-            )
-        found = self.assignment[variable]
-        return found if isinstance(found, str) else np.array(variable.states)[found]
-
-    @property
-    def _title(self) -> str:
-        lead = self.log_probability.shape
-        if lead:
-            count = len(self.assignment)
-            return f"MostProbable({count} variable{'s' * (count != 1)}, runs {lead}{self._vouched})"
-        if self._over_time:
-            steps = max(np.shape(state)[-1] for state in self.assignment.values())
-            return (
-                f"MostProbable({len(self.assignment)} variables over {steps} steps; "
-                f"ln p {self.log_probability:.6g})"
-            )
-        shown = [f"{v!r} {state}" for v, state in list(self.assignment.items())[:LISTED]]
-        if len(self.assignment) > LISTED:
-            shown.append(f"... {len(self.assignment)} variables")
-        level = f"ln p {self.log_probability:.6g}{self._vouched}"
-        return f"MostProbable({', '.join(shown)}; {level})"
-
-    @property
-    def _vouched(self) -> str:
-        """What is known of an assignment that may not be the most probable one, in words."""
-        if self.exact.all():
-            return ""
-        if self.status is None:
-            return f", at most {self.bound.max():.6g}"
-        settled = "settled" if self.status.converged.all() else "not settled"
-        return f"; messages {settled}, no optimum is vouched for"
-
-    @property
-    def _over_time(self) -> bool:
-        """Whether any state is an array of indices: over steps, or over the user's axes of runs."""
-        return any(not isinstance(state, str) for state in self.assignment.values())
-
-    def _summary(self) -> Summary:
-        lead = self.log_probability.shape
-        if not self._over_time or not self.log_probability.size:
-            return Summary(self._title)
-        rows = []
-        for variable, found in list(self.assignment.items())[:LISTED]:
-            path = np.asarray(found)[(0,) * len(lead)]
-            shown = few(path.size, LISTED)
-            names = [LEFT_OUT if k is None else variable.states[int(path.flat[k])] for k in shown]
-            rows.append((repr(variable), ", ".join(names)))
-        parts: list[str | Listing] = [Listing(("", "run 0" * bool(lead)), rows, names=2, cell=80)]
-        if lead:
-            parts.append(f"ln p {spread(self.log_probability)}")
-        left = len(self.assignment) - len(rows)
-        return Summary(self._title, parts + [f"... {left} more"] * (left > 0))
 
 
 @public
@@ -375,7 +247,7 @@ def most_probable(
         )
     if count is not None:
         with reporting(progress):
-            return _k_best(graph, asked, bound, count, room, summed=summed)
+            return _kbest(graph, asked, bound, count, room, summed=summed)
     if summed:
         with reporting(progress):
             return _marginal_map(graph, asked, bound, distinct, room)
@@ -391,7 +263,7 @@ def most_probable(
     states.flags.writeable = False
     require_possible(plan, bound, log_tops)
     log_probability = frozen(log_tops.sum(axis=0).reshape(bound.lead))
-    return _best(_assignment(plan, bound, states), log_probability)
+    return best(_assignment(plan, bound, states), log_probability)
 
 
 def _require_schedule(graph: ClusterGraph, schedule: Any, others: list[str]) -> None:
@@ -428,9 +300,9 @@ def _max_product(graph: ClusterGraph, bound: BoundStates, schedule: Loopy) -> Mo
     exact = messages.settled() & graph.is_tree
     by_variable = {v: states[v] for v in discrete(graph.network.variables)}
     found = MostProbable(
-        MappingProxyType(_named(by_variable, bound.lead)),
+        MappingProxyType(named(by_variable, bound.lead)),
         frozen(log_probability.reshape(bound.lead)),
-        _known(exact.reshape(bound.lead)),
+        known(exact.reshape(bound.lead)),
         frozen(np.where(exact, log_probability, np.inf).reshape(bound.lead)),
         status,
     )
@@ -455,14 +327,14 @@ def _marginal_map(
         states, levels, missing = states[:, which], levels[which], missing[which]
     levels, missing = levels.reshape(bound.lead), missing.reshape(bound.lead)
     return MostProbable(
-        MappingProxyType(_named(dict(zip(asked, states, strict=True)), bound.lead)),
+        MappingProxyType(named(dict(zip(asked, states, strict=True)), bound.lead)),
         frozen(levels),
-        _known(np.asarray(missing == 0.0)),
+        known(np.asarray(missing == 0.0)),
         frozen(np.asarray(levels + missing)),
     )
 
 
-def _k_best(
+def _kbest(
     graph: ClusterGraph, asked: States, bound: BoundStates, count: int, room: Room, *, summed: bool
 ) -> MostProbable:
     """The most probable assignments, along an axis; `summed`, as of a marginal MAP."""
@@ -496,9 +368,9 @@ def _k_best(
     states = dict(zip(asked, np.stack([own for own, _ in best], axis=1), strict=True))
     levels = np.array([level for _, level in best])
     return MostProbable(
-        MappingProxyType(_named(states, levels.shape)),
+        MappingProxyType(named(states, levels.shape)),
         frozen(levels),
-        _known(np.array(exact)),
+        known(np.array(exact)),
         frozen(np.where(exact, levels, np.inf)),
     )
 
@@ -528,19 +400,7 @@ def _most_probable_path(graph: DynamicGraph, evidence: Evidence) -> MostProbable
     for v, own in zip(plan.slice, path, strict=True):
         own.flags.writeable = False
         assignment[v] = own[:, 0 if v in plan.states else 1 :].reshape(*bound.lead, -1)
-    return _best(assignment, frozen(np.array(log_probability).reshape(bound.lead)))
-
-
-def _best(assignment: dict[Discrete, str | Integers], log_probability: Array) -> MostProbable:
-    """Assignments that are known to be the most probable ones."""
-    exact = _known(np.ones(log_probability.shape, dtype=bool))
-    return MostProbable(MappingProxyType(assignment), log_probability, exact, log_probability)
-
-
-def _known(exact: Mask) -> Mask:
-    """Whether assignments are the most probable ones, as a result has it."""
-    exact.flags.writeable = False
-    return exact
+    return best(assignment, frozen(np.array(log_probability).reshape(bound.lead)))
 
 
 def _count(paths: int | None) -> int:
@@ -562,7 +422,7 @@ def _most_probable_modes(graph: DynamicGraph, evidence: Evidence, count: int) ->
         path = own[:, 0 if variable in graph.layout.states else 1 :]
         assignment[variable] = path.reshape(*bound.lead, -1)
     log_probability = frozen(np.array(found.log_probability).reshape(bound.lead))
-    exact = _known(found.exact.reshape(bound.lead))
+    exact = known(found.exact.reshape(bound.lead))
     at_most = frozen(np.where(exact, log_probability, np.inf))
     return MostProbable(MappingProxyType(assignment), log_probability, exact, at_most)
 
@@ -578,19 +438,4 @@ def _assignment(
     """
     place = {variable: k for k, variable in enumerate(plan.storage.homes)}
     variables = discrete(plan.graph.network.variables)
-    return _named({v: states[place[v]] for v in variables}, evidence.lead)
-
-
-def _named(
-    states: Mapping[Discrete, Integers], lead: tuple[int, ...]
-) -> dict[Discrete, str | Integers]:
-    """States by variable, (runs,), by their names, or as indices (*runs) where there are runs."""
-    found: dict[Discrete, str | Integers] = {}
-    for variable, own in states.items():
-        if lead:
-            by_run = own.reshape(lead)
-            by_run.flags.writeable = False
-            found[variable] = by_run
-        else:
-            found[variable] = variable.states[own[0]]
-    return found
+    return named({v: states[place[v]] for v in variables}, evidence.lead)

@@ -14,7 +14,7 @@ from pgm.display import titled
 from pgm.errors import EvidenceError, ModelError
 from pgm.factors import Table
 from pgm.factors.scope import names
-from pgm.inference.query.most_probable import MostProbable
+from pgm.inference.query.assignments import MostProbable
 from pgm.io import sources
 from pgm.io.sources import Source
 from pgm.kernels.arrays import Array
