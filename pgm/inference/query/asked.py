@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 from pgm.clustergraph import ClusterGraph
 from pgm.cpds.causal_independence import CausalIndependence
 from pgm.errors import EvidenceError, GraphError
+from pgm.factors.scope import namesake
+from pgm.posteriors.posterior import require_variable
+from pgm.variables import Discrete, Variable
+
+T = TypeVar("T")
 
 
 def require_mapping(evidence: Any, what: str = "evidence") -> None:
@@ -18,6 +23,16 @@ def require_mapping(evidence: Any, what: str = "evidence") -> None:
             f"{what} maps variables to states; found {type(evidence).__name__}"
             f"{records if what == 'evidence' else ''}"
         )
+
+
+def found_of(found: Mapping[Discrete, T], variable: Variable, lacking: str) -> T:
+    """What a result found of a variable; `lacking` leads over to the variables that it has."""
+    if not isinstance(variable, Discrete) or variable not in found:
+        require_variable(variable)
+        raise EvidenceError(
+            f"{variable!r} {lacking} {list(found)}{namesake(variable, found)}", variable=variable
+        )
+    return found[variable]
 
 
 def require_whole_tables(graph: ClusterGraph, what: str, why: str) -> None:

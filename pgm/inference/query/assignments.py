@@ -10,11 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.display import LEFT_OUT, Listing, Shown, Summary, few
-from pgm.errors import EvidenceError
-from pgm.factors.scope import namesake
 from pgm.immutable import Immutable
+from pgm.inference.query.asked import found_of
 from pgm.kernels.arrays import Array, Integers, Mask
-from pgm.posteriors.posterior import require_variable
 from pgm.posteriors.status import Status
 from pgm.posteriors.summaries import spread
 from pgm.variables import Discrete, Variable
@@ -83,14 +81,9 @@ class MostProbable(Shown, Immutable):
         EvidenceError
             If the assignment does not have the variable.
         """
-        if not isinstance(variable, Discrete) or variable not in self.assignment:
-            require_variable(variable)
-            raise EvidenceError(
-                f"{variable!r} is not in the assignment; its variables are {list(self.assignment)}"
-                f"{namesake(variable, self.assignment)}",
-                variable=variable,
-            )
-        found = self.assignment[variable]
+        lacking = "is not in the assignment; its variables are"
+        found = found_of(self.assignment, variable, lacking)
+        assert isinstance(variable, Discrete)
         return found if isinstance(found, str) else np.array(variable.states)[found]
 
     @property

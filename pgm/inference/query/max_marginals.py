@@ -22,18 +22,16 @@ from pgm.beliefs.discrete.tree_plan import TreePlan, plan_for
 from pgm.clustergraph import ClusterGraph
 from pgm.compile import DynamicGraph
 from pgm.display import Listing, Shown, Summary, column, few, titled
-from pgm.errors import EvidenceError, GraphError
+from pgm.errors import GraphError
 from pgm.evidence import Evidence
 from pgm.evidence.static import BoundStates, bind_discrete
 from pgm.factors import Table
 from pgm.factors.axes import discrete
-from pgm.factors.scope import namesake
 from pgm.immutable import Immutable
-from pgm.inference.query.asked import require_mapping, require_whole_tables
+from pgm.inference.query.asked import found_of, require_mapping, require_whole_tables
 from pgm.inference.query.log_tables import table_of
 from pgm.kernels.arrays import Array, frozen
 from pgm.kernels.semirings import MAX_PRODUCT
-from pgm.posteriors.posterior import require_variable
 from pgm.posteriors.summaries import spread
 from pgm.progress import Progress, reporting
 from pgm.schedules.limits import Room, require_runs
@@ -97,14 +95,8 @@ class MaxMarginals(Shown, Immutable):
         EvidenceError
             If the network does not have the variable.
         """
-        if not isinstance(variable, Discrete) or variable not in self._logs:
-            require_variable(variable)
-            raise EvidenceError(
-                f"{variable!r} has no max-marginal; the network's variables are "
-                f"{list(self._logs)}{namesake(variable, self._logs)}",
-                variable=variable,
-            )
-        return self._logs[variable]
+        lacking = "has no max-marginal; the network's variables are"
+        return found_of(self._logs, variable, lacking)
 
     def __getitem__(self, variable: Variable) -> Table:
         """The max-marginal of a variable; its leading axes are runs.

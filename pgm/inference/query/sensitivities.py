@@ -14,10 +14,9 @@ from pgm.boundary import is_number, is_whole
 from pgm.cpds import TableCPD
 from pgm.display import Listing, Shown, Summary, number
 from pgm.errors import EvidenceError, ModelError
-from pgm.factors.scope import namesake
 from pgm.immutable import Immutable
+from pgm.inference.query.asked import found_of
 from pgm.kernels.arrays import Array
-from pgm.posteriors.posterior import require_variable
 from pgm.posteriors.summaries import spread
 from pgm.variables import Discrete, Variable
 
@@ -249,14 +248,7 @@ class Sensitivities(Shown, Immutable):
 
     def __getitem__(self, variable: Variable) -> Sensitivity:
         """The sensitivity to the entries of a variable's table."""
-        if not isinstance(variable, Discrete) or variable not in self._by_child:
-            require_variable(variable)
-            raise EvidenceError(
-                f"{variable!r} has no table; the network's variables are {list(self._by_child)}"
-                f"{namesake(variable, self._by_child)}",
-                variable=variable,
-            )
-        return self._by_child[variable]
+        return found_of(self._by_child, variable, "has no table; the network's variables are")
 
     def ranked(self, count: int = LISTED) -> list[SensitiveEntry]:
         """The entries of the largest derivatives, whatever their signs, the largest first.
