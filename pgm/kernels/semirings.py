@@ -16,9 +16,8 @@ from pgm.kernels.arrays import Array
 Axes = int | tuple[int, ...]
 # The logarithm of the smallest number of float64 that has all digits, rounded up.
 _LEAST = -708.0
-
 # The least number of all that are finite.
-_LEAST = float(np.finfo(np.float64).min)
+_LOWEST = float(np.finfo(np.float64).min)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +72,7 @@ def log_sum(values: Array, axis: Axes, out: Array | None = None) -> Array:
 
     They are put into `out` if that is given.
     """
-    top = np.maximum.reduce(values, axis, keepdims=True, initial=_LEAST)
+    top = np.maximum.reduce(values, axis, keepdims=True, initial=_LOWEST)
     with np.errstate(divide="ignore", under="ignore"):
         result: Array = np.log(np.add.reduce(np.exp(values - top), axis), out)
     result += top.squeeze(axis)
@@ -82,7 +81,7 @@ def log_sum(values: Array, axis: Axes, out: Array | None = None) -> Array:
 
 def subtrahend(logs: Array) -> Array:
     """Logarithms to be subtracted from others: −∞ is the least number, so that −∞ less it is −∞."""
-    found: Array = np.maximum(logs, _LEAST)
+    found: Array = np.maximum(logs, _LOWEST)
     return found
 
 

@@ -52,3 +52,16 @@ def test_numpy_reports_underflow_everywhere(count, place):
         ):
             with pytest.raises(FloatingPointError, match="underflow"):
                 multiply()
+
+
+@pytest.mark.parametrize("log", [-709.0, -5000.0, 709.0, np.inf])
+def test_logarithms_of_what_numbers_do_not_hold_are_refused(log):
+    """Falling back to logarithms relies on this, too."""
+    with pytest.raises(FloatingPointError):
+        SUM_PRODUCT.of_logs(np.array([0.0, log]))
+    assert SUM_PRODUCT.of_logs(np.array([0.0, -np.inf, -700.0])).tolist() == [
+        1.0,
+        0.0,
+        np.exp(-700.0),
+    ]
+    assert LOG_SUM_PRODUCT.of_logs(np.array([log])).tolist() == [log]
