@@ -78,8 +78,8 @@ class Mixing(NamedTuple):
 
     @property
     def turned(self) -> Array:
-        """The whole turns that lead from `members` back to `own`, (n, K, S or 1, runs)."""
-        return self.own - self.members
+        """The whole turns that lead from `members` back to `own`, (n, K, S, runs)."""
+        return np.broadcast_to(self.own - self.members, (len(self.own), *self.logs.shape))
 
 
 class Members(NamedTuple):
