@@ -65,9 +65,14 @@ def address(array: npt.NDArray[Any]) -> int:
     return found
 
 
+def holds(mask: Mask) -> bool:
+    """Whether a mask is true everywhere."""
+    # A few bytes are searched in a quarter of the time that `all` takes.
+    return b"\0" not in mask.tobytes()
+
+
 def is_finite(array: Array) -> bool:
     """Whether all numbers are finite."""
-    # A few bytes are searched in a quarter of the time that `all` takes.
     return b"\0" not in np.isfinite(array).tobytes()
 
 

@@ -315,18 +315,14 @@ def _update_many(
     None if a pivot of S is at most `least` times its diagonal entry, in any run.
     """
     found: tuple[Array, Array, Array] | None
-    size = len(mean) * len(residual) * (len(mean) + len(residual))
-    fewest = cov.ndim == 3 and cov.shape[-1] <= _FEWEST
-    one_by_one = _updating_each(len(mean), len(residual)) if fewest else None
-    if one_by_one is not None:
-        every = one_by_one(mean, cov, matrix, residual, noise)
-        if every is not None:
-            width = len(mean)
-            return every[:width], every[width:-1].reshape(cov.shape), every[-1]
-    if size > _BRIEF and cov.ndim == 3 and cov.shape[-1] <= _STACKED:
+    width, height, runs = len(mean), len(residual), cov.shape[-1] if cov.ndim == 3 else _SHORT + 1
+    for function in _updating_each(width, height) if runs <= _FEWEST else ():
+        found = function(mean, cov, matrix, residual, noise)
+        if found is not None:
+            return found
+    if width * height * (width + height) > _BRIEF and runs <= _STACKED:
         return _update_stack(mean, cov, matrix, residual, noise, least)
-    few = cov.ndim == 3 and cov.shape[-1] <= _SHORT
-    quick = _updating_rows(len(mean), len(residual), least) if few else ()
+    quick = _updating_rows(width, height, least) if runs <= _SHORT else ()
     with quiet():  # of what is not regular
         for function in quick:
             found = function(mean, cov, matrix, residual, noise)
@@ -409,33 +405,45 @@ def _updating(size: int, height: int) -> Callable[..., Any] | None:
 
 
 @lru_cache(maxsize=64)
-def _updating_each(size: int, height: int) -> Callable[..., Any] | None:
-    """The function of the means, covariances and log-densities of several runs, one by one.
+def _updating_each(size: int, height: int) -> tuple[Callable[..., Any], ...]:
+    """The functions `_update_many` of several runs, one by one: of mild ones, and of any.
 
-    Of n components and d measurements they are as rows (n + n² + 1, runs); None where n and d are
-    large.
+    There is none where n components and d measurements are many.
     """
     if not _is_small(size, height):
-        return None
+        return ()
 
-    def body(*moments: Matrix) -> tuple[list[Any], Any]:
-        after = step.update(*moments)
-        numbers = [
-            number for part in (after.mean, after.cov) for row in part.rows for number in row
-        ]
-        return [*numbers, _log_density(after, height)], after.share > NEARLY_SINGULAR
+    def told(after: step.Updated, truth: Any) -> tuple[list[Any], Any]:
+        return [after.mean.columns[0], after.cov, _log_density(after, height)], truth
 
-    return written.each(_shapes(size, height), body)
+    shapes, bodies = _shapes(size, height), _bodies(NEARLY_SINGULAR, told)
+    return tuple(written.each(shapes, body) for body in bodies)
 
 
 @lru_cache(maxsize=64)
 def _updating_rows(size: int, height: int, least: float) -> tuple[Callable[..., Any], ...]:
-    """The functions `_update_many` of n components and d measurements: of mild ones, and of any.
+    """The functions `_update_many` of rows of runs: of mild measurements, and of any.
 
-    There is none where components are many.
+    There is none where n components and d measurements are many.
     """
     if not 0 < size * height * (size + height) <= _FEW:
         return ()
+
+    def told(after: step.Updated, truth: Any) -> tuple[list[Any], Any]:
+        arrays = written.rows(after.mean, size), written.rows(after.cov, size, size)
+        return [*arrays, _log_density(after, height)], written.Written("({}).all()", truth)
+
+    shapes, bodies = _shapes(size, height), _bodies(least, told)
+    return tuple(written.function(shapes, body, along_runs=True) for body in bodies)
+
+
+def _bodies(
+    least: float, told: Callable[[step.Updated, Any], tuple[list[Any], Any]]
+) -> tuple[written.Body, written.Body]:
+    """The updates of mild measurements, and of any, and whether they are that: as they are told.
+
+    None is where a pivot of S is at most `least` times its diagonal entry; see `_is_mild`.
+    """
 
     def mild(
         mean: Matrix, cov: Matrix, matrix: Matrix, residual: Matrix, noise: Matrix
@@ -452,12 +460,7 @@ def _updating_rows(size: int, height: int, least: float) -> tuple[Callable[..., 
         after = step.update(*moments)
         return told(after, after.share > least)
 
-    def told(after: step.Updated, truth: Any) -> tuple[list[Any], Any]:
-        arrays = written.rows(after.mean, size), written.rows(after.cov, size, size)
-        return [*arrays, _log_density(after, height)], written.Written("({}).all()", truth)
-
-    shapes = _shapes(size, height)
-    return tuple(written.function(shapes, body, along_runs=True) for body in (mild, every))
+    return mild, every
 
 
 def _shapes(size: int, height: int) -> dict[str, tuple[int, ...]]:

@@ -22,6 +22,7 @@ from pgm.kernels.arrays import (
     apply,
     components_last,
     deviation,
+    holds,
     inner,
     sandwich,
     symmetric,
@@ -74,13 +75,13 @@ def merged(
         return Merged(logs, mean, cov, mean)
     parts = logs[None] if owner is None else np.where(_own(owner, count), logs, -np.inf)
     top = np.maximum.reduce(parts, 1)
-    if np.minimum.reduce(top, None) == -np.inf:
-        shares, found = _with_dead(parts, top, logs)
-    else:
+    if holds(top != -np.inf):
         shares = np.exp(parts - top[:, None])
         total = np.add.reduce(shares, 1)
         shares /= total[:, None]
         found = top + np.log(total)
+    else:
+        shares, found = _with_dead(parts, top, logs)
     if angles.size:
         best = shares.argmax(axis=1)
         mean = np.broadcast_to(mean, (len(mean), *logs.shape)).copy()
@@ -88,9 +89,10 @@ def merged(
         mean[angles] = nearest(mean[angles], _of_owner(middle, owner))
     centre = np.einsum("kh...,ih...->ik...", shares, mean)
     away = mean - _of_owner(centre, owner)
-    spread = cov + away[:, None] * away
-    whole = np.einsum("kh...,ijh...->ijk...", shares, spread)
-    return Merged(found, centre, 0.5 * (whole + whole.swapaxes(0, 1)), mean)
+    spread = away[:, None] * away
+    spread += cov
+    # A weighted sum of symmetric matrices, whose entries (i, j) and (j, i) are the same sums.
+    return Merged(found, centre, np.einsum("kh...,ijh...->ijk...", shares, spread), mean)
 
 
 def _own(owner: Integers, count: int) -> Mask:

@@ -142,21 +142,37 @@ def each(shapes: Mapping[str, tuple[int, ...]], body: Body) -> Callable[..., Any
     """The function of arrays of these shapes in several runs, one after another, in floats.
 
     The arrays have the runs as a further axis, the last, of length one where all have the same; the
-    first array has all. The body returns numbers; the function an array of them, (numbers, runs),
-    or None where that is returned of any run. See `function`.
+    first array has all. The body returns numbers, tuples of n numbers and matrices (m, n); the
+    function an array of each, (runs,), (n, runs) or (m, n, runs), or None where that is returned of
+    any run. See `function`.
     """
-    arguments, targets = _arguments(shapes)
+    arguments = [_argument(name, *shape) for name, shape in shapes.items()]
+    targets = [_tuple(number.pattern for row in each.rows for number in row) for each in arguments]
     found, truth = body(*arguments)
+    every: list[Any] = []
+    views: list[str] = []
+    for part in found:
+        begin, axes = len(every), "runs"
+        if isinstance(part, Matrix):
+            every += [number for row in part.rows for number in row]
+            axes = f"{len(part.rows)}, {part.width}, runs"
+        elif isinstance(part, tuple):
+            every += part
+            axes = f"{len(part)}, runs"
+        else:
+            every.append(part)
+        views.append(f"whole[{begin}:{len(every)}].reshape({axes})")
     lines: list[str] = []
-    program = _Program([truth, *found], lines, {})
+    program = _Program([truth, *every], lines, {})
     lines.append(f"if not {program.text(truth)}: return None")
-    lines.append(f"found += {_tuple([program.text(number) for number in found])}")
+    lines.append(f"found += {_tuple([program.text(number) for number in every])}")
     first, *_ = shapes
-    runs = ", ".join([f"by_run({name}, runs)" for name in shapes])
+    runs, size = ", ".join([f"by_run({name}, runs)" for name in shapes]), len(every)
     head = [f"runs, found = {first}.shape[-1], []", f"for {_tuple(targets)} in zip({runs}):"]
-    size = len(found)
-    last = f"return array((runs, {size}), float, pack(f'{{runs * {size}}}d', *found)).T"
-    return _compiled(shapes, [*head, *(f" {line}" for line in lines), last], _OF_FLOATS)
+    # Contiguous along the runs, as arrays that have these last mostly are.
+    whole = f"whole = array((runs, {size}), float, pack(f'{{runs * {size}}}d', *found)).T.copy()"
+    last = f"return {_tuple(views)}"
+    return _compiled(shapes, [*head, *(f" {line}" for line in lines), whole, last], _OF_FLOATS)
 
 
 def _compiled(
@@ -190,8 +206,8 @@ def _tuple(texts: Iterable[str]) -> str:
 
 
 def _by_run(array: npt.NDArray[np.float64], runs: int) -> list[Any]:
-    """The numbers of an array (*shape, runs or 1) by run, as lists."""
-    numbers: list[Any] = array.transpose(array.ndim - 1, *range(array.ndim - 1)).tolist()
+    """The numbers of an array (*shape, runs or 1) by run, as a list each."""
+    numbers: list[Any] = array.reshape(-1, array.shape[-1]).T.tolist()
     return numbers if len(numbers) == runs else numbers * runs
 
 

@@ -529,20 +529,21 @@ def test_lines_run_by_run():
 
     def body(a, b):
         root = a.root()
-        return [*[row[0] for row in root.solve(b).rows], root.volume], root.share > 1e-6
+        return [root.solve(b).columns[0], root.matrix, root.volume], root.share > 1e-6
 
     found = written.each({"a": (2, 2), "b": (2,)}, body)
     rng = np.random.default_rng(0)
     factor, b = rng.normal(size=(3, 2, 2)), rng.normal(size=(2, 3))
     a = np.moveaxis(factor @ factor.swapaxes(1, 2) + np.eye(2), 0, -1)
     for shared in (b, b[:, :1]):
-        many = found(a, shared)
-        assert many.shape == (3, 3)
+        solved, roots, volumes = found(a, shared)
+        assert (solved.shape, roots.shape, volumes.shape) == ((2, 3), (2, 2, 3), (3,))
         for run in range(3):
             lower = np.linalg.cholesky(a[..., run])
             due = np.linalg.solve(lower, shared[:, min(run, shared.shape[1] - 1)])
-            np.testing.assert_allclose(many[:2, run], due, atol=1e-14)
-            np.testing.assert_allclose(many[2, run], np.log(np.diag(lower)).sum(), atol=1e-14)
+            np.testing.assert_allclose(solved[:, run], due, atol=1e-14)
+            np.testing.assert_allclose(roots[..., run], lower, atol=1e-14)
+            np.testing.assert_allclose(volumes[run], np.log(np.diag(lower)).sum(), atol=1e-14)
     for bad in (-np.eye(2), np.ones((2, 2)) + 1e-9 * np.eye(2)):
         a[..., 1] = bad
         assert found(a, b) is None

@@ -42,7 +42,15 @@ from pgm.beliefs.moments.steps.readings import Moments
 from pgm.cpds.caused import FAR
 from pgm.errors import ModelError, NumericalError
 from pgm.kernels import merging, roots
-from pgm.kernels.arrays import Array, Integers, Mask, components_last, sandwich
+from pgm.kernels.arrays import (
+    Array,
+    Integers,
+    Mask,
+    components_last,
+    holds,
+    sandwich,
+    symmetric,
+)
 from pgm.kernels.moments import Conditional
 from pgm.kernels.semirings import log_sum
 
@@ -92,6 +100,8 @@ class HypothesisChain:
         self.by_memory = bool((of != of[:1]).any())
         # Whether each regime has a choice by itself, in the order of regimes.
         self._own_choices = np.array_equal(of[0], np.arange(self._trials.moving.count))
+        # Whether a component is kept of each regime, in the order of regimes.
+        self._each_regime = settings.count == regimes.memories == regimes.size
         if settings.mix and self.by_memory:
             raise ModelError(
                 "mix=True mixes the Gaussians of all states of the step before, and motions are "
@@ -125,7 +135,7 @@ class HypothesisChain:
             first = components_last(cov[:, :, 0], 2)
             means, lower = cut(components_last(mean[:, 0], 1), roots.root(first), pieces)
             mean = np.moveaxis(means, -1, 0)
-            spread = np.moveaxis(sandwich(lower, np.eye(size)), (-2, -1), (0, 1))
+            spread = np.moveaxis(symmetric(sandwich(lower, np.eye(size))), (-2, -1), (0, 1))
             cov = np.repeat(spread[:, :, None], pieces, axis=2)
             logs = np.repeat(logs - np.log(pieces), pieces, axis=0)
         return Pairs(logs, 0, mean, cov)
@@ -175,15 +185,20 @@ class HypothesisChain:
         """The components given the measurements of a step, and their log-density, (runs,)."""
         assert isinstance(pairs, Pairs)
         stages, members, total = self._all_taken(step, pairs)
-        shares = leading(members.logs, members.counts, 0)
-        self.regime_logs.append(self.by_regime(shares, members))
+        shares: Array | None = None
         if self._in_pieces(step, members):
-            return self._as_they_are(members), total
-        if self.settings.prune:
-            return self._pruned(members), total
-        known, stage = self._closed(members)
-        if self.settings.back:
-            self.kept.append(Kept([*stages, stage], pairs, known))
+            known = self._as_they_are(members)
+        elif self.settings.prune:
+            known = self._pruned(members)
+        else:
+            known, stage = self._closed(members)
+            if self.settings.back:
+                self.kept.append(Kept([*stages, stage], pairs, known))
+            if self._each_regime:
+                shares = known.shares
+        if shares is None:
+            shares = self.by_regime(leading(members.logs, members.counts, 0), members)
+        self.regime_logs.append(shares)
         return known, total
 
     def observe(self, step: int, pairs: Pairs) -> tuple[Pairs, Array]:
@@ -254,7 +269,7 @@ class HypothesisChain:
                 members, more = self._tried(sensor, step, row, known, used).scaled()
                 total = total + more
                 told.append(sensor)
-        if not total.min() > -np.inf:
+        if not holds(total > -np.inf):
             self._refuse(step, total)
         if stages:
             self._tell(told, stages, members)
@@ -375,7 +390,7 @@ class HypothesisChain:
             owner, memory = merging.seeded(ranked, kind, mean, cov, count, APART, self.angles)
         logs, counts = best_of(logs, counts, owner, count)
         found = merging.merged(logs, owner, count, mean, cov, self.angles)
-        stage = Stage(members, logs, found.members, owner, found.mean, found.cov)
+        stage = Stage(members, owner, logs, found)
         return Belief(found.logs, memory, counts, found.mean, found.cov), stage
 
     def _of_regimes(self, members: Members) -> tuple[Belief, Stage]:
@@ -390,9 +405,8 @@ class HypothesisChain:
         found = merging.merged(logs, None, 1, mean, cov, self.angles)
         if isinstance(counts, np.ndarray):
             counts = counts[0]
+        stage = Stage(members, members.regime, logs, found)
         each = found.mean[:, 0], found.cov[:, :, 0]
-        moved = found.members.reshape(members.mean.shape)
-        stage = Stage(members, logs.reshape(members.logs.shape), moved, members.regime, *each)
         return Belief(found.logs[0], _numbers(count, 1, runs), counts, *each), stage
 
     def by_regime(self, shares: Array, members: Members) -> Array:

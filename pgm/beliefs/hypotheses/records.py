@@ -14,6 +14,7 @@ import numpy as np
 from pgm.beliefs.hypotheses.counts import Counts, leading
 from pgm.beliefs.moments.steps.readings import Moments
 from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.merging import Merged
 from pgm.kernels.semirings import log_sum, subtrahend
 
 
@@ -101,23 +102,43 @@ class Members(NamedTuple):
     def scaled(self) -> tuple[Members, Array]:
         """The members with log-weights of sum one, and the logarithm of the sum they had."""
         total = log_sum(leading(self.logs, self.counts, 0), 0)
-        return self._replace(logs=self.logs - subtrahend(total)), total
+        return Members(self.logs - subtrahend(total), *self[1:]), total
 
 
 class Stage(NamedTuple):
     """Members as they were merged into components, for what flows back.
 
-    Of `logs`, the members' log-weights, those of lower counts than others of their component are
-    −∞; `moved` are their means on its branch. `owner` is the component of each, `mean` and `cov`
-    are the components'.
+    `owner` is the component of each. The axis of members may be as two in `given`, the members'
+    log-weights, of which those of lower counts than others of their component are −∞, and in
+    `found`: see there.
     """
 
     members: Members
-    logs: Array
-    moved: Array
     owner: Integers
-    mean: Array
-    cov: Array
+    given: Array
+    found: Merged
+
+    @property
+    def logs(self) -> Array:
+        """The log-weights that the members were merged by, (members, runs)."""
+        return self.given.reshape(self.owner.shape)
+
+    @property
+    def mean(self) -> Array:
+        """The means of the components, (n, components, runs)."""
+        size, *_, runs = self.members.mean.shape
+        return self.found.mean.reshape(size, -1, runs)
+
+    @property
+    def cov(self) -> Array:
+        """The covariances of the components, (n, n, components, runs)."""
+        size, *_, runs = self.members.mean.shape
+        return self.found.cov.reshape(size, size, -1, runs)
+
+    @property
+    def moved(self) -> Array:
+        """The means of the members on the branch of their component, (n, members, runs)."""
+        return self.found.members.reshape(self.members.mean.shape)
 
     @property
     def turned(self) -> Array:

@@ -161,7 +161,7 @@ class Trials:
         shape = copies, batch.which.size, self.runs
         own = _as_runs(pairs.mean, pairs.cov, batch.which, chain)
         after, density = chain.take(chain.plan.first + local, own, parts)
-        density = np.reshape(density, shape)
+        density = np.asarray(density).reshape(shape)
         after = Moments(after.mean.reshape(size, *shape), after.cov.reshape(size, size, *shape))
         bad = unsound(after, density)
         if bad is not None:

@@ -19,7 +19,8 @@ def unsound(after: Moments, density: Array | None = None) -> Mask | None:
 
     A log-density of −∞ is one: that of a contradiction.
     """
-    if all(map(is_finite, after if density is None else (*after, density))):
+    mean, cov = after
+    if is_finite(mean) and is_finite(cov) and (density is None or is_finite(density)):
         return None
     bad = ~(np.isfinite(after.mean).all(axis=0) & np.isfinite(after.cov).all(axis=(0, 1)))
     if density is not None:

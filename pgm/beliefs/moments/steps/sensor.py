@@ -209,7 +209,7 @@ class Sensor:
         flat = None if taken is None else self._flat(taken)
         family = self.family
         if not stored:
-            if last - first == 1 and not family.batch:
+            if last - first == 1:
                 return family.at(first, last), self._by_row[first], flat
             return family.at(first, last), self._flat(self.values[first:last]), flat
         at = family.stored_at(first, last)
@@ -229,8 +229,9 @@ class Sensor:
 
     @cached_property
     def _by_row(self) -> list[Array]:
-        """Each row's measured values, (d,), of a model with one run."""
-        return list(self.values[:, 0])
+        """Each row's measured values, (d, *batch), as of `at`."""
+        values = self.values
+        return list(values.transpose(0, 2, 1) if self.family.batch else values[:, 0])
 
     def _flat(self, rows: npt.NDArray[Kind]) -> npt.NDArray[Kind]:
         """Rows (k, runs or 1, d) stacked to one vector, (k d, *batch)."""
