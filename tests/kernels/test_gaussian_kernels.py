@@ -116,6 +116,14 @@ def assert_conditioned(found, arguments, batch):
 # ---- updates
 
 
+@pytest.mark.parametrize("noises", [(1.0, 1.0), (1.0, 1e-4), (1e-4, 1e-4)])
+def test_updates_of_two_runs_of_which_measurements_are_mild_or_not(noises):
+    """Mild ones are differences of covariances, and others are sums of squares."""
+    mean, cov, matrix, residual, noise = drawn((2,), 4, 2)
+    arguments = mean, cov, matrix, residual, noise * np.array(noises)
+    assert_conditioned(gaussian.update(*arguments), arguments, (2,))
+
+
 @sizes
 @batches
 def test_an_update(size, height, batch):

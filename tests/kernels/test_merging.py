@@ -85,3 +85,14 @@ def test_one_member_that_all_of_a_batch_have_is_the_component_of_each():
     found = merging.merged(logs, None, 1, mean, cov, NONE)
     np.testing.assert_allclose(found.mean, np.broadcast_to(mean, (2, 1, 3, 2)))
     np.testing.assert_allclose(found.cov, np.broadcast_to(cov, (2, 2, 1, 3, 2)))
+
+
+@pytest.mark.parametrize("owner", [None, np.array([0, 1, 1, 0, 1])])
+def test_merged_covariances_are_symmetric_to_the_last_bit(owner):
+    """However they lie in memory: predictions rely on it."""
+    logs, mean, cov = drawn(5, (), 6)
+    cov = 0.5 * (cov + cov.swapaxes(0, 1))
+    orders = np.moveaxis(np.ascontiguousarray(np.moveaxis(cov, -1, 0)), 0, -1)
+    for each in (cov.copy(), orders, np.asfortranarray(cov)):
+        found = merging.merged(logs, owner, 1 if owner is None else 2, mean, each, NONE)
+        np.testing.assert_array_equal(found.cov, found.cov.swapaxes(0, 1))

@@ -150,7 +150,8 @@ class HypothesisChain:
         if self.settings.mix:
             return self._mixed(step, belief, logs, counts)
         count, of = len(belief.logs), self._trials.moving.of
-        moved = self._trials.moved(step, belief.mean[:, :, None], belief.cov[:, :, :, None], count)
+        before = Moments(belief.mean[:, :, None], belief.cov[:, :, :, None])
+        moved = self._trials.moved(step, *before, count)
         mean, cov = moved
         if self._trials.moving.count == 1:
             shape = (count, self.regimes.size, self.runs)
@@ -166,9 +167,7 @@ class HypothesisChain:
             mean = np.take_along_axis(mean, choice[None], axis=2)
             cov = np.take_along_axis(cov, choice[None, None], axis=3)
         pairs = Pairs(logs, counts, mean, cov, choice, moved if self.settings.back else None)
-        return self._trials.proper(
-            step, pairs, Moments(belief.mean[:, :, None], belief.cov[:, :, :, None])
-        )
+        return self._trials.proper(step, pairs, before)
 
     def _mixed(self, step: int, belief: Belief, logs: Array, counts: Counts) -> Pairs:
         """The pairs of one Gaussian and each regime, mixed of all components beforehand."""
