@@ -160,9 +160,10 @@ def audit(
         cpd.require_proper("an audit draws from the posterior, and weighs with the prior")
     known = posterior.log_evidence
     require_runs(8 * samples, known.size, "the weights of an audit")
-    with naming_factors(), reporting(progress):
+    with naming_factors():
         draws: ChainDraws | TreeDraws | SwitchingDraws = _DRAWS[outcome.form].make(outcome)
-        mixture, compared = estimate(draws, known.size, samples, generator)
+        with reporting(progress):
+            mixture, compared = estimate(draws, known.size, samples, generator)
     seen = {} if outcome.form in (NETWORK, SWITCHING) else checks(posterior.innovations)
     return Audit(mixture, known, compared, seen, draws.modes)
 
