@@ -175,7 +175,7 @@ class CausalIndependence(TableCPD):
         )
 
     def _each(self, given: Any, what: str) -> tuple[Any, ...]:
-        """What is given for each cause, in their order."""
+        """The values given for the causes, one each, in their order."""
         found = as_tuple(given)
         if found is None or isinstance(given, Mapping) or len(found) != len(self.given):
             count = "none" if found is None or isinstance(given, Mapping) else len(found)

@@ -119,7 +119,7 @@ def _measured(graph: ClusterGraph) -> Directed:
 
 
 def _value(factor: Factor, cpd: CPD) -> Array:
-    """What the residual of a factor is observed to be, (d,)."""
+    """The observed value of a factor's residual, (d,)."""
     if isinstance(factor, NonlinearGaussianFactor):
         return factor.value
     return np.zeros(cpd.child.dimension)

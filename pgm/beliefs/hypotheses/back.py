@@ -99,7 +99,7 @@ class BackwardChain:
         return TwoSlices(logs, *pushed_with(mean, cov, reverse))
 
     def moved(self, step: int) -> Moments:
-        """What was predicted to a step: the components before it, or their mixtures."""
+        """The Gaussians predicted to a step: the components before it, or their mixtures."""
         mixed, known = self.chain.kept[step].pairs.mixed, self.chain.kept[step - 1].known
         if mixed is not None:
             return Moments(mixed.mean, mixed.whole)

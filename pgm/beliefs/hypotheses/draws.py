@@ -43,11 +43,11 @@ class Hypotheses(NamedTuple):
 
     @property
     def regime(self) -> Integers:
-        """The regime of each."""
+        """The regime of each draw."""
         return self.pair[1]
 
     def of(self, draws: slice) -> Hypotheses:
-        """Those of some draws."""
+        """The hypotheses of some of the draws."""
         first, regime = self.pair
         pair = first[draws], regime[draws]
         return Hypotheses(self.source[draws], pair, [each[draws] for each in self.members])

@@ -26,7 +26,7 @@ def require_mapping(evidence: Any, what: str = "evidence") -> None:
 
 
 def found_of(found: Mapping[Discrete, T], variable: Variable, lacking: str) -> T:
-    """What a result found of a variable; `lacking` leads over to the variables that it has."""
+    """The value of a variable in a result; `lacking` leads over to the variables that it has."""
     if not isinstance(variable, Discrete) or variable not in found:
         require_variable(variable)
         raise EvidenceError(

@@ -106,7 +106,7 @@ class MostProbable(Shown, Immutable):
 
     @property
     def _vouched(self) -> str:
-        """What is known of an assignment that may not be the most probable one, in words."""
+        """The bound or status of an assignment that may not be the most probable one, in words."""
         if self.exact.all():
             return ""
         if self.status is None:

@@ -10,7 +10,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from pgm.boundary import is_number, is_whole
+from pgm.boundary import as_floats, is_number, is_whole
 from pgm.cpds import TableCPD
 from pgm.display import Listing, Shown, Summary, number
 from pgm.errors import EvidenceError, ModelError
@@ -93,13 +93,13 @@ class Sensitivity(Shown, Immutable):
         ndarray
             (*runs, size of each parent..., size of the child).
         """
+        values = as_floats(theta, f"values of the entries of {self.cpd!r}", cpd=self.cpd)
         try:
-            values = np.asarray(theta, dtype=np.float64)
             share = np.broadcast_to(values, self.derivative.shape) / self._sums
-        except (TypeError, ValueError):
+        except ValueError:
             raise ModelError(
                 f"values of the entries of {self.cpd!r} are numbers that broadcast to "
-                f"{self.derivative.shape}; found {np.shape(theta)} of {type(theta).__name__}",
+                f"{self.derivative.shape}; found {values.shape}",
                 cpd=self.cpd,
             ) from None
         if not ((values >= 0.0) & (values <= 1.0)).all():

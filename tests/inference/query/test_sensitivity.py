@@ -267,6 +267,8 @@ def test_what_is_refused():
     for wrong in (1.5, -0.1, np.nan):
         with pytest.raises(pgm.ModelError, match="is a probability, from 0 to 1"):
             found[wet].probability(wrong)
+    with pytest.raises(pgm.ModelError, match="must be numbers, not masked ones"):
+        found[wet].probability(np.ma.masked_array([0.2, 0.3], [False, True]))
     with pytest.raises(pgm.ModelError, match=r"broadcast to \(2, 2\)"):
         found[wet].probability([0.1, 0.2, 0.3])
     for wrong in ((0.5, 0.4), (-1, 1), (0, 2), ("a", 1)):
