@@ -11,7 +11,10 @@ import numpy as np
 
 from pgm.boundary import as_tuple
 from pgm.cpds import CPD, SwitchingCPD, TableCPD
+from pgm.cpds.residual import NonlinearGaussianFactor
+from pgm.display import titled
 from pgm.errors import ModelError
+from pgm.factors import CanonicalForm, Table
 from pgm.factors.arrays import clash
 from pgm.factors.scope import MOST, Scope
 from pgm.variables import Variable
@@ -23,10 +26,15 @@ def as_cpds(cpds: CPD | Iterable[CPD], where: str) -> tuple[CPD, ...]:
     """CPDs as a tuple; refuses anything else."""
     result = (cpds,) if isinstance(cpds, CPD) else as_tuple(cpds)
     if result is None:
-        raise ModelError(f"{where} is a sequence of CPDs, not {cpds!r}")
+        raise ModelError(f"{where} is a sequence of CPDs, not {titled(cpds)}")
     for cpd in result:
         if not isinstance(cpd, CPD):
-            raise ModelError(f"{where} holds CPDs, not {cpd!r}")
+            bare = isinstance(cpd, Table | CanonicalForm | NonlinearGaussianFactor)
+            way = (
+                ": factors without a direction stand in a pgm.MarkovNetwork; elsewhere each is a "
+                "CPD of a reading that was observed, NonlinearGaussianCPD(reading, given=..., ...)"
+            ) * bare
+            raise ModelError(f"{where} holds CPDs, not {titled(cpd)}{way}")
     return result
 
 

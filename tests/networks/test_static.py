@@ -241,6 +241,7 @@ def test_a_network_without_time_has_no_step_before():
         ([], "at least one CPD"),
         ([linear(A), "p(b)"], "holds CPDs, not 'p\\(b\\)'"),
         ([A], "holds CPDs, not a"),
+        ([pgm.CanonicalForm((A,), [[1.0]], [0.0])], "not CanonicalForm\\(a\\): .*MarkovNetwork"),
         (3, "sequence of CPDs, not 3"),
     ],
 )
