@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, TypeVar
@@ -97,6 +98,10 @@ class BoundEvidence:
     each sighting of a step. With a number of `own_runs`, the runs are hypotheses of so many runs of
     the user's, one of each run after another. All evidence that has the same `form`, if it has any,
     is laid out in the same way.
+
+    `unread` are sensors at all steps of which observed parents are known, with values of these and
+    no component taken: those at which a reading may be forecast. A sensor with a plain array of T
+    rows, or with parents in its sightings' given=, is not among them: its readings have all rows.
     """
 
     steps: int
@@ -107,6 +112,7 @@ class BoundEvidence:
     form: object = None
     candidates: bool = False
     own_runs: int | None = None
+    unread: tuple[Reading, ...] = ()
 
     @property
     def runs(self) -> int:
@@ -127,16 +133,23 @@ class BoundEvidence:
         def inputs(own: Inputs) -> Inputs:
             return {v: change(values) for v, values in own.items()}
 
-        readings = tuple(
-            replace(
-                each,
-                values=change(each.values),
-                taken=change(each.taken),
-                inputs=inputs(each.inputs),
+        def changed(readings: tuple[Reading, ...]) -> tuple[Reading, ...]:
+            return tuple(
+                replace(
+                    each,
+                    values=change(each.values),
+                    taken=change(each.taken),
+                    inputs=inputs(each.inputs),
+                )
+                for each in readings
             )
-            for each in self.readings
+
+        return replace(
+            self,
+            transition=tuple(map(inputs, self.transition)),
+            readings=changed(self.readings),
+            unread=changed(self.unread),
         )
-        return replace(self, transition=tuple(map(inputs, self.transition)), readings=readings)
 
     def repeated(self, count: int) -> BoundEvidence:
         """The evidence with all its runs so many times, on an axis of hypotheses before them."""
@@ -213,6 +226,7 @@ def bind(
     identities: bool = False,
     among: Container[Variable] = (),
     threads: int = 1,
+    forecasts: bool = False,
 ) -> BoundEvidence:
     """Check evidence against a dynamic network's CPDs and lay it out by step.
 
@@ -224,10 +238,11 @@ def bind(
     identities: Whether sightings may leave open what was seen, with `unknown`.
     among: The hidden variables that may be candidates themselves.
     threads: How many share the work on many numbers.
+    forecasts: Whether sensors are laid out also at the steps where nothing was read.
     """
     open_ = identities, among
     binder = _Binder(transition, observation, evidence, steps, lead, drawing, open_, threads)
-    return binder.bind(transition if transition_inputs else ())
+    return binder.bind(transition if transition_inputs else (), forecasts=forecasts)
 
 
 class _Binder:
@@ -261,7 +276,7 @@ class _Binder:
         self.span = np.arange(1, self.steps + 1)
         self.shapes: list[tuple[str, tuple[int, ...]]] = [("the model's priors", lead)]
 
-    def bind(self, transition: Sequence[CPD]) -> BoundEvidence:
+    def bind(self, transition: Sequence[CPD], *, forecasts: bool) -> BoundEvidence:
         self._check_inputs()
         inputs = [self._inputs(cpd, {}, self.span) for cpd in transition]
         readings = [self._reading(z) for z in self.sensors if z in self.evidence or self._drawn(z)]
@@ -271,7 +286,35 @@ class _Binder:
             lead,
             tuple({v: by_row(a, lead, self.threads) for v, a in each.items()} for each in inputs),
             tuple(reading_by_row(reading, lead, self.threads) for reading in readings),
+            unread=tuple(self._unread(lead)) if forecasts else (),
         )
+
+    def _unread(self, lead: tuple[int, ...]) -> Iterator[Reading]:
+        """The sensors of `BoundEvidence.unread`, whose inputs have no say about the runs `lead`."""
+        shapes, wide = self.shapes, math.prod(lead)
+        for sensor, cpd in self.sensors.items():
+            value, rows = self.evidence.get(sensor), self.arrays.get(sensor)
+            if isinstance(value, Sightings) and value.given:
+                continue
+            if rows is not None and rows.shape[-2] == self.steps:
+                continue
+            begun = rows is not None or any(parent in self.arrays for parent in cpd.parents)
+            step = self.span if begun else np.arange(self.steps + 1)
+            # Evidence that no reading needs is not refused, whatever it is: there is no forecast.
+            self.shapes = [("the runs", lead)]
+            with suppress(EvidenceError):
+                inputs = self._inputs(cpd, {}, step)
+                if math.prod(common_runs(self.shapes)) == wide:
+                    shape = step.size, 1, max(sensor.dimension, 1)
+                    yield Reading(
+                        cpd,
+                        step,
+                        np.arange(step.size),
+                        np.broadcast_to(0.0, shape),
+                        np.broadcast_to(False, shape),
+                        {v: by_row(a, lead, self.threads) for v, a in inputs.items()},
+                    )
+        self.shapes = shapes
 
     def _check_known(self, cpds: Sequence[CPD]) -> None:
         known = {v for cpd in cpds for v in cpd.scope if not v.lag or v.template not in self.hidden}
@@ -364,8 +407,9 @@ class _Binder:
             step = as_steps(sensor, value.step, count, self.steps, runs)
         else:
             given = {}
-            step = self.span
             rows = self.arrays.get(sensor)
+            shorter = rows is not None and rows.shape[-2] < self.steps and not self.drawing
+            step = self.span[: rows.shape[-2]] if shorter and rows is not None else self.span
         if self.drawing:
             rows = np.full((step.size, sensor.dimension), np.nan)
             if isinstance(sensor, Discrete):

@@ -86,8 +86,15 @@ class Form:
             self._reading(reading, rows, *places)
             for reading, places in zip(bound.readings, self._places[1], strict=True)
         )
+        unread = tuple(
+            replace(reading, inputs={v: self._input(rows, at, v, reading) for v, at in inputs})
+            if inputs
+            else reading
+            for reading, inputs in zip(bound.unread, self._places[2], strict=True)
+        )
+        form = bound.readings
         return BoundEvidence(
-            bound.steps, bound.lead, transition, readings, bound.first_run, bound.readings
+            bound.steps, bound.lead, transition, readings, bound.first_run, form, unread=unread
         )
 
     def _given(self, evidence: Evidence) -> list[Any]:
@@ -128,8 +135,11 @@ class Form:
         return {variable: (step, step.tobytes()) for variable, step in self.steps.items()}
 
     @cached_property
-    def _places(self) -> tuple[list[_Inputs], list[tuple[int, _Inputs]]]:
-        """Where in `shapes` inputs of the transition stand, and values and inputs of readings."""
+    def _places(self) -> tuple[list[_Inputs], list[tuple[int, _Inputs]], list[_Inputs]]:
+        """Where in `shapes` inputs of the transition stand, and values and inputs of readings.
+
+        The last are the inputs of sensors where nothing was read.
+        """
         at = {key: place for place, key in enumerate(self.shapes)}
         transition = [[(v, at[v]) for v in inputs] for inputs in self.bound.transition]
         readings = []
@@ -138,7 +148,8 @@ class Form:
             inputs = [(v, at[(sensor, v) if (sensor, v) in at else v]) for v in reading.inputs]
             values = at[(sensor, sensor) if sensor in self.steps else sensor]
             readings.append((values, inputs))
-        return transition, readings
+        unread = [[(v, at[v]) for v in reading.inputs] for reading in self.bound.unread]
+        return transition, readings, unread
 
     @cached_property
     def _constants(self) -> list[tuple[Key, bool]]:
@@ -208,7 +219,7 @@ class Form:
             return by_row(np.broadcast_to(found, (*found.shape[:-2], count, found.shape[-1])), lead)
         if reading is None or not isinstance(key, tuple):
             found = complete(variable, found, self._span)
-            if reading is not None and reading.cpd.child in self.steps:
+            if reading is not None and not np.array_equal(reading.step, self._span):
                 found = found[..., reading.step - 1, :]
             return by_row(found, lead)
         if reading.cpd.child not in self._sorted:
@@ -273,6 +284,9 @@ def _emptied(bound: BoundEvidence) -> BoundEvidence:
     return replace(
         bound,
         transition=tuple(dict.fromkeys(inputs, none) for inputs in bound.transition),
+        unread=tuple(
+            replace(reading, inputs=dict.fromkeys(reading.inputs, none)) for reading in bound.unread
+        ),
         readings=tuple(
             replace(
                 reading,

@@ -34,7 +34,7 @@ class Lengths:
     def steps(self, asked: int | None, unexplained: tuple[Variable, CPD] | None) -> int:
         """The number of steps, T.
 
-        asked: T, where the caller knows it.
+        asked: T, where the caller knows it; arrays of sensors may then be shorter.
         unexplained: An input of the transition without evidence, and its CPD.
         """
         if asked is not None and (not is_whole(asked) or asked < 0):
@@ -42,7 +42,9 @@ class Lengths:
         lengths = {variable: array.shape[-2] for variable, array in self.arrays.items()}
         if asked is not None:
             for variable, length in lengths.items():
-                if length != asked:
+                # The last steps of a sensor may be without readings; an input must be known.
+                forecast = length < asked and self._measured(variable)
+                if length != asked and (not forecast or self._runs(variable) == asked):
                     raise self._other_than_asked(variable, int(asked))
             return int(asked)
         if not lengths:
@@ -152,7 +154,8 @@ class Lengths:
                 blank = "−1" if isinstance(variable, Discrete) else "NaN"
                 return (
                     f"give it {_rows(steps - length)} more, of {blank}, where nothing was "
-                    f"measured, or say when its own were: pgm.sightings({stood})"
+                    f"measured, or say when its own were: pgm.sightings({stood}); if they are the "
+                    f"first, steps={steps} says so"
                 )
             if length == steps + 1:
                 return (

@@ -3,7 +3,7 @@
 The options of all functions are these, in a few words; `filter` and `infer` tell more:
 
 - `lineariser` is for the nonlinear CPDs that have none of their own.
-- `steps` is T, the last step, where no plain array in the evidence tells it.
+- `steps` is T, the last step, where no plain array in the evidence tells it, or goes on beyond it.
 - `iterations` is the most linearisations that are made. They end early once no mean moves by more
   than `tolerance` standard deviations.
 - `damping` is the share of the old point of linearisation that is kept in the next one, or a
@@ -89,6 +89,8 @@ def filter(
         For every nonlinear CPD that has none of its own; `Taylor()` if not given.
     steps : int, optional
         T, the last step: needed if the evidence has no plain array, whose length would tell it.
+        Arrays of sensors may be shorter: nothing was read at the steps after them, which are a
+        forecast; see `Posterior.predicted`.
     iterations, tolerance, damping
         The most linearisations of a step's sensors; they end early once no mean moves by more than
         ``tolerance`` standard deviations. ``damping`` is the share of the old point of
@@ -187,6 +189,8 @@ def smooth(
         For every nonlinear CPD that has none of its own; `Taylor()` if not given.
     steps : int, optional
         T, the last step: needed if the evidence has no plain array, whose length would tell it.
+        Arrays of sensors may be shorter: nothing was read at the steps after them, which are a
+        forecast; see `Posterior.predicted`.
     start : mapping of Variable to array_like, optional
         Means (..., T+1, d) of states, (..., T, d) of hidden controls, at which everything is
         linearised first; not with a lag.

@@ -236,6 +236,16 @@ class Family(Rows):
             part.noise = part.noise.copy("K")
         return part
 
+    def unweighed(self) -> Family:
+        """The family with its own noise R, without weights and errors of linearisations.
+
+        An affine CPD keeps F and b; any other is to be linearised.
+        """
+        part = self.window(0, self.step.size)
+        part.noise = np.broadcast_to(part.own_noise, part.noise.shape)
+        part.approximate = False
+        return part
+
     def put(self, rows: slice | tuple[slice, slice], part: Family) -> None:
         """Copy the linearisations F, b and Q of another family of this CPD into some rows.
 

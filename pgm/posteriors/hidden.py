@@ -45,6 +45,12 @@ def located(layout: SliceLayout, variable: Variable, last: int) -> tuple[Variabl
     return template, first
 
 
+def measured(layout: SliceLayout, variable: Variable) -> Variable | None:
+    """The template of a sensor's measurement, ``z`` or ``z.at(3)``; None of other variables."""
+    template = require_variable(variable).template
+    return template if template in layout.model.sensors and not variable.lag else None
+
+
 def _not_hidden(layout: SliceLayout, variable: Variable) -> EvidenceError:
     """The error for an input, a measurement, and a variable that is not hidden."""
     template = variable.template

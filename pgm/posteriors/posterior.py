@@ -139,7 +139,9 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
         Parameters
         ----------
         variable : Variable
-            ``x``, of all steps of a dynamic network, or ``x.at(3)``.
+            ``x``, of all steps of a dynamic network, or ``x.at(3)``. A measurement ``z.at(3)`` that
+            was not taken has the belief, noise included, that follows from all that the beliefs
+            of its parents know; ``z`` stands for all steps, if it was read at none.
 
         Returns
         -------
@@ -149,7 +151,8 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
         Raises
         ------
         EvidenceError
-            If the variable has evidence, is not of the network, was not kept, or has no such step.
+            If the variable has evidence, is not of the network, was not kept, or has no such step;
+            of a measurement over time also if evidence does not tell its observed parents.
         ModelError
             If it stands after the last step of a grid or particles.
         """
@@ -406,7 +409,42 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
 
     @property
     def predicted(self) -> OverTime[B]:
-        """Marginals given the measurements before each step, as CPDs were linearised last."""
+        r"""Beliefs given the measurements before each step, as CPDs were linearised last.
+
+        ``predicted[x]`` is the marginal of a state or a hidden control at its steps. Under every
+        schedule ``predicted[z]`` is the belief of a sensor's measurement before its own value is
+        taken, noise included:
+
+        .. math:: z_t \mid z_0, \dots, z_{t-1} \sim N(H \mu_t + b,\; H P_t H^\top + R)
+
+        with the predicted mean μ and covariance P of the states, and the sensor's linearisation
+        H, b and noise R. At steps without a reading, such as those after the last one, that is a
+        forecast from all readings before.
+
+        The rows of ``predicted[z]``, told by ``.steps``, are those of evidence that is an array,
+        1..T (``steps=`` makes T larger than the array); else all steps, 0..T, however many
+        sightings each has, or 1..T where an observed parent of the sensor is an array, or a hidden
+        one is a control. If the sightings themselves have observed parents, ``given=``, rows are
+        the sightings in their order, and a sighting of NaN tells the parents where nothing was
+        read. ``predicted[z.at(3)]`` is that of one step.
+
+        A measured angle is within half a turn of its reading or, without one, of the row before.
+        Robust noise counts with the `cov` of its CPD. Under a flat prior a component that depends
+        on a direction of which nothing is known has an infinite variance, and no covariances.
+
+        Raises
+        ------
+        EvidenceError
+            If a variable is neither hidden nor a measurement, has no such step, or depends on
+            observed parents that evidence does not tell.
+
+        Examples
+        --------
+        >>> from pgm.examples import walk, x, z
+        >>> filtered = pgm.filter(walk, {z: [[4.0]]}, steps=3)
+        >>> filtered.predicted[z].mean.ravel(), filtered.predicted[z].std.ravel().round(3)
+        (array([0., 2., 2.]), array([2.   , 2.   , 2.236]))
+        """
         return self._ask("predicted")  # type: ignore[no-any-return]
 
     @property

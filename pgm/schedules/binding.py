@@ -42,4 +42,5 @@ def bind_chain(
         identities=identities,
         among=frozenset(cpd.child for cpd in model.transition) if among else (),
         threads=threads,
+        forecasts=True,
     )

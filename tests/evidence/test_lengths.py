@@ -36,16 +36,18 @@ def refused(evidence, *words, model=MODEL, steps=None, variable=None):
     assert variable is None or caught.value.variable == variable
 
 
-@pytest.mark.parametrize("steps", [T + 4, None])
-def test_readings_that_end_early(steps):
-    """The refusal says how to go on, and both ways that it names give the same forecast."""
+def test_readings_that_end_early():
+    """The refusal says how to go on, and all ways that it names give the same forecast."""
     inputs = {u: np.zeros((T + 4, 1))}
     told = "give it 4 rows more, of NaN", f"pgm.sightings(values, step=np.arange(1, {T + 1}))"
-    refused(inputs | {z: ZS}, *told, steps=steps, variable=z)
+    refused(inputs | {z: ZS}, *told, f"steps={T + 4} says so", variable=z)
     padded = np.concatenate([ZS, np.full((4, 1), np.nan)])
     first = pgm.filter(MODEL, inputs | {z: padded})[x]
     second = pgm.filter(MODEL, inputs | {z: pgm.sightings(ZS, step=np.arange(1, T + 1))})[x]
+    third = pgm.filter(MODEL, inputs | {z: ZS}, steps=T + 4)
     np.testing.assert_allclose(first.mean, second.mean, rtol=1e-12)
+    np.testing.assert_array_equal(second.mean, third[x].mean)
+    assert third.innovations[z].residual.shape == ZS.shape
     known = pgm.filter(MODEL, {u: np.zeros((T, 1)), z: ZS})[x]
     mean, cov, move = known.mean[-1], known.cov[-1], np.array([[1.0, 1.0], [0.0, 1.0]])
     for _ in range(4):
@@ -54,11 +56,19 @@ def test_readings_that_end_early(steps):
     np.testing.assert_allclose(first.cov[-1], cov, rtol=1e-10)
 
 
+def test_arrays_that_do_not_end_early():
+    """Inputs must be known at all steps, and 4 runs of one row are no run of 4 steps."""
+    refused({u: US[:2], z: ZS[:2]}, "give u 1 row more", steps=3, variable=u)
+    refused({u: np.zeros((4, 1)), z: np.zeros((4, 1, 1))}, "np.reshape", steps=4, variable=z)
+    refused({u: US[:2], z: ZS[:3]}, "leave a row of it out", steps=2, variable=z)
+
+
 def test_states_that_end_early():
-    refused({o: [0, 1]}, "2 rows more, of −1", "np.arange(1, 3)", model=HMM, steps=4, variable=o)
+    shorter = pgm.filter(HMM, {o: [0, 1]}, steps=4)[s]
     said = pgm.filter(HMM, {o: pgm.sightings([0, 1], step=np.arange(1, 3))}, steps=4)[s]
     padded = pgm.filter(HMM, {o: [0, 1, -1, -1]}, steps=4)[s]
     np.testing.assert_allclose(said.probabilities, padded.probabilities)
+    np.testing.assert_array_equal(said.probabilities, shorter.probabilities)
 
 
 @pytest.mark.parametrize("steps", [T, None])

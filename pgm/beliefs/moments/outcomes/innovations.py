@@ -7,13 +7,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pgm.beliefs.moments.outcomes.measurements import read
 from pgm.beliefs.moments.passes.forward import Forward
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.beliefs.moments.steps.vector import stacks
-from pgm.kernels import moments
-from pgm.kernels.angles import nearest_branch
-from pgm.kernels.arrays import Array, Integers, block
+from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.dense import Stack
 from pgm.kernels.step import innovation
 from pgm.posteriors.innovations import Innovations
@@ -25,24 +24,14 @@ def innovations(plan: ChainPlan, sensor: Sensor, forward: Forward) -> Innovation
     The sensor is linearised as the plan has it. NIS and degrees of freedom are of this sensor
     alone.
     """
-    family, parents, lead = sensor.family, sensor.parents, plan.lead
-    mean = forward.predicted_mean[family.step][..., parents]
-    value = family.value(slice(None), mean)
-    residual = sensor.moved - value
-    ahead = forward.predicted_cov if forward.diffuse is None else forward.diffuse.cov
-    spread = block(ahead[family.step], parents, parents)
+    found, lead = read(sensor, forward.predicted_mean, forward.ahead), plan.lead
+    residual, cov = sensor.values - found.mean, found.spread.cov
     given = sensor.taken if sensor.gated is None else sensor.gated.given
     taken = np.broadcast_to(True if given is None else given, residual.shape)
     rejected = np.zeros(residual.shape[:2], dtype=bool)
     if sensor.gated is not None:
         rejected |= sensor.gated.rejected
-        if sensor.variable.angles:  # no linearisation has put what was rejected on a branch
-            near = nearest_branch(sensor.values, value, sensor.variable.angle_mask)
-            residual = np.where(rejected[..., None], near - value, residual)
-    if forward.diffuse is not None:
-        reach = forward.diffuse.at(family.step).of(parents).reach(family.matrix)
-        taken = taken & ~reach.any(axis=-1)
-    cov = moments.predict(spread, family.matrix, family.noise)
+    taken = taken & ~found.spread.unknown
     nis, dof = by_step(plan, [sensor], forward)
     back = np.argsort(sensor.order)
 
@@ -54,7 +43,7 @@ def innovations(plan: ChainPlan, sensor: Sensor, forward: Forward) -> Innovation
     return Innovations(
         out(np.where(taken, residual, np.nan)[back]),
         out(np.where(taken[..., None] & taken[..., None, :], cov, np.nan)[back]),
-        family.step[back],
+        found.step[back],
         out(nis),
         out(dof),
         out(rejected[back]),
@@ -71,12 +60,8 @@ def by_step(plan: ChainPlan, sensors: list[Sensor], forward: Forward) -> tuple[A
     shape = plan.steps + 1, plan.runs
     nis, dof = np.full(shape, np.nan), np.zeros(shape, dtype=np.intp)
     for steps, matrix, residual, noise, missing in stacks(plan, sensors, forward.predicted_mean):
-        unknown: Integers | int = 0
-        if forward.diffuse is None:
-            spread = moments.predict(forward.predicted_cov[steps], matrix, noise)
-        else:
-            ahead = forward.diffuse.at(steps)
-            residual, spread, unknown = ahead.innovations(matrix, residual, noise)
+        ahead = forward.ahead.at(steps)
+        residual, spread, unknown = ahead.innovations(matrix, residual, noise)
         square = innovation(Stack.column(residual), Stack(spread, True)).square
         seen = residual.shape[-1] - missing - unknown
         dof[steps] = seen

@@ -10,13 +10,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pgm.beliefs.moments.outcomes.measurements import expected
 from pgm.beliefs.moments.passes.backward import Beliefs
+from pgm.beliefs.moments.steps.diffuse import Diffuse
+from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.compile import SliceLayout
 from pgm.display import NoArray, Shown, Summary
 from pgm.factors import Gaussian
-from pgm.kernels.arrays import block
+from pgm.kernels.arrays import block, quiet
 from pgm.posteriors.belief_kind import Kind
-from pgm.posteriors.hidden import located
+from pgm.posteriors.hidden import located, measured
 from pgm.posteriors.summaries import marginals_over_time
 from pgm.variables import Variable
 
@@ -85,3 +88,33 @@ class Marginals(Shown, NoArray):
     def _summary(self) -> Summary:
         last = self.beliefs.mean.shape[0] - 1
         return marginals_over_time(self._title, self, self.layout, self.lead, last)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Predicted(Marginals):
+    """The marginals before each step's measurements, and the beliefs of measurements to be taken.
+
+    `plan` has the sensors with their linearisations, and `spread` the covariances before
+    measurements, along known and unknown directions.
+    """
+
+    plan: ChainPlan
+    spread: Diffuse
+
+    @quiet()
+    def __getitem__(self, variable: Variable) -> Gaussian:
+        """The marginal of a hidden variable, as of `Marginals`, or the belief of a measurement.
+
+        Rows of a measurement ``z`` are steps, as `steps` says; see `Posterior.predicted`.
+
+        Raises
+        ------
+        EvidenceError
+            If the variable is neither hidden nor a measurement, has no such step, or depends on
+            observed parents that evidence does not tell.
+        """
+        sensor = measured(self.layout, variable)
+        if sensor is None:
+            return super().__getitem__(variable)
+        found = expected(self.plan, sensor, self.beliefs.mean, self.spread)
+        return found.gaussian(variable, self.lead)

@@ -23,10 +23,12 @@ import numpy as np
 
 from pgm.beliefs.moments.digits import adjoint
 from pgm.beliefs.moments.digits.adjoint_belief import Smooth
+from pgm.beliefs.moments.digits.careful_belief import rounded_belief
 from pgm.beliefs.moments.digits.careful_pass import Careful
 from pgm.beliefs.moments.outcomes.draws import draws
 from pgm.beliefs.moments.outcomes.innovated import Innovated
-from pgm.beliefs.moments.outcomes.marginals import Marginals
+from pgm.beliefs.moments.outcomes.marginals import Marginals, Predicted
+from pgm.beliefs.moments.outcomes.measurements import unread
 from pgm.beliefs.moments.outcomes.shown_slices import ShownMoments
 from pgm.beliefs.moments.passes import backward
 from pgm.beliefs.moments.passes.backward import Beliefs, Reverse
@@ -35,6 +37,7 @@ from pgm.beliefs.moments.passes.joints import joint_moments
 from pgm.beliefs.moments.passes.messages import backward_messages, first_potential, potentials
 from pgm.beliefs.moments.passes.reweighting import evidence_kind, weights
 from pgm.beliefs.moments.smoothers.fixed_lag import Windows
+from pgm.beliefs.moments.steps.diffuse import Diffuse
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.clustergraph import Cluster
 from pgm.compile import DynamicGraph
@@ -46,7 +49,7 @@ from pgm.kernels import canonical
 from pgm.kernels.arrays import Array, block, quiet
 from pgm.posteriors.associations import Found
 from pgm.posteriors.belief_kind import FILTERED, PREDICTED, SMOOTHED, Kind, require_smoothed
-from pgm.posteriors.hidden import require_at_steps
+from pgm.posteriors.hidden import measured, require_at_steps
 from pgm.posteriors.outcome import CHAIN, Outcome
 from pgm.posteriors.shown_slices import Room
 from pgm.posteriors.status import Status
@@ -120,11 +123,38 @@ class ChainOutcome(Innovated, Outcome[Gaussian]):
         return ShownMoments(self, span, room)
 
     def __getitem__(self, variable: Variable) -> Gaussian:
-        """The marginal of a hidden variable, at one step or at all.
+        """The marginal of a hidden variable, or of a measurement not taken, at one step or at all.
 
         Any other variable, or a step where it does not stand, raises EvidenceError.
         """
+        if measured(self.graph.layout, variable) is not None:
+            return self._unread(variable)
         return self._marginals(self._beliefs, self.kind)[variable]
+
+    @quiet()
+    def _unread(self, variable: Variable) -> Gaussian:
+        """The belief of a measurement that was not taken, given all that the beliefs know."""
+        return unread(self._plan, variable, self._beliefs.mean, self._spread)
+
+    @property
+    def _spread(self) -> Diffuse:
+        """The covariances of `_beliefs`, along known and unknown directions."""
+        cov, careful = self._beliefs.cov, self._careful
+        if not np.isinf(cov).any():
+            return Diffuse.known(cov)
+        slices = self._careful_slices
+        if careful is None or (slices is None and self.kind != FILTERED):
+            raise NumericalError(
+                f"{self.kind} beliefs keep no directions of which nothing is known, which the "
+                "belief of a measurement needs; pgm.filter and pgm.smooth keep them"
+            )
+        unknown = careful.steps[-1].taken.unknown
+        every = (
+            [step.taken.spread for step in careful.steps]
+            if slices is None
+            else [rounded_belief(each.belief, unknown)[1] for each in slices]
+        )
+        return Diffuse(*map(np.stack, zip(*every, strict=True)))
 
     @property
     @quiet()
@@ -165,11 +195,15 @@ class ChainOutcome(Innovated, Outcome[Gaussian]):
         return (*self.graph.model.states, *self.graph.model.controls)
 
     @property
-    def predicted(self) -> Marginals:
-        """Marginals given the measurements before each step, as CPDs were linearised last."""
-        forward = self._forward
+    def predicted(self) -> Predicted:
+        """Beliefs given the measurements before each step, as CPDs were linearised last.
+
+        They are of hidden variables, and of measurements.
+        """
+        plan, forward = self._plan, self._forward
         beliefs = Beliefs(forward.predicted_mean, forward.predicted_cov)
-        return self._marginals(beliefs, PREDICTED)
+        shown = self.graph.layout, beliefs, self._lead, PREDICTED
+        return Predicted(*shown, plan, forward.ahead)
 
     @property
     def filtered(self) -> Marginals:

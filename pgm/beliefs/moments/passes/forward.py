@@ -86,6 +86,11 @@ class Forward:
         return cls(*moments(), *moments(), np.zeros(shape))
 
     @property
+    def ahead(self) -> Diffuse:
+        """The covariances before measurements, along known and unknown directions."""
+        return Diffuse.known(self.predicted_cov) if self.diffuse is None else self.diffuse
+
+    @property
     def known(self) -> Arrays:
         """Means and covariances after measurements, and the measurements' log-densities."""
         return self.mean, self.cov, self.log_density

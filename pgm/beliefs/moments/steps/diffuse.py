@@ -53,6 +53,12 @@ class Diffuse(NamedTuple):
     open: Array
     size: Array
 
+    @classmethod
+    def known(cls, cov: Array) -> Diffuse:
+        """Beliefs of finite covariances P (..., n, n): no direction is unknown."""
+        none = np.zeros((*cov.shape[:-1], 0))
+        return cls(cov, none, none)
+
     @property
     def unknown(self) -> Mask:
         """The mask (..., n) of components of infinite variance: their row of O is not exactly zero.
@@ -92,6 +98,15 @@ class Diffuse(NamedTuple):
         clean: Array = np.where(np.abs(found) > rounding, found, 0.0)
         return clean
 
+    def measured(self, matrix: Array, noise: Array) -> Diffuse:
+        """The covariances of measurements z = H x + e before their values are taken.
+
+        They are S + κ U Uᵀ, with S = H P Hᵀ + R, for H (..., d, n), `matrix`, and R (..., d, d),
+        `noise`.
+        """
+        spread = moments.predict(self.cov, matrix, noise)
+        return Diffuse(spread, self.reach(matrix), np.abs(matrix) @ self.size)
+
     def innovations(
         self, matrix: Array, residual: Array, noise: Array
     ) -> tuple[Array, Array, Integers]:
@@ -103,11 +118,11 @@ class Diffuse(NamedTuple):
         is a zero of unit variance, which adds nothing to the normalised square. The third result
         is rank U (...), the number of these.
         """
-        reach = self.reach(matrix)
+        _, reach, _ = measured = self.measured(matrix, noise)
         lead = reach.shape[:-2]
         missing: Integers = np.zeros(lead, dtype=np.intp)
         lost: Mask = np.any(reach, axis=(-2, -1))
-        spread = moments.predict(self.cov, matrix, noise)
+        spread = measured.cov
         if not lost.any():
             return np.broadcast_to(residual, reach.shape[:-1]), spread, missing
         residual = np.broadcast_to(residual, reach.shape[:-1]).copy()

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -33,8 +33,10 @@ from pgm.factors.scope import Scope
 from pgm.kernels.arrays import Array, Index, Integers, cut
 from pgm.linearisation.family import Family
 from pgm.linearisers import Lineariser, StatisticalRegression
+from pgm.linearisers.numbering import Numbering
 from pgm.schedules.argument_checks import require_plain
 from pgm.tracing import Judge
+from pgm.variables import Variable
 
 # Blank plans of so many forms of evidence are kept.
 _PLANS = 8
@@ -68,6 +70,18 @@ class Link:
         return list(zip(self.angles.tolist(), self.before.tolist(), strict=True))
 
 
+class Unread(NamedTuple):
+    """Sensors at steps where nothing may have been read, of which readings may be forecast.
+
+    `readings` are as of `BoundEvidence.unread`; the `lineariser` serves nonlinear CPDs that have
+    none of their own, and the `numbering` of runs is for the texts of errors.
+    """
+
+    readings: tuple[Reading, ...]
+    lineariser: Lineariser
+    numbering: Numbering
+
+
 @dataclass(eq=False)
 class ChainPlan:
     """A chain of slices with its evidence, ready to be swept.
@@ -78,7 +92,7 @@ class ChainPlan:
     first step, which is not zero online and for a window; `begin` is the belief there given its
     measurements, (n, *batch) and (n, n, *batch), where that takes the prior's place, else None.
     `account` tells which sweeps of this plan, and of the plans cut from it, machine code made, and
-    why it did not make the others.
+    why it did not make the others. `unread` has the sensors at the steps without readings.
     """
 
     layout: SliceLayout
@@ -90,6 +104,7 @@ class ChainPlan:
     first: int = 0
     begin: tuple[Array, Array] | None = None
     account: Account = field(default_factory=Account)
+    unread: Unread | None = None
 
     @cached_property
     def linear(self) -> bool:
@@ -281,16 +296,8 @@ class ChainPlan:
         layout, lead = graph.layout, bound.lead
 
         def family(cpd: Any, place: Place, step: Integers, inputs: Inputs) -> Family:
-            return Family.make(
-                cpd,
-                place.hidden,
-                step,
-                inputs,
-                lineariser,
-                lead,
-                template=place.template,
-                numbering=bound.numbering,
-            )
+            rows = step, inputs, lineariser, lead, bound.numbering
+            return _family(cpd, place, *rows)
 
         def link(cpd: Any, scope: Scope, step: Integers, inputs: Inputs) -> Link:
             require_plain([cpd])
@@ -317,7 +324,44 @@ class ChainPlan:
             for cpd, inputs in zip(layout.model.transition, bound.transition, strict=False)
         ]
         sensors = [sensor(reading) for reading in bound.readings]
-        return cls(layout, bound.steps, lead, links, transition, sensors, first)
+        unread = Unread(bound.unread, lineariser, bound.numbering)
+        plan = layout, bound.steps, lead, links, transition, sensors, first
+        return cls(*plan, unread=unread)
+
+    def unread_family(self, variable: Variable) -> tuple[Family, Index] | None:
+        """A sensor at the steps where it may be forecast, and its parents' places in the slice.
+
+        The family's rows are these steps, from 1 on where a hidden parent is none of the states; it
+        is not linearised. None if there are no such rows: if the sensor's readings have all of
+        them, or values of its observed parents are not known.
+        """
+        if self.unread is None:
+            return None
+        readings, lineariser, numbering = self.unread
+        for reading in readings:
+            if reading.cpd.child == variable:
+                place = self.layout.place(reading.cpd, self.layout.slice)
+                stands = set(place.hidden) <= set(self.layout.states)
+                skip = int(not stands and reading.step[0] == 0)
+                step = reading.step[skip:] + self.first
+                inputs = {v: values[skip:] for v, values in reading.inputs.items()}
+                own = step, inputs, lineariser, self.lead, numbering
+                return _family(reading.cpd, place, *own), place.parents
+        return None
+
+
+def _family(
+    cpd: Any,
+    place: Place,
+    step: Integers,
+    inputs: Inputs,
+    lineariser: Lineariser,
+    lead: tuple[int, ...],
+    numbering: Numbering,
+) -> Family:
+    """The family of a CPD at its place, at rows of steps with values of observed parents."""
+    rows = cpd, place.hidden, step, inputs, lineariser, lead
+    return Family.make(*rows, template=place.template, numbering=numbering)
 
 
 @dataclass(frozen=True, eq=False)
@@ -386,7 +430,9 @@ class Blank:
             for link, inputs in zip(known.transition, bound.transition, strict=False)
         ]
         prior = [link.with_family(link.family.renewed({}, lead)) for link in known.prior]
-        return ChainPlan(known.layout, known.steps, lead, prior, transition, sensors)
+        unread = Unread(bound.unread, self.lineariser, bound.numbering)
+        plan = known.layout, known.steps, lead, prior, transition, sensors
+        return ChainPlan(*plan, unread=unread)
 
 
 def _sensor(

@@ -11,7 +11,7 @@ import numpy as np
 
 from pgm.compile import DynamicGraph
 from pgm.cpds import ConditionalGaussian
-from pgm.evidence import BoundEvidence
+from pgm.evidence import BoundEvidence, Reading
 from pgm.factors.arrays import flat
 from pgm.kernels.arrays import Array, cut
 
@@ -54,18 +54,22 @@ def evidence_of(bound: BoundEvidence, runs: slice) -> BoundEvidence:
         """The values of inputs in the part's runs, by variable."""
         return {variable: cut(array, runs) for variable, array in values.items()}
 
-    return replace(
-        bound,
-        lead=(runs.stop - runs.start,),
-        first_run=bound.first_run + runs.start,
-        transition=tuple(map(inputs, bound.transition)),
-        readings=tuple(
+    def part(readings: tuple[Reading, ...]) -> tuple[Reading, ...]:
+        return tuple(
             replace(
                 reading,
                 values=cut(reading.values, runs),
                 taken=cut(reading.taken, runs),
                 inputs=inputs(reading.inputs),
             )
-            for reading in bound.readings
-        ),
+            for reading in readings
+        )
+
+    return replace(
+        bound,
+        lead=(runs.stop - runs.start,),
+        first_run=bound.first_run + runs.start,
+        transition=tuple(map(inputs, bound.transition)),
+        readings=part(bound.readings),
+        unread=part(bound.unread),
     )

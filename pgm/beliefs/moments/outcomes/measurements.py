@@ -1,0 +1,216 @@
+"""The beliefs of measurements z = F x + b + e of a chain, noise e included.
+
+A belief N(μ, P) over a slice x, the vector of all hidden variables of a step, has the belief
+N(F μ + b, F P Fᵀ + R) of a measurement whose own value it does not know, R being the covariance of
+e. Predicted beliefs give forecasts, innovations and normalised squares; filtered and smoothed ones
+give measurements that were not taken. A *sighting* is one measurement by a sensor, of which a step
+may have several; the *branch* of an angle is its value among those that differ by whole turns.
+Arrays are (rows, runs, ...), a row being a sighting, or a step.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pgm.beliefs.moments.steps.diffuse import Diffuse
+from pgm.beliefs.moments.steps.plan import ChainPlan
+from pgm.beliefs.moments.steps.sensor import Sensor
+from pgm.errors import EvidenceError
+from pgm.factors import Gaussian
+from pgm.kernels.angles import nearest_branch
+from pgm.kernels.arrays import Array, Index, Integers, Mask
+from pgm.linearisation.family import Family
+from pgm.variables import Variable
+
+
+class Expected(NamedTuple):
+    """The beliefs of a sensor's measurements at rows of some steps, before their values are taken.
+
+    `step` is (rows,), `mean` (rows, runs, d), its angles on the branch of the reading where there
+    is one, and `spread` has the covariances (rows, runs, d, d). Rows stand in the order of the
+    evidence.
+    """
+
+    step: Integers
+    mean: Array
+    spread: Diffuse
+
+    @classmethod
+    def of(
+        cls, family: Family, parents: Index, mean: Array, spread: Diffuse, *, linearise: bool
+    ) -> Expected:
+        """The beliefs at a family's rows, from those over all slices, `mean` and `spread`.
+
+        `parents` are the places of the CPD's hidden parents in a slice. With `linearise` the CPD is
+        first linearised at these beliefs, else it stays as it is.
+        """
+        at, own = mean[family.step][..., parents], spread.at(family.step).of(parents)
+        if linearise:
+            family.linearise(slice(None), at, own.shown)
+        value = family.value(slice(None), at)
+        return cls(family.step, value, own.measured(family.matrix, family.noise))
+
+    def at(self, rows: Index) -> Expected:
+        """The beliefs at some of the rows."""
+        return Expected(self.step[rows], self.mean[rows], self.spread.at(rows))
+
+    def gaussian(self, variable: Variable, lead: tuple[int, ...]) -> Gaussian:
+        """The beliefs as users see them: of ``z`` by row, of ``z.at(3)`` that of step 3 alone.
+
+        `lead` are the axes of runs. An `EvidenceError` is raised where step 3 has not one row.
+        """
+        steps, mean, cov = self.step, self.mean, self.spread.shown
+        if variable.step is not None:
+            mean, cov = (part[one_row(steps, variable)] for part in (mean, cov))
+            mean, cov = mean.reshape(*lead, -1), cov.reshape(*lead, *cov.shape[1:])
+            return Gaussian._make((variable,), mean, cov)
+        mean, cov = mean.swapaxes(0, 1), cov.swapaxes(0, 1)
+        mean, cov = (part.reshape(*lead, *part.shape[1:]) for part in (mean, cov))
+        return Gaussian._make((variable,), mean, cov, steps.copy())
+
+
+def one_row(steps: Integers, variable: Variable) -> int:
+    """The row of ``z.at(3)`` among the `steps` of rows; an EvidenceError unless there is one."""
+    rows = np.flatnonzero(steps == variable.step)
+    if rows.size == 1:
+        return int(rows[0])
+    name, step = variable.template.name, variable.step
+    if rows.size:
+        text = f"there are {rows.size} sightings; ask for {name}, whose rows are sightings"
+    elif steps.size:
+        text = (
+            f"there is no row of it: those of {name} are of steps {steps.min()}..{steps.max()}. "
+            "Where values of observed parents are given with sightings, a sighting of NaN tells "
+            "them at a step where nothing was read"
+        )
+    else:
+        text = "there are no rows of it"
+    raise EvidenceError(f"{variable!r}: at step {step} {text}", variable=variable, step=step)
+
+
+def was_read(variable: Variable, steps: Integers) -> EvidenceError:
+    """The error for the belief of a measurement that was read, at these `steps`."""
+    name = variable.template.name
+    at = f"at steps {steps.min()}..{steps.max()}" if variable.step is None else "there"
+    return EvidenceError(
+        f"{variable!r} has evidence {at}, and so no belief: posterior.predicted[{name}] has the "
+        f"belief before each reading is taken, posterior.innovations[{name}] how far off it was, "
+        f"and {name}.at(t) is of one step, where nothing was read",
+        variable=variable,
+        step=variable.step,
+    )
+
+
+def read(sensor: Sensor, mean: Array, spread: Diffuse) -> Expected:
+    """The beliefs of a sensor's sightings, in the order of their steps, as they were linearised.
+
+    `mean` (T+1, runs, n) and `spread` are the beliefs over slices. Of robust noise each sighting
+    has the covariance by which it was weighed.
+    """
+    found = Expected.of(sensor.family, sensor.parents, mean, spread, linearise=False)
+    return found._replace(mean=_on_branch(sensor, found.mean))
+
+
+def _on_branch(sensor: Sensor, value: Array) -> Array:
+    """Predicted values (M, runs, d) of sightings, their angles on the branches of the readings."""
+    if not sensor.variable.angles:
+        return value
+    moved = sensor.moved
+    if sensor.gated is not None:  # no linearisation has put what was rejected on a branch
+        near = nearest_branch(sensor.values, value, sensor.variable.angle_mask)
+        moved = np.where(sensor.gated.rejected[..., None], near, moved)
+    found: Array = np.where(_given(sensor), value - (moved - sensor.values), value)
+    return found
+
+
+def _given(sensor: Sensor) -> Mask:
+    """The mask (M, runs, d) of components that were read, be they rejected by a gate or not."""
+    given = sensor.taken if sensor.gated is None else sensor.gated.given
+    return np.broadcast_to(True if given is None else given, sensor.moved.shape)
+
+
+def expected(
+    plan: ChainPlan, variable: Variable, mean: Array, spread: Diffuse, *, anew: bool = False
+) -> Expected:
+    """The beliefs of a sensor's measurements, none of which knows the measurement's own value.
+
+    `mean` (T+1, runs, n) and `spread` are beliefs over slices. Rows are steps, or the sightings if
+    these have values of observed parents. Measurements are linearised as they were for inference,
+    and at these beliefs where nothing was read, or everywhere if `anew`. Robust noise counts with
+    the covariance R of its CPD, since no weight is known before the value is.
+    """
+    sensor = next((each for each in plan.sensors if each.variable == variable), None)
+    unread = plan.unread_family(variable)
+    if unread is None:
+        if sensor is None:
+            raise untold(plan, variable)
+        found = _of_sightings(sensor, mean, spread, anew=anew)
+        return found.at(np.argsort(sensor.order))
+    family, parents = unread
+    family.trace(plan.layout.prior_means, None)
+    found = Expected.of(family, parents, mean, spread, linearise=not family.exact)
+    if sensor is None:
+        return found
+    counts, bounds = np.diff(sensor.bounds), np.asarray(sensor.bounds)
+    steps = np.flatnonzero(counts)
+    sightings, rows = _of_sightings(sensor, mean, spread, anew=anew), steps - family.step[0]
+    own = sightings.at(bounds[steps])
+    for part, new in zip((found.mean, *found.spread), (own.mean, *own.spread), strict=True):
+        part[rows] = new
+    if variable.angles:
+        _follow(sensor, bounds[steps], found.mean, rows)
+    return found
+
+
+def unread(plan: ChainPlan, variable: Variable, mean: Array, spread: Diffuse) -> Gaussian:
+    """The belief of a measurement that was not taken, ``z`` or ``z.at(3)``, at beliefs over slices.
+
+    One of which any component was read, in any run, is refused by an EvidenceError.
+    """
+    sensor = next((each for each in plan.sensors if each.variable == variable.template), None)
+    if sensor is not None:
+        steps = sensor.family.step[_given(sensor).any(axis=(1, 2))]
+        if steps.size and (variable.step is None or variable.step in steps):
+            raise was_read(variable, steps)
+    found = expected(plan, variable.template, mean, spread, anew=True)
+    return found.gaussian(variable, plan.lead)
+
+
+def _of_sightings(sensor: Sensor, mean: Array, spread: Diffuse, *, anew: bool) -> Expected:
+    """The beliefs of a sensor's sightings, as of `read`, with the covariance of the CPD's noise."""
+    if not sensor.robust and (sensor.family.exact or not anew):
+        return read(sensor, mean, spread)
+    family = sensor.family.unweighed()
+    found = Expected.of(family, sensor.parents, mean, spread, linearise=not family.exact)
+    return found._replace(mean=_on_branch(sensor, found.mean))
+
+
+def _follow(sensor: Sensor, sightings: Integers, mean: Array, rows: Integers) -> None:
+    """Move angles of `mean` (steps, runs, d) to the branch of the step before, if not read.
+
+    `sightings` are those of the steps `rows`, whose angles are on the branch of their readings.
+    """
+    last = np.full(mean.shape, np.nan)
+    last[rows] = np.where(_given(sensor), sensor.values, np.nan)[sightings]
+    mask = sensor.variable.angle_mask
+    for row in range(len(mean)):
+        if row:
+            near = nearest_branch(mean[row], last[row - 1], mask)
+            mean[row] = np.where(np.isnan(last[row]), near, mean[row])
+        last[row] = np.where(np.isnan(last[row]), mean[row], last[row])
+
+
+def untold(plan: ChainPlan, variable: Variable) -> EvidenceError:
+    """The error for a sensor without forecasts, since observed parents are not known."""
+    cpd = next(cpd for cpd in plan.layout.model.observation if cpd.child == variable)
+    slice_ = set(plan.layout.slice)
+    lacking = [parent for parent in cpd.parents if parent.template not in slice_]
+    return EvidenceError(
+        f"{variable!r} has no belief, as evidence does not tell its observed parents {lacking} at "
+        f"all steps: give them at the top level, or in sightings of NaN, "
+        f"pgm.sightings(values, step=, given={{{lacking[0].name}: ...}})",
+        variable=variable,
+        cpd=cpd,
+    )
