@@ -13,6 +13,7 @@ name              what it is                           what returns it
 `GridBelief`      probabilities of cells               ``posterior[x]``, of a `Grid`
 `ParticleBelief`  weighted draws                       ``posterior[x]``, of `Particles`
 `Innovations`     measurements less predictions        ``posterior.innovations[z]``
+`StepInnovations` those of a step in a robot's loop    ``belief.innovations[z]``
 `Rejections`      decisions of a sensor's gate         ``posterior.rejected[z]``
 `Associations`    probabilities of what was sighted    ``posterior.associations[z]``
 `Lost`            steps of beliefs probably wrong      ``posterior.lost``
@@ -67,6 +68,7 @@ from pgm.inference import (
     Sensitivities,
     Sensitivity,
     Status,
+    StepInnovations,
 )
 from pgm.io import ControlReport, ReadingReport, Stamped, Timeline
 from pgm.networks import Sample
@@ -126,5 +128,6 @@ __all__ = [
     "Sensitivity",
     "Stamped",
     "Status",
+    "StepInnovations",
     "Timeline",
 ]

@@ -33,6 +33,10 @@ def online():
     return robot.predict(robot.initial())
 
 
+def read():
+    return pgm.OnlineFilter(walk).update(online(), {z: [4.0]})
+
+
 def sighted():
     """A map of one landmark, which is sighted without its name."""
     sees = pgm.LinearGaussianCPD(z, {M: 1.0}, cov=1.0)
@@ -82,6 +86,7 @@ CALLS = {
     "Sensitivities": lambda: pgm.sensitivity(rainy, {rain: "no"}),
     "Sensitivity": lambda: pgm.sensitivity(rainy, {rain: "no"})[rain],
     "Status": lambda: pgm.smooth(walk, GIVEN).status,
+    "StepInnovations": lambda: read().innovations[z],
     "Timeline": lambda: pgm.timeline(**LOG),
 }
 # Those that had the same name before, in the package itself.
@@ -89,7 +94,7 @@ OLD = sorted(
     set(results.__all__)
     - {"Compilation", "ControlReport", "Derivatives", "GridFigures", "Innovations"}
     - {"Association", "CliqueTree", "Growth", "ParticleFigures", "ReadingReport", "Row", "Sample"}
-    - {"MaxMarginals", "SensitiveEntry", "Sensitivities", "Sensitivity"}
+    - {"MaxMarginals", "SensitiveEntry", "Sensitivities", "Sensitivity", "StepInnovations"}
 )
 # What posteriors, statuses and filters are of, by the name of their class before.
 POSTERIORS = {

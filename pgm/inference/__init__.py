@@ -44,6 +44,7 @@ from pgm.posteriors.online_belief import OnlineBelief
 from pgm.posteriors.posterior import Posterior
 from pgm.posteriors.rejections import Rejections
 from pgm.posteriors.status import Status
+from pgm.posteriors.step_innovations import StepInnovations
 from pgm.schedules.damping import LevenbergMarquardt
 from pgm.schedules.schedule import (
     Calibration,
@@ -110,6 +111,7 @@ __all__ = [
     "Sequential",
     "Smoothing",
     "Status",
+    "StepInnovations",
     "Threshold",
     "audit",
     "filter",

@@ -51,6 +51,9 @@ class OnlineBelief(Shown, NoArray):
         Which measurements it knows: filtered after an update, predicted before.
     associations : mapping of Variable to Associations
         By sensor, of the update's sightings with an `unknown` parent; of Gaussian beliefs.
+    innovations : mapping of Variable to StepInnovations
+        Of the last update, by sensor: residuals, their covariances, NIS and gains; of Gaussian
+        beliefs. They are found when they are asked for, by making the update again.
     rejected : mapping of Variable to Rejections
         The decisions of the gates at the last update, by sensor; of Gaussian beliefs.
     lost, lost_since : ndarray
@@ -73,6 +76,9 @@ class OnlineBelief(Shown, NoArray):
       x       2.00 ± 1.00
     >>> belief.step, str(belief.kind)
     (1, 'filtered')
+    >>> found = belief.innovations[z]
+    >>> found.residual.item(), found.cov.item(), found.nis.item()
+    (4.0, 4.0, 4.0)
     """
 
     __slots__ = ()
@@ -104,6 +110,7 @@ class OnlineBelief(Shown, NoArray):
 
     else:
         associations = _Unanswered("associations of measurements")
+        innovations = _Unanswered("innovations")
         lagged = _Unanswered("beliefs of earlier steps")
         lost = _Unanswered("a watch whether the belief is lost")
         lost_since = _Unanswered("a watch whether the belief is lost")

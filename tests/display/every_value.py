@@ -161,6 +161,8 @@ def filtered():
     online = pgm.OnlineFilter(model)
     lagged = pgm.OnlineFilter(model, lag=2)
     belief = online.predict(online.initial(), {U: [1.0, 0.1, 0.5]})
+    seen = pgm.sightings([[30.0, 0.1], [np.nan, 0.2]], given={M: [[30.0, 5.0], [9.0, 0.0]]})
+    read = online.update(belief, {Z: seen})
     nameless = pgm.unknown([[30.0, 5.0], [0.0, 9.0]], gate=0.99, association="likelihood")
     guess = pgm.sightings(drawn[Z], step=np.arange(STEPS + 1), given={M: nameless})
     guessed = pgm.filter(model, {U: asked[U], Z: guess})
@@ -205,6 +207,8 @@ def filtered():
         "message": many.message(3, 4),
         "online filter": online,
         "online belief": belief,
+        "step innovations": read.innovations[Z],
+        "step innovations by sensor": read.innovations,
         "prepared": pgm.prepare(pgm.compile(model, STEPS), drawn.evidence),
         "online beliefs": pgm.OnlineFilter(
             model.replace(prior=[pgm.GaussianCPD(X, np.zeros((5, 3)), np.eye(3))])

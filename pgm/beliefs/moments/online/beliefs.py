@@ -31,6 +31,7 @@ from pgm.beliefs.moments.digits import certificate, close_points, last_places
 from pgm.beliefs.moments.digits.careful_belief import Belief, over
 from pgm.beliefs.moments.online.judged import Decided
 from pgm.beliefs.moments.online.records import Records
+from pgm.beliefs.moments.online.taken import Pair, Taken
 from pgm.beliefs.moments.online.watch import Watch
 from pgm.beliefs.moments.online.window import Sliding, Trail, is_like
 from pgm.beliefs.moments.steps.gate import Asked
@@ -46,12 +47,13 @@ from pgm.kernels import gaussian
 from pgm.kernels.arrays import Array, Integers, Mask, block, symmetric
 from pgm.networks import DynamicBayesianNetwork
 from pgm.posteriors.associations import NONE, Found
-from pgm.posteriors.belief_kind import FILTERED, Kind
+from pgm.posteriors.belief_kind import FILTERED, PREDICTED, Kind
 from pgm.posteriors.lost import PageTest
 from pgm.posteriors.online_belief import OnlineBelief
 from pgm.posteriors.posterior import require_variable
 from pgm.posteriors.rejections import Rejections, RejectionsBySensor
 from pgm.posteriors.status import CLOSE_POINTS, FAR_APART, LAST_PLACE, Status, digits
+from pgm.posteriors.step_innovations import StepInnovations, StepInnovationsBySensor
 from pgm.posteriors.summaries import at_a_step
 from pgm.schedules.schedule import Filtering, FixedLag
 from pgm.variables import Variable
@@ -66,13 +68,15 @@ class Steps(Protocol):
     `layout` is that of the slices. `only` is the slice's hidden variable, if there is just one and
     machine code for its `marginal`, which is made from a core's bytes; else None. `record` says how
     numbers lie in these: the mean (n,), the covariance (n, n), the log-evidence, and with a watch
-    its numbers. Behind them stand `Records`.
+    its numbers. Behind them stand `Records`. `taken` are the filter's steps, which make an update
+    again.
     """
 
     layout: SliceLayout
     only: Variable | None
     marginal: Callable[[bytes], Gaussian]
     record: Any
+    taken: Any
 
 
 def opened(steps: Steps, numbers: bytes) -> Any:
@@ -106,6 +110,11 @@ class _Later:
         moments = found["mean"], found["cov"], found["total"]
         parts = step, steps.layout, (), *moments, records.status(rest), kind, None, behind
         MomentBelief.__init__(belief, *parts)
+        if kind == FILTERED:
+            before = belief._before
+            belief.__dict__["_taken"] = Taken(
+                steps.taken, lambda: _update(steps, step, before, records.given(rest))
+            )
         if "watch" in steps.record.names:
             belief.__dict__["watch"] = Watch.of(found["watch"])
         belief.__dict__["_gated"] = records.decided(rest) if kind == FILTERED else ()
@@ -114,6 +123,15 @@ class _Later:
 
 
 _later: Any = _Later
+
+
+def _update(steps: Steps, step: int, before: bytes, readings: Mapping[Variable, Any]) -> Pair:
+    """The belief before an update in machine code, from its numbers, and the readings."""
+    found = opened(steps, before)
+    moments = found["mean"], found["cov"], found["total"]
+    return MomentBelief(
+        step, steps.layout, (), *moments, nothing_to_iterate(()), PREDICTED
+    ), readings
 
 
 class _Kept:
@@ -125,9 +143,10 @@ class _Kept:
     _kind: Whether it is predicted or filtered.
     _records: How the step's records are read; None of an adopted belief, which has its attributes.
     _behind: The steps behind it; None without a lag.
+    _before: After an update, the numbers of the belief before it.
     """
 
-    __slots__ = ("_behind", "_kind", "_number", "_numbers", "_records", "_steps")
+    __slots__ = ("_before", "_behind", "_kind", "_number", "_numbers", "_records", "_steps")
 
     _steps: Steps | None
     _number: int
@@ -135,6 +154,7 @@ class _Kept:
     _kind: Kind
     _records: Records | None
     _behind: Trail | None
+    _before: bytes
 
 
 class MomentBelief(_Kept, OnlineBelief, Immutable):
@@ -143,6 +163,7 @@ class MomentBelief(_Kept, OnlineBelief, Immutable):
     careful: The belief in twice the digits, where float64 has too few; else None.
     behind: The steps kept behind it for a lag; None without.
     watch: The state of the test whether it is lost; None without.
+    _taken: The update that it was made by; None of a predicted one.
     """
 
     beliefs: ClassVar[str] = "Gaussian beliefs"
@@ -160,6 +181,7 @@ class MomentBelief(_Kept, OnlineBelief, Immutable):
     associations: Found = NONE
     _gated: tuple[Decided, ...] = _later()
     watch: Watch | None = _later()
+    _taken: Taken | None = _later()
     _arrays: ClassVar[str] = ".mean and .cov by variable, belief[x].mean"
 
     def __init__(
@@ -191,6 +213,7 @@ class MomentBelief(_Kept, OnlineBelief, Immutable):
         values["behind"] = behind
         values["_gated"] = ()
         values["watch"] = None
+        values["_taken"] = None
         put_steps(self, None)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -255,6 +278,38 @@ class MomentBelief(_Kept, OnlineBelief, Immutable):
                 for variable, record, order in self._gated
             }
         )
+
+    @property
+    def innovations(self) -> Mapping[Variable, StepInnovations]:
+        """The innovations of the last update, by sensor; of none if the belief is predicted.
+
+        They are found when they are asked for, by making the update again.
+
+        Raises
+        ------
+        ModelError
+            If a function of the model answers otherwise than it did in the update.
+        """
+        return self._innovations
+
+    @cached_property
+    def _innovations(self) -> StepInnovationsBySensor:
+        taken = self._taken
+        if taken is None:
+            return StepInnovationsBySensor({})
+        return StepInnovationsBySensor(taken.steps.innovations(self, taken))
+
+    def plain(self) -> MomentBelief:
+        """The same belief without steps behind it, and without what it was made by."""
+        parts = self.step, self.layout, self.lead, self.mean, self.cov, self.log_evidence
+        found = MomentBelief(*parts, self.status, self.kind, self.careful)
+        found.__dict__["watch"] = self.watch
+        return found
+
+    def took(self, taken: Taken) -> MomentBelief:
+        """The belief itself, which is new, with the update that it was made by."""
+        self.__dict__["_taken"] = taken
+        return self
 
     @property
     def lost(self) -> Mask:

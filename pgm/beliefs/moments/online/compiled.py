@@ -83,9 +83,10 @@ class CompiledSteps:
 
     It is made from functions of the filter, each of a belief and the values given. `ahead` and
     `seen` make the plan of a prediction and of an update, which lays out the step's CPDs and
-    evidence; `moved` and `taken` make these steps in the general way. `done` is the status after
-    predictions and updates by linear sensors, `linearised` after others. `asked` are the questions
-    that steps answer beside those of beliefs. `left` counts the steps made in the general way, by
+    evidence; `moved` and `taken` make these steps in the general way. `asks` are the filter's
+    steps, of which beliefs ask what they have no numbers of. `done` is the status after predictions
+    and updates by linear sensors, `linearised` after others. `asked` are the questions that steps
+    answer beside those of beliefs. `left` counts the steps made in the general way, by
     reason: the belief is of many runs or of another filter, or float64 has too few digits for it; a
     value is neither an array of numbers nor sightings without steps; sightings are to be
     associated, which NumPy does before they are read; the update is at step 0; machine code cannot
@@ -101,13 +102,14 @@ class CompiledSteps:
         seen: Make,
         moved: General,
         taken: General,
+        asks: Any,
         done: Status,
         linearised: Status,
         asked: Questions,
         *,
         wait: int = 0,
     ) -> None:
-        self.layout, model = layout, layout.model
+        self.layout, self.taken, model = layout, asks, layout.model
         # With the first machine code of a step the marginal of a single variable gets its own.
         self.only: Variable | None = None
         self.marginal: Callable[[bytes], Gaussian] = _none

@@ -21,7 +21,7 @@ from pgm.beliefs.moments.compiled.sweep import settings
 from pgm.beliefs.moments.compiled.table import Table
 from pgm.beliefs.moments.compiled.uncompiled import Uncompiled, unknown
 from pgm.beliefs.moments.digits.close_points import families, largest
-from pgm.beliefs.moments.online.records import Records
+from pgm.beliefs.moments.online.records import Form, Records
 from pgm.beliefs.moments.steps import gate as gates
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.sensor import Sensor
@@ -162,7 +162,7 @@ class Kind:
         machine = online.made(step)
         numbers = b"".join(each.tobytes() for each in (*constants.values(), settings(schedule)))
         # As of `evidence.VARIABLES` and before.
-        self.records.motions = motions
+        self.records.motions, self.records.evidence = motions, _forms(values)
         known = PREDICTED if moves else FILTERED
         own = numbers, np.ndarray, Sightings, *self._belief, known, self.records
         return python.bound(machine, online.STEP, (*own, *(variable for _, variable in given)))
@@ -178,7 +178,7 @@ class Kind:
 def _slots(belief: type) -> Slots:
     """The places of slots of sightings, and of a class of beliefs."""
     sighted = (place_of_slot(Sightings, name) for name in ("values", "step", "_given"))
-    names = "_steps", "_number", "_numbers", "_kind", "_records", "_behind"
+    names = "_steps", "_number", "_numbers", "_kind", "_records", "_behind", "_before"
     return Slots(*sighted, *(place_of_slot(belief, name) for name in names))
 
 
@@ -239,6 +239,15 @@ def _widths(values: Values) -> Iterable[tuple[tuple[Variable | None, Variable], 
         yield (None, variable), value.values.shape[1]
         for parent, each in value.given.items():
             yield (variable, parent), each.shape[1]
+
+
+def _forms(values: Values) -> tuple[Form, ...]:
+    """How the values of a step lie behind its numbers."""
+    found = []
+    for variable, value in values.items():
+        parents = tuple(value.given) if isinstance(value, Sightings) else None
+        found.append(Form(variable, parents))
+    return tuple(found)
 
 
 def _evidence(

@@ -35,8 +35,11 @@ from pgm.beliefs.moments.online.kind import Questions
 from pgm.beliefs.moments.online.settings import require_settings, require_watch
 from pgm.beliefs.moments.online.slid import slid
 from pgm.beliefs.moments.online.step_layouts import Layouts
+from pgm.beliefs.moments.online.taken import Taken, kept, opened
 from pgm.beliefs.moments.online.watch import Watch
 from pgm.beliefs.moments.online.window import Passed, Sliding, Trail, look_again, trailing
+from pgm.beliefs.moments.outcomes.step_innovations import at_last_step
+from pgm.beliefs.moments.passes.forward import Forward
 from pgm.beliefs.moments.steps.chain import MomentChain
 from pgm.beliefs.moments.steps.cost import require_cost
 from pgm.beliefs.moments.steps.gate import prepare as prepare_gates
@@ -45,14 +48,16 @@ from pgm.beliefs.moments.steps.readings import Moments
 from pgm.compile import compile
 from pgm.compile.machine import COMPILED, Choice, as_choice
 from pgm.cpds import AffineCPD, NonlinearGaussianCPD
-from pgm.display import InCode
-from pgm.errors import NumericalError
-from pgm.evidence import BoundEvidence
+from pgm.display import InCode, titled
+from pgm.errors import ModelError, NumericalError
+from pgm.evidence import BoundEvidence, Sightings
 from pgm.immutable import Immutable
+from pgm.kernels.arrays import deviation
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.posteriors.belief_kind import FILTERED, PREDICTED
 from pgm.posteriors.status import Status
+from pgm.posteriors.step_innovations import StepInnovations
 from pgm.schedules import step_evidence
 from pgm.schedules.convergence import tell_online
 from pgm.schedules.gates import Gate
@@ -62,6 +67,8 @@ from pgm.variables import Variable
 # Steps of a kind that NumPy makes before machine code, unasked, for each four components of a
 # slice: they take as long as its making.
 _LONG = 1000
+# Updates are the same to so many standard deviations.
+_SAME = 1e-6
 # The statuses of one robot's steps in which nothing was to iterate, or CPDs were linearised once.
 _DONE, _LINEARISED = (Status(1, np.empty(0), np.array(converged)) for converged in (True, False))
 # Numbers too large for float64 are refused where they end up, so that NumPy need not warn. A
@@ -147,6 +154,10 @@ class MomentSteps(InCode, Immutable):
             "compiled": self.compiled,
         }
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # What was prepared is not part of the value.
+        return _made, (self.model, self.options)
+
     def __repr__(self) -> str:
         states = [cpd.child for cpd in self.model.prior]
         return f"OnlineFilter(over {states}, {self.lineariser!r}, {self.schedule!r})"
@@ -159,7 +170,7 @@ class MomentSteps(InCode, Immutable):
         layout = self._graph.layout
         wait = 0 if self.compiled else _LONG * -(-layout.slice_size // 4)
         if not isinstance(self._behind, Sliding):
-            ways = self._ahead, self._seen, self.predict, self.update
+            ways = self._ahead, self._seen, self.predict, self.update, self
             statuses = _DONE, _LINEARISED
             reverses = self._behind is not None and self._behind.lag > 0
             asked = Questions(self._filtering, watched=self.watch, reverses=reverses)
@@ -363,7 +374,8 @@ class MomentSteps(InCode, Immutable):
             behind = behind.read(self._windows, bound.readings, bound.lead)
             made = slid(self._windows, belief.step, behind, belief.log_evidence)
             tell_online(made.status.converged, self.schedule)
-            return made.judged(*of_window(belief.watch, behind.settled(self._windows)))
+            made = made.judged(*of_window(belief.watch, behind.settled(self._windows)))
+            return made.took(Taken(self, None))
         if is_plain(belief):
             ordinary = self._updated(belief, readings)
             if ordinary is not None:
@@ -377,7 +389,13 @@ class MomentSteps(InCode, Immutable):
         tell_online(status.converged, self._filtering)
         behind = None if behind is None else behind._replace(imprecise=True)
         made = careful_belief(plan, belief.step, found, log_evidence, status, FILTERED, behind)
-        return made.judged(*of_update(belief.watch, parts, Moments.of(plan, *known.moments)))
+        made = made.judged(*of_update(belief.watch, parts, Moments.of(plan, *known.moments)))
+        return made.took(self._update(belief, readings))
+
+    def _update(self, belief: MomentBelief, readings: Mapping[Variable, Any]) -> Taken:
+        """The record of an update of a belief by readings, from which innovations are found."""
+        before, values = belief.plain(), kept(readings)
+        return Taken(self, lambda: (before, opened(values)))
 
     def _updated(
         self, belief: MomentBelief, readings: Mapping[Variable, Any]
@@ -412,8 +430,56 @@ class MomentSteps(InCode, Immutable):
             status = _DONE if plan.linear else _LINEARISED
         status = told(status, plan, known, found, belief)
         made = belief_of(plan, belief.step, found, log_evidence, status, FILTERED, belief.behind)
-        judges = chain.gate is not None or belief.watch is not None
-        return made.judged(*of_update(belief.watch, parts, known)) if judges else made
+        if chain.gate is not None or belief.watch is not None:
+            made = made.judged(*of_update(belief.watch, parts, known))
+        return made.took(self._update(belief, readings))
+
+    @_quiet
+    def innovations(self, belief: MomentBelief, taken: Taken) -> dict[Variable, StepInnovations]:
+        """The innovations of an update, `taken`, which led to a belief.
+
+        The update is made again, at the same numbers. If that leads elsewhere, a function of the
+        model has changed, and a ModelError refuses to tell innovations of another update.
+        """
+        if isinstance(belief.behind, Sliding):
+            window = belief.behind.settled(self._windows)
+            found = at_last_step(window.plan, window.ahead)
+            return {z: StepInnovations(*each) for z, each in found.items()}
+        before, readings = taken.pair
+        plan, forward = self._update_again(before, readings)
+        if not _is_same(belief, Moments.of(plan, forward.mean[0], forward.cov[0])):
+            raise ModelError(
+                f"{titled(belief)} has innovations of functions that answer otherwise by now: ask "
+                "for them before what the functions read is changed, or make that an input",
+                step=belief.step,
+            )
+        return {
+            variable: StepInnovations(*each, alone=type(readings[variable]) is not Sightings)
+            for variable, each in at_last_step(plan, forward).items()
+        }
+
+    def _update_again(
+        self, before: MomentBelief, readings: Mapping[Variable, Any]
+    ) -> tuple[ChainPlan, Forward]:
+        """The plan of an update with its linearisations, and its forward pass, of one step."""
+        if is_plain(before):
+            plan = self._seen(before, readings)
+            prepare_gates(plan, self._filtering.gate)
+            known = moments_of(before, plan)
+            try:
+                found, _ = MomentChain(plan, self._filtering).take(0, known)
+            except NumericalError:
+                found = None  # as in the update, twice the digits are taken
+            if found is not None and is_moderate(found, known):
+                return plan, _forward(plan, known, found)
+        plan = self._seen(before, readings)
+        prepare_gates(plan, self._filtering.gate)
+        careful_known = in_digits(before, plan)
+        after, _, parts = careful.update(plan, before.step, careful_known, self._filtering)
+        for part in parts:
+            part.keep()
+        ends = (Moments.of(plan, *each.moments) for each in (careful_known, after))
+        return plan, _forward(plan, *ends)
 
     def _seen(self, belief: MomentBelief, readings: Mapping[Variable, Any]) -> ChainPlan:
         """The plan of one update at the step of a belief, with its `readings` bound."""
@@ -439,3 +505,26 @@ class MomentSteps(InCode, Immutable):
         `prior` says whether the chain begins with the model's prior, or with a belief.
         """
         return ChainPlan.make(self._graph, bound, self.lineariser, first=step, prior=prior)
+
+
+def _made(model: DynamicBayesianNetwork, options: Mapping[str, Any]) -> MomentSteps:
+    """Steps made anew, by their options."""
+    return MomentSteps(model, **options)
+
+
+def _forward(plan: ChainPlan, known: Moments, found: Moments) -> Forward:
+    """The forward pass of one step, from its moments before and after measurements."""
+    (mean, cov), (after, spread) = known.by_run, found.by_run
+    return Forward(mean[None], cov[None], after[None], spread[None], np.zeros((1, plan.runs)))
+
+
+def _is_same(belief: MomentBelief, found: Moments) -> bool:
+    """Whether a belief has these moments, to 10⁻⁶ standard deviations."""
+    mean, cov = (
+        part.reshape(own.shape)
+        for part, own in zip(found.by_run, (belief.mean, belief.cov), strict=True)
+    )
+    std = deviation(belief.cov)
+    near = np.abs(mean - belief.mean) <= _SAME * std + 1e-12 * np.abs(belief.mean)
+    alike = np.abs(cov - belief.cov) <= _SAME * std[..., None] * std[..., None, :]
+    return bool(near.all() and alike.all())

@@ -1,24 +1,37 @@
 """Records of a compiled step online, which stand behind the numbers of its belief.
 
-They are the status of its iterations, the decisions of its gates, and how its transition was
-linearised; `kernels.machine.sweeps.online` says how they lie. They are read when they are asked
-for.
+They are the status of its iterations, the decisions of its gates, how its transition was
+linearised, and its evidence; `kernels.machine.sweeps.online` says how they lie. They are read when
+they are asked for.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from pgm.beliefs.moments.online.judged import Decided, decided
 from pgm.beliefs.moments.steps.plan import ChainPlan
+from pgm.evidence import Sightings
 from pgm.kernels.arrays import Array, Mask
 from pgm.kernels.machine.sweeps import online, told
 from pgm.posteriors.status import Status
 from pgm.schedules.convergence import tell_online
 from pgm.schedules.gates import gate_of
 from pgm.schedules.schedule import Filtering
+from pgm.variables import Variable
+
+
+class Form(NamedTuple):
+    """A variable of a step's evidence: a row, or sightings and the parents given with them.
+
+    `parents` is None of a row (d,), else the parents that are given with the sightings (M, d).
+    """
+
+    variable: Variable
+    parents: tuple[Variable, ...] | None
 
 
 class Records:
@@ -27,10 +40,12 @@ class Records:
     `once` is the status of a belief after a step that settles nothing. `gates` are the
     probabilities of the gates that decide in it, by sensor; `iterated` says whether measurements
     are linearised again. `warns` says that steps may end unsettled, of which a call has to warn.
-    `motions` are the CPDs of its transition, as machine code was told of them.
+    `motions` are the CPDs of its transition, as machine code was told of them; `evidence` says how
+    the values lie that the step was given.
     """
 
     motions: tuple[told.Motion, ...] = ()
+    evidence: tuple[Form, ...] = ()
 
     def __init__(self, plan: ChainPlan, schedule: Filtering, once: Status) -> None:
         self._plan, self._schedule, self._once = plan, schedule, once
@@ -82,6 +97,20 @@ class Records:
                 room[0, 0] = numbers[:count].reshape(array.shape)
                 numbers = numbers[count:]
         return plan
+
+    def given(self, numbers: Array) -> dict[Variable, Any]:
+        """The values that were given to a step that has left these numbers, by variable."""
+        rest = numbers[len(numbers) - 1 - int(numbers[-1]) : -1]
+        found: dict[Variable, Any] = {}
+        for variable, parents in self.evidence:
+            parts: dict[Variable, Array] = {}
+            for each in (variable, *(parents or ())):
+                count, width = int(rest[0]), each.dimension
+                end = 1 + count * width
+                parts[each], rest = rest[1:end].reshape(count, width), rest[end:]
+            own = parts.pop(variable)
+            found[variable] = own[0] if parents is None else Sightings(own, None, parts)
+        return found
 
     def _converged(self, numbers: Array) -> Mask:
         settled = self._plan.linear

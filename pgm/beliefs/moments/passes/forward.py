@@ -91,6 +91,14 @@ class Forward:
         return Diffuse.known(self.predicted_cov) if self.diffuse is None else self.diffuse
 
     @property
+    def last(self) -> Forward:
+        """The pass over the last step alone."""
+        (mean, cov), (known, spread, density), row = self.predicted, self.known, slice(-1, None)
+        diffuse = None if self.diffuse is None else self.diffuse.at(row)
+        ends = mean[row], cov[row], known[row], spread[row], density[row]
+        return Forward(*ends, diffuse=diffuse)
+
+    @property
     def known(self) -> Arrays:
         """Means and covariances after measurements, and the measurements' log-densities."""
         return self.mean, self.cov, self.log_density

@@ -57,6 +57,7 @@ class Slots(NamedTuple):
     kind: int
     records: int
     behind: int
+    before: int
 
 
 class Table:
@@ -99,18 +100,27 @@ class Table:
         return self.code.whole(1) if sensor.bounds is None else self._counts[sensor.bounds]
 
 
+class Rows(NamedTuple):
+    """An array of the evidence: where its rows begin, how many they are, and how wide."""
+
+    address: Address
+    rows: Whole
+    width: int
+
+
 def read(
     python: Python, evidence: tuple[Evidence, ...], slots: Slots, table: Table, values: Address
-) -> Number:
-    """Put what is given into a table; whether all of it is finite, or missing.
+) -> tuple[Number, list[Rows]]:
+    """Put what is given into a table; whether all of it is finite, or missing; and its arrays.
 
-    The function that is written ends with None where the evidence is of another kind.
+    The arrays are in the order of the evidence, a sensor's before those given with it. The function
+    that is written ends with None where the evidence is of another kind.
     """
     reader = _Reader(python, slots, table)
     items = python.items(values, len(evidence))
     for (variable, value), each in zip(items, evidence, strict=True):
         reader.take(variable, value, each)
-    return reader.finite.get()
+    return reader.finite.get(), reader.arrays
 
 
 class _Reader:
@@ -119,6 +129,7 @@ class _Reader:
     def __init__(self, python: Python, slots: Slots, table: Table) -> None:
         self.python, self.slots, self.table, self.code = python, slots, table, python.code
         self.finite = self.code.varying(True)
+        self.arrays: list[Rows] = []
         self._arrays, self._met = python.mine(ARRAYS), 0
 
     def take(self, variable: Address, value: Address, due: Evidence) -> None:
@@ -157,6 +168,7 @@ class _Reader:
         self.python.give_none_unless(shape[-1] == width)
         count = shape[0] if axes == 2 else self.code.whole(1)
         self.table.put(array, address, width if axes == 2 else 0)
+        self.arrays.append(Rows(address, count, width))
         with self.code.loop(count) as at:
             row = self.code.memory(address + at * width)
             for x in map(row.load, range(width)):

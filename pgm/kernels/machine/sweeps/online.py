@@ -27,6 +27,7 @@ from math import inf, prod
 from operator import and_
 from typing import TYPE_CHECKING, Any
 
+from pgm.kernels.machine.emitter.code import Code
 from pgm.kernels.machine.emitter.kinds import WHOLE
 from pgm.kernels.machine.emitter.module import Module
 from pgm.kernels.machine.emitter.python import Python, written
@@ -42,6 +43,7 @@ from pgm.kernels.machine.sweeps.evidence import (
     RECORDS,
     STEPS,
     Evidence,
+    Rows,
     Slots,
     Table,
     read,
@@ -120,15 +122,17 @@ def _write(python: Python, online: Step) -> None:
     if online.moves and not online.evidence:  # which may be left out
         with code.when(python.is_same(values, code.address(id(None)))):
             given.set(code.address(id(_NOTHING)))
-    finite = read(python, online.evidence, online.slots, table, given.get())
+    finite, rows = read(python, online.evidence, online.slots, table, given.get())
     lines = [array for motion in chain.motions for array in kept(motion)]
     length = code.whole(count + sum(prod(array.shape) for array in lines))
     length = length + int(online.weighs) + online.record
     for sensor in chain.sensors:
         length = length + (2 * table.count(sensor) + 1) * int(sensor.gate is not None)
         length = length + 2 * table.count(sensor) * int(sensor.weighs)
-    later = python.held(python.call("PyBytes_FromStringAndSize", python.null, 8 * length))
+    most = length + sum((1 + each.rows * each.width for each in rows), code.whole(1))
+    later = python.held(python.call("PyBytes_FromStringAndSize", python.null, 8 * most))
     end = python.memory_of(later)
+    _copy(code, rows, end + length)
     table.put(chain.known[0], end)
     table.put(chain.known[1], end + size)
     table.put(chain.density, end + last)
@@ -196,6 +200,8 @@ class _Core:
         python.fill(found, slots.kind, python.more(python.mine(KIND)))
         python.fill(found, slots.records, python.more(python.mine(RECORDS)))
         python.fill(found, slots.behind, python.more(python.slot(self._belief, slots.behind)))
+        if not self._online.moves:
+            python.fill(found, slots.before, python.more(self.numbers))
         return python.passed(found)
 
 
@@ -214,6 +220,18 @@ def _sightings(chain: told.Forward, table: Table, place: Address) -> None:
             table.put(sensor.loss.weights, place, 1)
             table.put(sensor.loss.squares, place + count, 1)
             place = place + 2 * count
+
+
+def _copy(code: Code, rows: list[Rows], place: Address) -> None:
+    """Put arrays of the evidence behind one another, and how many numbers that were."""
+    total = code.whole(0)
+    for address, count, width in rows:
+        to, of, size = code.memory(place), code.memory(address), count * width
+        to.store(0, count.number())
+        with code.loop(size) as k:
+            to.store(k + 1, of.load(k))
+        place, total = place + (size + 1), total + size + 1
+    code.memory(place).store(0, total.number())
 
 
 def _constants(python: Python, online: Step, table: Table) -> Address:
