@@ -115,9 +115,10 @@ def test_what_is_said_of_a_reading_that_nobody_took_is_true():
     for seen in (1, 0, 1):
         p = (p @ A) * B[:, seen]
         p /= p.sum()
-    np.testing.assert_allclose(found[copy.at(4)].probabilities, p @ A @ B)
+    for asked in (found[copy.at(4)], found[o.at(4)], found.predicted[o.at(4)]):
+        np.testing.assert_allclose(asked.probabilities, p @ A @ B)
     with pytest.raises(pgm.EvidenceError) as caught:
-        found[o.at(4)]
+        found.joint(o.at(4))
     assert "observed" not in str(caught.value)
     assert "put a copy of its CPD" in str(caught.value)
     with pytest.raises(pgm.EvidenceError, match=r"predicted\[z\].*posterior\.innovations\[z\]"):

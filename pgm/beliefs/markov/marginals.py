@@ -10,13 +10,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pgm.beliefs.markov.measurements import expected
 from pgm.beliefs.markov.plan import SlicePlan
 from pgm.display import NoArray, Shown, Summary
-from pgm.factors import Table
+from pgm.evidence import BoundEvidence
+from pgm.factors import GaussianMixture, Table
 from pgm.factors.axes import discrete
 from pgm.kernels.arrays import Array, frozen
 from pgm.posteriors.belief_kind import Kind
-from pgm.posteriors.hidden import located
+from pgm.posteriors.hidden import located, measured
 from pgm.posteriors.summaries import marginals_over_time
 from pgm.variables import Variable
 
@@ -78,3 +80,23 @@ class StateMarginals(Shown, NoArray):
     def _summary(self) -> Summary:
         last = len(self.beliefs) - 1
         return marginals_over_time(self._title, self, self.plan.layout, self.lead, last)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PredictedStates(StateMarginals):
+    """The marginals before each step's measurements, and the beliefs of measurements to be taken.
+
+    bound: The evidence, with the sensors at steps where nothing was read.
+    """
+
+    bound: BoundEvidence
+
+    def __getitem__(self, variable: Variable) -> Table | GaussianMixture:  # type: ignore[override]
+        """The marginal of a hidden variable, or the belief of a measurement, by row.
+
+        A measurement that depends on observed parents that evidence does not tell raises
+        `EvidenceError`.
+        """
+        if measured(self.plan.layout, variable) is None:
+            return super().__getitem__(variable)
+        return expected(self.plan, self.bound, variable, self.beliefs)

@@ -19,7 +19,8 @@ from pgm.beliefs.markov.chain import TINY, StateChain
 from pgm.beliefs.markov.draws import draws
 from pgm.beliefs.markov.impossible_runs import blank, blanked
 from pgm.beliefs.markov.joints import joint, pair, potential
-from pgm.beliefs.markov.marginals import Beliefs, StateMarginals
+from pgm.beliefs.markov.marginals import Beliefs, PredictedStates, StateMarginals
+from pgm.beliefs.markov.measurements import unread
 from pgm.beliefs.markov.plan import SlicePlan, TableSlices
 from pgm.beliefs.markov.shown_slices import ShownTables
 from pgm.clustergraph import Cluster
@@ -31,7 +32,7 @@ from pgm.factors.axes import discrete, require_axes, sizes
 from pgm.factors.scope import Scope
 from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.posteriors.belief_kind import FILTERED, PREDICTED, SMOOTHED, Kind, require_smoothed
-from pgm.posteriors.hidden import require_at_steps
+from pgm.posteriors.hidden import measured, require_at_steps
 from pgm.posteriors.outcome import SLICES, Outcome
 from pgm.posteriors.shown_slices import Room
 from pgm.posteriors.status import Status
@@ -107,11 +108,14 @@ class StateOutcome(Outcome[Table]):
         """The slices of these steps, as a page shows them."""
         return ShownTables(self, span, room)
 
-    def __getitem__(self, variable: Variable) -> Table:
+    def __getitem__(self, variable: Variable) -> Any:
         """The marginal of a hidden variable, at one step or at all.
 
-        Any other variable raises EvidenceError.
+        A measurement that was not taken has a belief, too: a table, or a mixture of Gaussians if it
+        is continuous. Any other variable raises EvidenceError.
         """
+        if measured(self.graph.layout, variable) is not None:
+            return unread(self._plan, self._slices.bound, variable, self._beliefs)
         return self._marginals(self._beliefs, self.kind)[variable]
 
     def _marginals(self, beliefs: Beliefs, kind: Kind) -> StateMarginals:
@@ -152,12 +156,13 @@ class StateOutcome(Outcome[Table]):
         return self._marginals(self._filtered, FILTERED)
 
     @cached_property
-    def predicted(self) -> StateMarginals:
-        """Marginals given the measurements before each step."""
+    def predicted(self) -> PredictedStates:
+        """Beliefs of hidden variables and of measurements, given those before each step."""
         chain = self._chain
         found = [chain.start()]
         found += [chain.predict(k + 1, belief) for k, belief in enumerate(chain.known[:-1])]
-        return self._marginals(self._blanked([*map(chain.numbers, found)], PREDICTED), PREDICTED)
+        beliefs = self._blanked([*map(chain.numbers, found)], PREDICTED)
+        return PredictedStates(self._plan, beliefs, self._lead, PREDICTED, self._slices.bound)
 
     @cached_property
     def log_evidence(self) -> Array:

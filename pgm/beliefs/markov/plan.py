@@ -171,23 +171,26 @@ class SlicePlan:
 
 
 class RowTables:
-    """The tables, or maps, of a CPD of the transition at all rows, for the inputs of each row.
+    """The tables, or maps, of a CPD at all rows, for the inputs of each row.
 
     inputs: For each input or observed parent its values at all rows, (rows, runs or 1, d); d = 1
         for a discrete one, whose values are the indices of its states.
-    first: The step of row 0; row k is of step `first` + k.
+    steps: The step of each row.
 
-    labels: The axes of its tables: hidden parents, child.
+    labels: The axes of its tables: hidden parents, then the child, unless it is measured.
     observed: The parents that evidence gives.
     by_run: Whether the values of inputs differ by run.
     """
 
     def __init__(
-        self, plan: SlicePlan, cpd: TableCPD, inputs: Mapping[Variable, Any], first: int
+        self,
+        plan: SlicePlan,
+        cpd: TableCPD,
+        inputs: Mapping[Variable, Any],
+        steps: Sequence[int] | Integers,
     ) -> None:
         self.cpd, self.inputs = cpd, inputs
-        rows = max(map(len, inputs.values()), default=0)
-        self.called = InputTables(cpd, inputs, range(first, first + rows))
+        self.called = InputTables(cpd, inputs, steps)
         self.labels = plan.hidden(cpd)
         self.observed = tuple(v for v in cpd.given if v not in plan.labels)
         self.index: dict[tuple[int, ...], Any] = {}
@@ -312,7 +315,7 @@ class TableSlices:
         self.semiring = SUM_PRODUCT
         self.steps, self.lead = bound.steps, bound.lead
         self.rows = [
-            RowTables(plan, cast(TableCPD, cpd), inputs, first)
+            RowTables(plan, cast(TableCPD, cpd), inputs, range(first, first + max(bound.steps, 1)))
             for cpd, inputs in zip(plan.model.transition, bound.transition, strict=False)
         ]
         self.weights: list[SensorWeights] = []

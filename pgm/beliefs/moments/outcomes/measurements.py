@@ -17,11 +17,11 @@ import numpy as np
 from pgm.beliefs.moments.steps.diffuse import Diffuse
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.sensor import Sensor
-from pgm.errors import EvidenceError
 from pgm.factors import Gaussian
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, Index, Integers, Mask
 from pgm.linearisation.family import Family
+from pgm.posteriors.measurements import one_row, require_unread, untold
 from pgm.variables import Variable
 
 
@@ -71,38 +71,6 @@ class Expected(NamedTuple):
         return Gaussian._make((variable,), mean, cov, steps.copy())
 
 
-def one_row(steps: Integers, variable: Variable) -> int:
-    """The row of ``z.at(3)`` among the `steps` of rows; an EvidenceError unless there is one."""
-    rows = np.flatnonzero(steps == variable.step)
-    if rows.size == 1:
-        return int(rows[0])
-    name, step = variable.template.name, variable.step
-    if rows.size:
-        text = f"there are {rows.size} sightings; ask for {name}, whose rows are sightings"
-    elif steps.size:
-        text = (
-            f"there is no row of it: those of {name} are of steps {steps.min()}..{steps.max()}. "
-            "Where values of observed parents are given with sightings, a sighting of NaN tells "
-            "them at a step where nothing was read"
-        )
-    else:
-        text = "there are no rows of it"
-    raise EvidenceError(f"{variable!r}: at step {step} {text}", variable=variable, step=step)
-
-
-def was_read(variable: Variable, steps: Integers) -> EvidenceError:
-    """The error for the belief of a measurement that was read, at these `steps`."""
-    name = variable.template.name
-    at = f"at steps {steps.min()}..{steps.max()}" if variable.step is None else "there"
-    return EvidenceError(
-        f"{variable!r} has evidence {at}, and so no belief: posterior.predicted[{name}] has the "
-        f"belief before each reading is taken, posterior.innovations[{name}] how far off it was, "
-        f"and {name}.at(t) is of one step, where nothing was read",
-        variable=variable,
-        step=variable.step,
-    )
-
-
 def read(sensor: Sensor, mean: Array, spread: Diffuse) -> Expected:
     """The beliefs of a sensor's sightings, in the order of their steps, as they were linearised.
 
@@ -145,7 +113,7 @@ def expected(
     unread = plan.unread_family(variable)
     if unread is None:
         if sensor is None:
-            raise untold(plan, variable)
+            raise untold(plan.layout, variable)
         found = _of_sightings(sensor, mean, spread, anew=anew)
         return found.at(np.argsort(sensor.order))
     family, parents = unread
@@ -171,9 +139,7 @@ def unread(plan: ChainPlan, variable: Variable, mean: Array, spread: Diffuse) ->
     """
     sensor = next((each for each in plan.sensors if each.variable == variable.template), None)
     if sensor is not None:
-        steps = sensor.family.step[_given(sensor).any(axis=(1, 2))]
-        if steps.size and (variable.step is None or variable.step in steps):
-            raise was_read(variable, steps)
+        require_unread(variable, sensor.family.step, _given(sensor))
     found = expected(plan, variable.template, mean, spread, anew=True)
     return found.gaussian(variable, plan.lead)
 
@@ -200,17 +166,3 @@ def _follow(sensor: Sensor, sightings: Integers, mean: Array, rows: Integers) ->
             near = nearest_branch(mean[row], last[row - 1], mask)
             mean[row] = np.where(np.isnan(last[row]), near, mean[row])
         last[row] = np.where(np.isnan(last[row]), mean[row], last[row])
-
-
-def untold(plan: ChainPlan, variable: Variable) -> EvidenceError:
-    """The error for a sensor without forecasts, since observed parents are not known."""
-    cpd = next(cpd for cpd in plan.layout.model.observation if cpd.child == variable)
-    slice_ = set(plan.layout.slice)
-    lacking = [parent for parent in cpd.parents if parent.template not in slice_]
-    return EvidenceError(
-        f"{variable!r} has no belief, as evidence does not tell its observed parents {lacking} at "
-        f"all steps: give them at the top level, or in sightings of NaN, "
-        f"pgm.sightings(values, step=, given={{{lacking[0].name}: ...}})",
-        variable=variable,
-        cpd=cpd,
-    )

@@ -34,6 +34,7 @@ from pgm.kernels.arrays import Array, Index, Integers, cut
 from pgm.linearisation.family import Family
 from pgm.linearisers import Lineariser, StatisticalRegression
 from pgm.linearisers.numbering import Numbering
+from pgm.posteriors.measurements import where_unread
 from pgm.schedules.argument_checks import require_plain
 from pgm.tracing import Judge
 from pgm.variables import Variable
@@ -331,23 +332,18 @@ class ChainPlan:
     def unread_family(self, variable: Variable) -> tuple[Family, Index] | None:
         """A sensor at the steps where it may be forecast, and its parents' places in the slice.
 
-        The family's rows are these steps, from 1 on where a hidden parent is none of the states; it
-        is not linearised. None if there are no such rows: if the sensor's readings have all of
-        them, or values of its observed parents are not known.
+        The family's rows are these steps; it is not linearised. None where there are no such rows;
+        see `where_unread`.
         """
         if self.unread is None:
             return None
         readings, lineariser, numbering = self.unread
-        for reading in readings:
-            if reading.cpd.child == variable:
-                place = self.layout.place(reading.cpd, self.layout.slice)
-                stands = set(place.hidden) <= set(self.layout.states)
-                skip = int(not stands and reading.step[0] == 0)
-                step = reading.step[skip:] + self.first
-                inputs = {v: values[skip:] for v, values in reading.inputs.items()}
-                own = step, inputs, lineariser, self.lead, numbering
-                return _family(reading.cpd, place, *own), place.parents
-        return None
+        reading = where_unread(readings, self.layout, variable)
+        if reading is None:
+            return None
+        place = self.layout.place(reading.cpd, self.layout.slice)
+        rows = reading.step + self.first, reading.inputs
+        return _family(reading.cpd, place, *rows, lineariser, self.lead, numbering), place.parents
 
 
 def _family(

@@ -1,0 +1,148 @@
+r"""The beliefs of a hidden Markov model's measurements, without their own values.
+
+.. math:: p(z) = \sum_x p(z \mid x) \, \alpha(x)
+
+α is a belief over the slice x, the hidden variables of a step: predicted beliefs give forecasts,
+filtered and smoothed ones measurements that were not taken. Beliefs are (*states, [runs]), as in
+`marginals`; a *row* is a step, or a sighting.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pgm.beliefs.markov.plan import RowTables, SlicePlan
+from pgm.cpds import ConditionalGaussian, TableCPD
+from pgm.errors import Unanswered
+from pgm.evidence import BoundEvidence, Reading
+from pgm.factors import Gaussian, GaussianMixture, Table
+from pgm.factors.axes import discrete
+from pgm.kernels.arrays import Array, frozen
+from pgm.kernels.semirings import SUM_PRODUCT
+from pgm.linearisation.family import Family
+from pgm.linearisers import Taylor
+from pgm.posteriors.measurements import one_row, require_unread, untold, where_unread
+from pgm.variables import Variable
+
+
+def expected(
+    plan: SlicePlan, bound: BoundEvidence, variable: Variable, beliefs: Any
+) -> Table | GaussianMixture:
+    """The beliefs of a sensor's measurements, ``z`` by row or ``z.at(3)``, given those of slices.
+
+    They are a table (*lead, rows, size), or of a continuous sensor whose cases are Gaussian a
+    mixture. `beliefs` are those over the slices, by step.
+    """
+    template = variable.template
+    reading = where_unread(bound.unread, plan.layout, template)
+    reading = _read(bound, template) if reading is None else reading
+    if reading is None:
+        raise untold(plan.layout, template)
+    rows = np.argsort(reading.order)
+    if variable.step is not None:
+        rows = rows[[one_row(reading.step[rows], variable)]]
+    if isinstance(reading.cpd, TableCPD):
+        return _table(plan, bound, reading, variable, beliefs, rows)
+    return _mixture(plan, bound, reading, variable, beliefs, rows)
+
+
+def unread(
+    plan: SlicePlan, bound: BoundEvidence, variable: Variable, beliefs: Any
+) -> Table | GaussianMixture:
+    """The belief of a measurement that was not taken, as of `expected`; an EvidenceError else."""
+    reading = _read(bound, variable.template)
+    if reading is not None:
+        require_unread(variable, reading.step, reading.taken)
+    return expected(plan, bound, variable, beliefs)
+
+
+def _read(bound: BoundEvidence, variable: Variable) -> Reading | None:
+    """The readings of a sensor, if it has evidence."""
+    return next((each for each in bound.readings if each.cpd.child == variable), None)
+
+
+def _table(
+    plan: SlicePlan,
+    bound: BoundEvidence,
+    reading: Reading,
+    variable: Variable,
+    beliefs: Any,
+    rows: Any,
+) -> Table:
+    """The table of a discrete sensor at some rows of its reading."""
+    cpd: Any = reading.cpd
+    tables = RowTables(plan, cpd, reading.inputs, reading.step)
+    own, lead = tables.labels, bound.lead
+    fixed: Any = None
+    child, runs = len(plan.labels), len(plan.labels) + 1
+    last = (runs,) if lead else ()
+    found = np.empty((len(rows), cpd.child.size, *(bound.runs,) * len(last)))
+    for place, row in enumerate(rows.tolist()):
+        if fixed is None or reading.inputs:
+            fixed = tables.factor(row, SUM_PRODUCT, as_map=False)
+        by_run = (runs,) if fixed.ndim > len(own) + 1 else ()
+        belief = beliefs[reading.step[row]]
+        of = (*range(len(plan.slice)), *last)
+        found[place] = np.einsum(belief, of, fixed, (*own, child, *by_run), (child, *last))
+    shown = discrete((variable,))
+    found = np.moveaxis(found, -1, 0) if lead else found
+    steps = () if variable.step is not None else (len(rows),)
+    shape: Any = (*lead, *steps, cpd.child.size)
+    return Table._plain(shown, frozen(found.reshape(shape)))
+
+
+def _mixture(
+    plan: SlicePlan,
+    bound: BoundEvidence,
+    reading: Reading,
+    variable: Variable,
+    beliefs: Any,
+    rows: Any,
+) -> GaussianMixture:
+    """The mixture of a continuous sensor's cases at some rows of its reading."""
+    cpd: Any = reading.cpd  # a SwitchingCPD
+    switches = [v for v in cpd.switches if v in plan.labels]
+    weights, means, covs = [], [], []
+    for case, part in cpd.cases.items():
+        if not isinstance(part, ConditionalGaussian):
+            raise Unanswered(
+                f"{variable!r}: {part!r}, a case of its CPD, is not Gaussian, and a measurement's "
+                "belief is a mixture of Gaussians"
+            )
+        inputs = {v: reading.inputs[v] for v in part.parents}
+        lineariser = part.lineariser or Taylor() if hasattr(part, "lineariser") else Taylor()
+        family = Family.make(
+            part, (), reading.step, inputs, lineariser, bound.lead, numbering=bound.numbering
+        )
+        none = np.zeros((reading.step.size, bound.runs, 0))
+        if not family.exact:
+            family.linearise(slice(None), none, np.zeros((*none.shape, 0)))
+        state: dict[Any, int] = dict(zip(cpd.switches, case, strict=True))
+        place = tuple(state[v] if v in switches else slice(None) for v in plan.slice)
+        weight = np.stack(
+            [_summed(beliefs[t][place], bool(bound.lead)) for t in reading.step[rows]]
+        )
+        for observed in set(cpd.switches) - set(switches):
+            chosen = reading.inputs[observed][rows, :, 0] == state[observed]
+            weight = weight * chosen
+        weights.append(weight)
+        means.append(family.value(slice(None), none)[rows])
+        covs.append(np.broadcast_to(family.noise, (*none.shape[:2], *family.noise.shape[2:]))[rows])
+    lead, one = bound.lead, variable.step is not None
+
+    def out(parts: list[Array]) -> Array:
+        """Values (rows, runs, ...) of each case as (*lead, [rows], cases, ...)."""
+        whole = np.moveaxis(np.stack(parts), (0, 1, 2), (2, 1, 0))
+        whole = whole[:, 0] if one else whole
+        return whole.reshape(*lead, *whole.shape[1:])
+
+    gaussian = Gaussian._make((variable,), out(means), out(covs))
+    return GaussianMixture._make(out(weights), gaussian, None if one else reading.step[rows])
+
+
+def _summed(belief: Array, batch: bool) -> Array:
+    """The sum of a belief (*states, [runs]) over its states, (runs or 1,)."""
+    axes = tuple(range(belief.ndim - batch))
+    return np.atleast_1d(belief.sum(axis=axes))
