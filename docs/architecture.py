@@ -64,7 +64,8 @@ LAYERS = [
     Layer("linearisers", "slope, value, error"),
     Layer("factors, tracing", "densities; functions as graphs"),
     Layer(
-        "variables, errors, arguments, boundary, immutable, resources, progress, display, workers",
+        "variables, units, errors, arguments, boundary, immutable, resources, progress, "
+        "display, workers",
         "names",
     ),
     Layer("kernels", "mathematics of arrays; machine code"),

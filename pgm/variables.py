@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, overload
 
@@ -15,7 +15,10 @@ from pgm.boundary import as_tuple, is_unordered, is_whole
 from pgm.display import InCode
 from pgm.errors import ModelError
 from pgm.resources import require_memory, uncollected
+from pgm.units import RAD, SPELLINGS
 
+# Units of components in their order, or by name; of one, its text.
+Units = str | Iterable[str] | Mapping[str, str]
 # Numbers of memory that the name of a state takes.
 _STATE = 8
 
@@ -45,6 +48,18 @@ class Variable(_Hashed, InCode):
         The step of a concrete copy (see `at`); None in a template, which holds for every step.
     lag : int, optional
         How many steps before the current one a template stands (see `previous`).
+    units : str, sequence or mapping of str to str, optional
+        The units of the components, in their order (a text: of the only one), or by name; ``""``
+        where there is none. Angles are in ``"rad"``, said or not. Readers of recordings convert to
+        ``"m"``, ``"km"``, ``"s"``, ``"m/s"``, ``"deg/s"`` and others (`Recording.timeline`),
+        plots, data frames and trajectories are labelled by them. Numbers given as arrays are taken
+        to be in them.
+
+    Raises
+    ------
+    ModelError
+        If a name is empty or repeats, an angle is no component or has another unit than radians, a
+        unit is a known one spelt otherwise, or a step is before the first.
 
     Examples
     --------
@@ -53,6 +68,8 @@ class Variable(_Hashed, InCode):
     (x[t-1], x[3], x[2])
     >>> x.at(3).previous == x.at(2) == x.previous.at(3)
     True
+    >>> Variable("u", components=("speed", "turn", "gain"), units={"speed": "m/s"}).units
+    ('m/s', '', '')
     """
 
     name: str
@@ -60,12 +77,18 @@ class Variable(_Hashed, InCode):
     angles: tuple[str, ...] = ()
     step: int | None = None
     lag: int = 0
+    units: tuple[str, ...] = ()
 
     if TYPE_CHECKING:
         # The first so that names which several variables share can be given as ``**pose``.
         @overload
         def __init__(
-            self, name: str, components: Iterable[str] = ..., angles: Iterable[str] = ...
+            self,
+            name: str,
+            components: Iterable[str] = ...,
+            angles: Iterable[str] = ...,
+            *,
+            units: Units = ...,
         ) -> None: ...
 
         @overload
@@ -76,6 +99,7 @@ class Variable(_Hashed, InCode):
             angles: Iterable[str] = ...,
             step: int | None = ...,
             lag: int = ...,
+            units: Units = ...,
         ) -> None: ...
 
         def __init__(self, *args: Any, **kwargs: Any) -> None: ...
@@ -104,6 +128,8 @@ class Variable(_Hashed, InCode):
         # In the components' order, so that a set of angles makes the same variable each time.
         angles = tuple(name for name in self.components if name in self.angles)
         object.__setattr__(self, "angles", angles)
+        if type(self.units) is not tuple or self.units:
+            object.__setattr__(self, "units", _units(self, self.units))
         for field, value in (("step", self.step), ("lag", self.lag)):
             if value is None and field == "step":
                 continue
@@ -134,6 +160,17 @@ class Variable(_Hashed, InCode):
     def angle_mask(self) -> npt.NDArray[np.bool_]:
         """The mask of components that are angles, shape (dimension,)."""
         return np.array([name in self.angles for name in self.components], dtype=bool)
+
+    def unit_of(self, component: str) -> str:
+        """The unit of a component, ``"rad"`` of an angle; empty where none is known."""
+        if component not in self.components:
+            raise ModelError(
+                f"variable {self.name} has no component {component!r}; it has {self.components}",
+                variable=self,
+            )
+        if self.units:
+            return self.units[self.components.index(component)]
+        return RAD if component in self.angles else ""
 
     @property
     def previous(self) -> Variable:
@@ -211,8 +248,8 @@ class Discrete(Variable):
     ) -> None:
         for field, value in (("name", name), ("step", step), ("lag", lag)):
             object.__setattr__(self, field, value)
-        object.__setattr__(self, "components", ())
-        object.__setattr__(self, "angles", ())
+        for field in ("components", "angles", "units"):
+            object.__setattr__(self, field, ())
         Variable.__post_init__(self)
         if is_whole(states):
             require_memory(
@@ -275,9 +312,58 @@ def _names(variable: Variable, field: str, value: object) -> tuple[str, ...]:
     return found
 
 
+def _units(variable: Variable, given: object) -> tuple[str, ...]:
+    """The unit of each component; none at all, where those of angles alone would be known."""
+    name, components = variable.name, variable.components
+    if isinstance(given, Mapping):
+        unknown = [key for key in given if key not in components]
+        if unknown:
+            raise ModelError(
+                f"variable {name}: units has {unknown}, not among its components {components}",
+                variable=variable,
+            )
+        found = tuple(given.get(each, "") for each in components)
+    else:
+        if is_unordered(given):
+            raise ModelError(
+                f"variable {name}: units is a set, which has no order; give a tuple, or a mapping "
+                "by component",
+                variable=variable,
+            )
+        found = (given,) if isinstance(given, str) else as_tuple(given) or ()
+    if len(found) != len(components) or not all(isinstance(unit, str) for unit in found):
+        raise ModelError(
+            f"variable {name}: units are a text for each of its components {components}, in their "
+            f'order or by name, {{{components[0]!r}: "m"}}, not {given!r}',
+            variable=variable,
+        )
+    for component, unit in zip(components, found, strict=True):
+        if unit in SPELLINGS:
+            raise ModelError(
+                f"variable {name}: the unit {unit!r} of {component!r} is spelt "
+                f"{SPELLINGS[unit]!r} here",
+                variable=variable,
+            )
+        if component in variable.angles and unit not in ("", RAD):
+            raise ModelError(
+                f"variable {name}: {component!r} is an angle, and angles are in radians, not "
+                f"{unit!r}; np.radians(degrees) makes radians of degrees",
+                variable=variable,
+            )
+    if not any(u for each, u in zip(components, found, strict=True) if each not in variable.angles):
+        return ()
+    return tuple(
+        RAD if each in variable.angles else unit
+        for each, unit in zip(components, found, strict=True)
+    )
+
+
 @public
 def variables(
-    names: str | Iterable[str], components: Iterable[str] = (), angles: Iterable[str] = ()
+    names: str | Iterable[str],
+    components: Iterable[str] = (),
+    angles: Iterable[str] = (),
+    units: Units = (),
 ) -> tuple[Variable, ...]:
     """Variables of one kind, one a name; scalars, if they are given no components.
 
@@ -287,6 +373,8 @@ def variables(
         Names, in one string separated by white space or commas, or one by one.
     components, angles : tuple of str, optional
         Those of each; see `Variable`. Scalars that are angles have a component of one name.
+    units : str, sequence or mapping of str to str, optional
+        Of the components of each; a text where there is one.
 
     Examples
     --------
@@ -305,7 +393,7 @@ def variables(
     if not found:
         return ()
     components = tuple(components) if isinstance(components, Iterator) else components
-    first = Variable(found[0], components, angles)
+    first = Variable(found[0], components, angles, units=units)
     own = not components  # each is called like its variable
     if own and first.angles:
         raise ModelError(

@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).parents[1] / "pgm"
 LAYERS = [
     {
         *("arguments", "boundary", "display", "errors", "immutable", "progress", "resources"),
-        *("variables", "workers", "kernels"),
+        *("units", "variables", "workers", "kernels"),
     },
     {"factors", "tracing"},
     {"linearisers"},

@@ -10,6 +10,7 @@ from pgm.arguments import public
 from pgm.boundary import as_floats, as_tuple, is_whole
 from pgm.display import titled
 from pgm.errors import ModelError, NumericalError
+from pgm.evidence.degrees import in_degrees
 from pgm.factors import Gaussian
 from pgm.factors.scope import labels, names
 from pgm.inference import Innovations
@@ -77,7 +78,8 @@ def error(belief: Gaussian, truth: npt.ArrayLike) -> Array:
     Raises
     ------
     ModelError
-        If the belief is no Gaussian, the axes do not fit, or a value is infinite.
+        If the belief is no Gaussian, the axes do not fit, a value is infinite, or angles over
+        several steps seem to be degrees.
 
     Examples
     --------
@@ -113,7 +115,16 @@ def error(belief: Gaussian, truth: npt.ArrayLike) -> Array:
             f"{labels(belief.scope)[component]}{place(belief, tuple(at))}; a truth that is not "
             "known is NaN"
         )
+    require_radians(belief, values)
     return difference(belief.mean, spread, belief.angles)
+
+
+def require_radians(belief: Gaussian, truth: Array) -> None:
+    """Refuse a truth (..., T+1, n) of a belief whose angles seem to be in degrees."""
+    known = labels(belief.scope)
+    angles = [name for name, angle in zip(known, belief.angles, strict=True) if angle]
+    if belief.steps is not None and (odd := in_degrees(truth, known, angles)):
+        raise ModelError(f"a truth for the belief over {names(belief.scope)}: {odd}")
 
 
 def place(belief: Gaussian, index: tuple[int, ...]) -> str:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from pgm.boundary import as_floats, as_wholes
 from pgm.errors import EvidenceError
+from pgm.evidence.degrees import in_degrees
 from pgm.evidence.values import Constant, Soft, UnknownVariable, variables_left_open
 from pgm.factors.axes import MISSING, as_indices
 from pgm.factors.scope import Place, in_row, in_run, listed, unknown_name
@@ -315,4 +316,14 @@ def taken_of(variable: Variable, rows: Rows, step: Integers, threads: int) -> Ma
     """The mask of components that were measured, (..., rows, d); None where every one was."""
     if isinstance(variable, Discrete):
         return _taken_states(rows)
+    require_radians(variable, rows)
     return taken_readings(variable, rows, step, threads)
+
+
+def require_radians(variable: Variable, rows: Array) -> None:
+    """Refuse measurements of angles in degrees, as far as numbers tell.
+
+    rows: (..., rows, d), in the order of time.
+    """
+    if odd := in_degrees(rows, variable.components, variable.angles):
+        raise EvidenceError(f"measurements of {variable!r}: {odd}", variable=variable)

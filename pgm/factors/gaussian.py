@@ -52,6 +52,7 @@ from pgm.factors.scope import (
     names,
     parted,
     positions,
+    units,
 )
 from pgm.immutable import Immutable
 from pgm.kernels import moments, normal_density, roots
@@ -235,6 +236,11 @@ class Gaussian(Framed, Shown, NoArray, Immutable):
     def angles(self) -> npt.NDArray[np.bool_]:
         """The mask of components that are angles, (n,)."""
         return angle_mask(self.scope)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """The units of the components, as their variables say; empty where none is known."""
+        return units(self.scope)
 
     def __getitem__(self, index: Any) -> Gaussian:
         """Some of the Gaussians, by their places along the leading axes.

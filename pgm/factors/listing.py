@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -124,6 +124,10 @@ class Moments(Protocol):
         """The names of the components."""
 
     @property
+    def units(self) -> tuple[str, ...]:
+        """The units of the components."""
+
+    @property
     def mean(self) -> Array:
         """(..., n)."""
 
@@ -148,8 +152,9 @@ class Framed:
         where runs have several axes, and the level ``step``, where there are any. Covariances are
         in `cov` alone, and `to_xarray` of a posterior.
 
-        Columns are ``mean_<component>``, then ``std_<component>``, in units of the components. An
-        `ImportError` says how to install pandas where it is missing.
+        Columns are ``mean_<component>``, then ``std_<component>``, in units of the components,
+        which ``frame.attrs["units"]`` has by column where they are known. An `ImportError` says how
+        to install pandas where it is missing.
 
         Examples
         --------
@@ -167,21 +172,23 @@ class Framed:
         if self.steps is not None:
             levels[-1], titles = self.steps, [*titles, "step"]
         what = f"{type(self).__name__}.to_frame()"
-        return moments_frame(self.mean, self.std, self.components, levels, titles, what)
+        return moments_frame(self.mean, self.std, self.components, self.units, levels, titles, what)
 
 
 def moments_frame(
     mean: Array,
     std: Array,
     components: Sequence[str],
+    units: Sequence[str],
     levels: Sequence[Any],
     titles: Sequence[str],
     what: str,
 ) -> Any:
     """Means and deviations (..., n) as a data frame, with a level of the index for each axis.
 
-    `levels` has the labels along each of the leading axes, `titles` their names; `what` is the
-    call, for the error where pandas is missing.
+    `units` has the components' units, empty where they are unknown; `levels` the labels along each
+    of the leading axes, `titles` their names; `what` is the call, for the error where pandas is
+    missing.
     """
     pandas = optional("pandas", what, FRAMES)
     columns = {
@@ -189,7 +196,15 @@ def moments_frame(
         for name, moment in (("mean", mean), ("std", std))
         for k, label in enumerate(components)
     }
-    return pandas.DataFrame(columns, index=_index(pandas, levels, titles))
+    frame = pandas.DataFrame(columns, index=_index(pandas, levels, titles))
+    with_units(frame, dict(zip(columns, (*units, *units), strict=True)))
+    return frame
+
+
+def with_units(frame: Any, columns: Mapping[str, str]) -> None:
+    """Note the units of a data frame's columns among its attributes, where they are known."""
+    if known := {column: unit for column, unit in columns.items() if unit}:
+        frame.attrs["units"] = known
 
 
 def run_names(axes: int) -> list[str]:

@@ -67,7 +67,7 @@ def one_name_each(variables: Iterable[Variable]) -> None:
 def kind(variable: Variable) -> tuple[tuple[str, ...] | None, ...]:
     """The parts that all copies of a variable share beside its name."""
     states = variable.states if isinstance(variable, Discrete) else None
-    return variable.components, variable.angles, states
+    return variable.components, variable.angles, variable.units, states
 
 
 def cut_short(first: Variable, second: Variable) -> str:
@@ -94,7 +94,9 @@ def namesake(variable: object, known: Iterable[Variable]) -> str:
 
 
 def is_alike(one: Variable, other: Variable) -> bool:
-    """Whether variables have the same components and angles; a single one has any name."""
+    """Whether variables have the same components, angles and units; a single one has any name."""
+    if one.units != other.units:
+        return False
     if len(one.components) == len(other.components) == 1:
         return bool(one.angles) == bool(other.angles)
     return one.components == other.components and one.angles == other.angles
@@ -104,7 +106,8 @@ def described(variable: Variable) -> str:
     """A variable's kind in words."""
     if isinstance(variable, Discrete):
         return f"states ({listed(variable.states)})"
-    return f"components ({listed(variable.components)}), angles ({listed(variable.angles)})"
+    units = f", units ({listed(variable.units)})" if variable.units else ""
+    return f"components ({listed(variable.components)}), angles ({listed(variable.angles)}){units}"
 
 
 def names(scope: Iterable[Variable]) -> str:
@@ -129,6 +132,11 @@ def labels(scope: Iterable[Variable]) -> tuple[str, ...]:
     return tuple(name for variable in scope for name in variable.components)
 
 
+def units(scope: Iterable[Variable]) -> tuple[str, ...]:
+    """The units of the components of the stacked vector; empty where none is known."""
+    return tuple(variable.unit_of(name) for variable in scope for name in variable.components)
+
+
 def distinct_labels(scope: Iterable[Variable]) -> tuple[str, ...]:
     """Names of components, preceded by their variable's where several variables share them."""
     scope = tuple(scope)
@@ -143,9 +151,10 @@ def distinct_labels(scope: Iterable[Variable]) -> tuple[str, ...]:
 def components(scope: Sequence[Variable]) -> list[str]:
     """The components of the stacked vector as they are shown: ``heading [rad]``, ``x[3].east``."""
     return [
-        _name(variable, component, whole=len(scope) > 1) + " [rad]" * (component in variable.angles)
+        _name(variable, component, whole=len(scope) > 1) + (unit and f" [{unit}]")
         for variable in scope
         for component in variable.components
+        for unit in [variable.unit_of(component)]
     ]
 
 

@@ -20,6 +20,7 @@ from pgm.io.stamped import (
 )
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.units import factor
 from pgm.variables import Variable
 
 Kind = Literal["odometry", "velocities"]
@@ -150,8 +151,22 @@ def controls(
         assumed=float(max(stamps[0] - times[0], 0.0)),
         backwards=int((np.diff(raw) < 0.0).sum()),
     )
-    columns = [dt if name == DT else data[:, names.index(name)] for name in variable.components]
+    lasted = dt * _second(variable)
+    columns = [lasted if name == DT else data[:, names.index(name)] for name in variable.components]
     return sealed(np.column_stack(columns)), report
+
+
+def _second(variable: Variable) -> float:
+    """A second in the unit of a variable's duration."""
+    unit = variable.unit_of(DT) if DT in variable.components else ""
+    size = factor("s", unit) if unit else 1.0
+    if size is None:
+        raise EvidenceError(
+            f"the component {DT!r} of {variable!r} is filled in with durations, and its unit "
+            f"{unit!r} is none of a time",
+            variable=variable,
+        )
+    return size
 
 
 def _table(variable: Variable, kind: Kind, names: tuple[str, ...], values: Any, rows: int) -> Array:

@@ -11,8 +11,7 @@ import numpy.typing as npt
 from pgm.display import Shown, Summary
 from pgm.errors import EvidenceError
 from pgm.evidence import Constant, Sightings, sightings
-from pgm.evidence.rows import as_rows, taken_readings
-from pgm.io.degrees import seem_degrees
+from pgm.evidence.rows import as_rows, require_radians, taken_readings
 from pgm.io.stamped import (
     SAME,
     Stamped,
@@ -153,7 +152,7 @@ def checked(variable: Variable, value: Any) -> Log:
     counts = [part.size for part in each]
     values = _values(variable, logs, counts)
     stamps = np.concatenate(each)
-    _require_radians(variable, stamps, values)
+    require_radians(variable, values[np.argsort(stamps, kind="stable")])
     taken: Mask = np.asarray(~np.isnan(values).all(axis=-1))
     given = {
         parent: _given(variable, parent, logs, counts, taken) for parent in _parents(variable, logs)
@@ -228,20 +227,6 @@ def _values(variable: Variable, logs: Sequence[Stamped], counts: Sequence[int]) 
     values = np.concatenate(tables)
     taken_readings(variable, values)  # refuses infinity
     return values
-
-
-def _require_radians(variable: Variable, stamps: Array, values: Array) -> None:
-    """Refuse angles in degrees, as far as numbers tell."""
-    order = np.argsort(stamps, kind="stable")
-    for name in variable.angles:
-        angles = values[order, variable.components.index(name)]
-        if seem_degrees(angles):
-            raise EvidenceError(
-                f"measurements of {variable!r}: the angle {name!r} goes to "
-                f"{np.nanmax(np.abs(angles)):.4g} rad and jumps; it seems to be in degrees: "
-                "np.radians(degrees) makes radians",
-                variable=variable,
-            )
 
 
 def _given(

@@ -15,19 +15,14 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.arguments import public
-from pgm.boundary import as_tuple, is_unordered
-from pgm.display import titled
 from pgm.errors import EvidenceError, ModelError
-from pgm.factors import Gaussian
 from pgm.factors.arrays import covariance_fault
-from pgm.factors.scope import listed
 from pgm.io import sources
 from pgm.io.dropped import BACKWARDS, Dropped
 from pgm.io.poses import Poses
 from pgm.io.sources import LIMIT, Line, Origin, Source, number
 from pgm.io.sources import lines as text_lines
-from pgm.io.stamped import as_stamps, clock
-from pgm.kernels import quaternions
+from pgm.io.stamped import as_stamps
 from pgm.kernels.arrays import Array, Integers
 
 JOINED = "*"
@@ -131,7 +126,9 @@ def write_tum(
 
     Numbers are written with all their digits, so that they are read back as the same doubles.
     Angles become a quaternion of the turn R_z(heading) R_y(pitch) R_x(roll), and come back in
-    [−π, π), to rounding. Other tools, such as evo, read the file as it is.
+    [−π, π), to rounding. Other tools, such as evo, read the file as it is. Positions whose variable
+    has another unit of length are written in metres, means and covariances; without a unit they are
+    taken to be in metres.
 
     Parameters
     ----------
@@ -151,13 +148,14 @@ def write_tum(
     covariance : str, Path or open file, optional
         File of the covariances: a table of comma-separated values with a line of names, ``t`` and
         the upper triangle, ``east*east``, ``east*north``, ..., of the components named above,
-        position, roll, pitch and heading, in their units.
+        position, roll, pitch and heading.
 
     Raises
     ------
     ModelError
         If the belief is none or of several runs, or a component is not there, is named twice or,
-        of an angle, was not declared as one; or if one of them has an infinite variance.
+        of an angle, was not declared as one; if a position is in no unit of length; or if one of
+        them has an infinite variance.
     EvidenceError
         If times are not finite, do not increase, or are not as many as there are steps.
     FileError
@@ -184,34 +182,13 @@ def write_tum(
         raise ModelError(
             f"covariance= is the file of the poses, {covariance!r}; they need one of their own"
         )
-    gaussian = _trajectory(belief)
-    names = [*_position(position), *(name for name in (roll, pitch, heading) if name is not None)]
-    places = _places(gaussian, names)
-    for name in (roll, pitch, heading):
-        if name is not None and not gaussian.angles[gaussian.components.index(name)]:
-            raise ModelError(
-                f"{name!r} of {gaussian._title} is no angle; declare it as one, in radians: "
-                f"pgm.Variable(..., angles=({name!r},))"
-            )
-    stamps = _increasing(times, len(gaussian.mean))
-    xyz, angles = np.zeros((len(stamps), 3)), np.zeros((len(stamps), 3))
-    columns = dict(zip(names, gaussian.mean[:, places].T, strict=True))
-    for k, name in enumerate(position):
-        xyz[:, k] = columns[name]
-    for k, angle in enumerate((roll, pitch, heading)):
-        if angle is not None:
-            angles[:, k] = columns[angle]
-    cov = gaussian.cov[:, places][:, :, places]
-    if not np.isfinite(cov).all():
-        step = int(np.argwhere(~np.isfinite(cov))[0, 0])
-        raise ModelError(
-            f"{gaussian._title} has an infinite variance in row {step}: its mean there means "
-            "nothing; write the steps from which on it is known, belief[k:]"
-        )
-    rows = np.column_stack([stamps, xyz, quaternions.of_angles(angles)]).tolist()
+    found = Poses.of(
+        belief, times=times, position=position, heading=heading, pitch=pitch, roll=roll
+    )
+    rows = np.column_stack([found.times, found.position, found.orientation]).tolist()
     sources.write(path, "\n".join([HEADING, *(" ".join(map(repr, row)) for row in rows), ""]))
-    if covariance is not None:
-        write_covariances(covariance, stamps, names, cov)
+    if covariance is not None and found.cov is not None:
+        write_covariances(covariance, found.times, found.components, found.cov)
 
 
 @public
@@ -313,49 +290,3 @@ def _pose(line: Line) -> list[float]:
             line.number,
         )
     return [number(word, line.number, line.origin) for word in words]
-
-
-def _trajectory(belief: Any) -> Gaussian:
-    gaussian = belief.gaussian() if hasattr(belief, "gaussian") else belief
-    if not isinstance(gaussian, Gaussian):
-        raise ModelError(f"a belief over time, like posterior[x], was due, not {titled(belief)}")
-    if gaussian.mean.ndim != 2:
-        axes = gaussian.mean.shape[:-1]
-        raise ModelError(
-            f"{gaussian._title} has the leading axes {axes}; a file holds one run over its steps: "
-            "pick it with belief.run(0)"
-        )
-    return gaussian
-
-
-def _position(position: Any) -> tuple[str, ...]:
-    names = as_tuple(position)
-    if names is None or len(names) not in (2, 3) or is_unordered(position):
-        raise ModelError(
-            f"position= names two components or three, like ('east', 'north'); found {position!r}"
-        )
-    return names
-
-
-def _places(gaussian: Gaussian, names: Sequence[str]) -> list[int]:
-    known = gaussian.components
-    for name in names:
-        if name not in known:
-            raise ModelError(f"{gaussian._title} has no component {name!r}; it has {listed(known)}")
-        if names.count(name) > 1:
-            raise ModelError(f"the component {name!r} is named twice, of {listed(names)}")
-    return [known.index(name) for name in names]
-
-
-def _increasing(times: npt.ArrayLike, count: int) -> Array:
-    """The times of so many rows, seconds, increasing."""
-    stamps = as_stamps("times", times)
-    if stamps.size != count:
-        raise EvidenceError(f"times= has {stamps.size} of them, and the belief {count} steps")
-    if (late := np.diff(stamps) <= 0.0).any():
-        row = int(late.argmax()) + 1
-        raise EvidenceError(
-            f"times= do not increase: {clock(stamps[row])} in row {row} does not come after "
-            f"{clock(stamps[row - 1])}"
-        )
-    return stamps

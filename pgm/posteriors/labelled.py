@@ -11,7 +11,7 @@ import numpy as np
 from pgm.compile import DynamicGraph
 from pgm.factors import Table
 from pgm.factors.listing import run_names
-from pgm.factors.scope import dimension, distinct_labels
+from pgm.factors.scope import dimension, distinct_labels, units
 from pgm.kernels.arrays import Array
 from pgm.posteriors.outcome import marginal
 from pgm.resources import FRAMES, optional, require_memory
@@ -28,8 +28,9 @@ class Labelled:
         or ``run_0``, ``run_1``, ...), ``step``, where there is time, and ``component``, and
         ``cov``, with ``other_component`` last. The components of all variables are along
         ``component``, by name; a name that several variables use is preceded by the variable's, and
-        ``variable`` has the variable of each component. The covariance of two variables is NaN:
-        ``posterior.joint`` has it. A hidden control, which has no value at step 0, is NaN there.
+        ``variable`` has the variable of each component, ``unit`` its unit, where any is known. The
+        covariance of two variables is NaN: ``posterior.joint`` has it. A hidden control, which has
+        no value at step 0, is NaN there.
 
         For discrete variables it has the probabilities of each, under its name, with its states
         along a last dimension ``<name>_state``.
@@ -118,6 +119,8 @@ def _moments(
         "cov": ([*dims, "component", "other_component"], cov),
     }
     named = {"component": labels, "other_component": labels, "variable": ("component", owners)}
+    if any(known := units(marginals)):
+        named["unit"] = ("component", list(known))
     return data, named
 
 

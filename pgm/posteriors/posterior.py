@@ -15,7 +15,7 @@ from pgm.clustergraph import Cluster
 from pgm.display import NoArray, Shown, Summary, Viewed
 from pgm.errors import EvidenceError
 from pgm.factors.listing import moments_frame, run_names
-from pgm.factors.scope import Scope, as_scope
+from pgm.factors.scope import Scope, as_scope, listed
 from pgm.kernels.arrays import Array, deviation
 from pgm.posteriors.labelled import Labelled
 from pgm.posteriors.outcome import QUESTIONS, B, Outcome
@@ -201,11 +201,12 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
         ``run_1``, ... where runs have several axes, the level ``step``, where the variables have
         any, and the level ``variable``, of names. Columns are ``mean_<component>``, then
         ``std_<component>``, and ``value`` stands for the component of several scalars; see `means`.
+        ``frame.attrs["units"]`` has the units of columns, where they are known.
 
         Raises
         ------
         EvidenceError
-            As of `means`, or if the variables' components have other names.
+            As of `means`, or if the variables' components have other names or units.
         ImportError
             Where pandas is missing.
 
@@ -228,6 +229,13 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
                 f"{found[0].components}: a frame has columns of one kind of variables",
                 variable=other,
             )
+        units = found[0].units
+        if (odd := next((v for v in found if v.units != units), None)) is not None:
+            raise EvidenceError(
+                f"{odd!r} is in the units {listed(odd.units)}, {found[0]!r} in {listed(units)}: a "
+                "column of a frame has one unit",
+                variable=odd,
+            )
         mean, cov = self._outcome._stacked(found)
         steps = getattr(self[found[0]], "steps", None)
         lead = mean.shape[:-2]
@@ -237,7 +245,8 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
             levels[-2], titles = steps, [*titles, "step"]
         titles = [*titles, "variable"]
         what = "Posterior.to_frame()"
-        return moments_frame(mean, deviation(cov), labels, levels, titles, what)
+        own = [found[0].unit_of(each) for each in found[0].components]
+        return moments_frame(mean, deviation(cov), labels, own, levels, titles, what)
 
     def joint(self, *variables: Variable) -> B:
         """The joint of some variables without evidence, in the order given.

@@ -39,6 +39,12 @@ class PointMassBelief(Framed, Shown, NoArray, Immutable):
         """The names of the components that are angles."""
         return tuple(part.label for part in self._parts if part.angle)
 
+    @property
+    def units(self) -> tuple[str, ...]:
+        """The units of the components, as their variables say; empty where none is known."""
+        parts = ((part.variable, part.component) for part in self._parts)
+        return tuple(variable.unit_of(variable.components[k]) for variable, k in parts)
+
     @cached_property
     def mean(self) -> Array:
         """The means, (..., n).

@@ -1,6 +1,7 @@
 """Beliefs in the plane: confidence ellipses, the path that a belief takes, and marks."""
 
 import math
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -171,8 +172,8 @@ def _name_ellipses(ax: Axes, drawn: EllipseCollection, label: str, dash: Any) ->
 
 def name_plane(ax: Axes, belief: Gaussian, pair: tuple[str, str], unit: Unit) -> None:
     """Label the axes with two components and their units."""
-    angles = dict(zip(labels(belief.scope), belief.angles.tolist(), strict=True))
-    name_axes(ax, *(with_unit(one, unit_of(one, unit, angles, angle=angles[one])) for one in pair))
+    own = dict(zip(labels(belief.scope), belief.units, strict=True))
+    name_axes(ax, *(with_unit(one, unit_of(one, unit, own)) for one in pair))
 
 
 @public
@@ -313,7 +314,7 @@ class Plane(NamedTuple):
     heading: str | None
     mirrored: bool
     angles: tuple[str, ...]
-    known: tuple[str, ...]
+    units: Mapping[str, str]
 
 
 def plane_of(
@@ -339,7 +340,8 @@ def plane_of(
     if heading is not None and (heading not in belief.angles or heading in pair):
         raise ModelError(f"heading={heading!r} is no angle of {titled(belief)} beside {pair}")
     mirrored = belief.components.index(pair[0]) > belief.components.index(pair[1])
-    return Plane((pair[0], pair[1]), heading, mirrored, belief.angles, belief.components)
+    own = dict(zip(belief.components, belief.units, strict=True))
+    return Plane((pair[0], pair[1]), heading, mirrored, belief.angles, own)
 
 
 def as_truth(
@@ -383,7 +385,7 @@ def finish(
         draw_landmarks(ax, landmarks)
     if truth is not None:
         ax.plot(*truth, "x", color=INK, markersize=8, markeredgewidth=1.8, label="truth")
-    units = (unit_of(one, unit, plane.known, angle=one in plane.angles) for one in plane.pair)
+    units = (unit_of(one, unit, plane.units) for one in plane.pair)
     name_axes(ax, *(with_unit(one, of) for one, of in zip(plane.pair, units, strict=True)))
     equal_aspect(ax)
     return ax

@@ -1,6 +1,6 @@
 """Axes of plots of numbers: named, with legends that hide nothing, and with curves over time."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -22,6 +22,7 @@ from matplotlib.ticker import MaxNLocator
 from pgm.errors import ModelError
 from pgm.kernels.arrays import Array
 from pgm.plot.drawing.colours import MUTED, Look
+from pgm.units import RAD
 
 # The unit of all lengths, or of components by name.
 Unit = str | Mapping[str, str] | None
@@ -46,24 +47,27 @@ def plain(name: str) -> str:
     return name.replace("$", r"\$")
 
 
-def unit_of(
-    component: str, unit: Unit, known: Sequence[str] | Mapping[str, bool], *, angle: bool
-) -> str:
-    """The unit of one component; empty where none is known."""
-    others = "rad" if angle else ""
+def unit_of(component: str, unit: Unit, own: Mapping[str, str]) -> str:
+    """The unit of one component, of all that have their own; empty where none is known."""
+    known = own[component]
     if unit is None:
-        return others
+        return known
     if isinstance(unit, str):
-        return others or unit
+        return known or unit
     if not isinstance(unit, Mapping):
         raise ModelError(
             f'unit= is a text, "m", or one for each component by name, {{"east": "m"}}; found '
             f"{unit!r}"
         )
-    for name in unit:
-        if name not in known:
-            raise ModelError(f"unit= is given of {name!r}; the components are {[*known]}")
-    return unit.get(component, others)
+    for name, said in unit.items():
+        if name not in own:
+            raise ModelError(f"unit= is given of {name!r}; the components are {[*own]}")
+        if own[name] and own[name] not in (said, RAD):
+            raise ModelError(
+                f"unit= says {said!r} of {name!r}, whose variable is in {own[name]!r}; a plot "
+                "converts nothing: leave it out, or multiply the belief's numbers"
+            )
+    return unit.get(component, known)
 
 
 def with_unit(text: str, *units: str) -> str:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from pgm.consistency.errors import check_gaussian
 from pgm.display import titled
 from pgm.errors import ModelError
+from pgm.evidence.degrees import in_degrees
 from pgm.factors import Gaussian, GaussianMixture
 from pgm.factors.scope import labels, names
 from pgm.kernels.arrays import Array
@@ -68,4 +69,9 @@ def truth_columns(belief: Gaussian, truth: npt.ArrayLike, places: Sequence[int])
             f"the truth has shape {array.shape}; (..., steps, components) was due, at least "
             f"{needed} of them, in the order {list(labels(belief.scope))}"
         )
-    return array[..., list(places)]
+    found: Array = array[..., list(places)]
+    known = labels(belief.scope)
+    drawn, angles = [known[k] for k in places], [known[k] for k in places if belief.angles[k]]
+    if odd := in_degrees(found, drawn, angles):
+        raise ModelError(f"the truth of {names(belief.scope)}: {odd}")
+    return found

@@ -109,7 +109,7 @@ def errors(
 
     columns = _axes(axes, len(places))
     look = look_of(columns[0], colour)
-    known = labels(belief.scope)
+    own = dict(zip(labels(belief.scope), belief.units, strict=True))
     marker = "o" if len(mean) == 1 else None
     for k, ax in enumerate(columns):
         if not ax.lines:
@@ -135,7 +135,7 @@ def errors(
             marker=marker,
             label="error" if label is None else str(label),
         )
-        of = unit_of(chosen[k], unit, known, angle=bool(belief.angles[places[k]]))
+        of = unit_of(chosen[k], unit, own)
         name_time(ax, name if ax is columns[-1] else "", with_unit(f"{chosen[k]} error", of))
     useful_legend(columns[0], above=True)
     return columns
@@ -228,8 +228,8 @@ def rmse(
     ax.update_datalim(np.zeros((1, 2)), updatex=False)
     ax.lines[-1].sticky_edges.y.append(0.0)
     ax.autoscale_view()
-    angles = dict(zip(labels(belief.scope), belief.angles.tolist(), strict=True))
-    units = [unit_of(one, unit, angles, angle=angles[one]) for one in components or angles]
+    own = dict(zip(labels(belief.scope), belief.units, strict=True))
+    units = [unit_of(one, unit, own) for one in components or own]
     text = f"error in {', '.join(components)}" if components else "error"
     name_time(ax, name, with_unit(text, *units))
     useful_legend(ax)

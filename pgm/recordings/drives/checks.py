@@ -10,6 +10,7 @@ import numpy as np
 from pgm.boundary import as_floats, as_mapping
 from pgm.display import titled
 from pgm.errors import EvidenceError
+from pgm.evidence.degrees import beyond_a_turn
 from pgm.factors.arrays import covariance_fault
 from pgm.factors.scope import listed
 from pgm.io.stamped import as_stamps
@@ -74,6 +75,11 @@ def mounts(given: Any, known: Sequence[str]) -> dict[str, Array]:
         pose = as_floats(value, f"the mount of {key!r}", EvidenceError)
         if pose.shape != (3,) or not np.isfinite(pose).all():
             raise EvidenceError(f"the mount of {key!r} is (forward, left, turn), not {value!r}")
+        if beyond_a_turn(pose[2:]):
+            raise EvidenceError(
+                f"the mount of {key!r} is turned by {pose[2]:.4g} rad, more than a turn; it seems "
+                "to be in degrees: np.radians(degrees) makes radians"
+            )
         found[key] = frozen(pose.copy())
     return found
 

@@ -9,9 +9,9 @@ import numpy as np
 from pgm.errors import EvidenceError
 from pgm.io.dropped import Dropped
 from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.recordings.drives.quantities import LATITUDE, LONGITUDE, WORLD
 from pgm.recordings.drives.stream import Stream
 
-LATITUDE, LONGITUDE = WORLD = ("latitude", "longitude")
 # Names of the height above the ellipsoid [m], of which `UP` is the difference to the origin's.
 HEIGHTS = ("up", "altitude", "height")
 EAST, NORTH, UP = "east", "north", "up"

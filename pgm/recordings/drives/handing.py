@@ -16,7 +16,7 @@ from pgm.io.stamped import SAME, Stamped, rows_text, stamped
 from pgm.io.timeline import Timeline
 from pgm.io.timeline import timeline as lay
 from pgm.kernels.arrays import Array, Mask
-from pgm.recordings.drives import motion
+from pgm.recordings.drives import motion, quantities
 from pgm.recordings.drives.stream import Stream
 from pgm.variables import Variable
 
@@ -49,7 +49,8 @@ def timeline(
         if landmark is not None and stream.subject is not None:
             given[landmark] = places(recording, sensors[variable], stream, landmark)
         if variable in variances:
-            given[variances[variable]] = spread(sensors[variable], stream, variances[variable])
+            parent = variances[variable]
+            given[parent] = spread(sensors[variable], stream, variable, parent)
         seen[variable] = stamped(stream.stamps, columns(variable, stream), given)
     driven: dict[Variable, Stamped] = {}
     held: dict[Variable, Stamped] = {}
@@ -110,15 +111,21 @@ def sensor(recording: Recording, name: str) -> Stream:
     return known[name]
 
 
-def spread(name: str, stream: Stream, variable: Variable) -> Array:
-    """The variances of a sensor's readings, of a variable's components by name, (M, d)."""
+def spread(name: str, stream: Stream, reading: Variable, variable: Variable) -> Array:
+    """The variances of a sensor's readings, of a variable's components by name, (M, d).
+
+    They are in the squares of the units of the readings' variable.
+    """
     if stream.variances is None:
         raise EvidenceError(
             f"the sensor {name!r} has no variances that {variable!r} could be; leave it out of "
             "variances=, or give the stream some, stream.replace(variances=...)",
             variable=variable,
         )
-    found = columns(variable, stream.replace(values=stream.variances, variances=None))
+    found = _named(variable, stream, stream.variances)
+    names = [name for name in variable.components if name in reading.components]
+    sizes = {name: _size(reading, stream, name) ** 2 for name in names}
+    found = found * [sizes.get(name, 1.0) for name in variable.components if name != DT]
     lost = np.flatnonzero(np.isnan(found).any(axis=1) & ~np.isnan(stream.values).all(axis=1))
     if lost.size:
         raise EvidenceError(
@@ -150,7 +157,18 @@ def require_variances(
 
 
 def columns(variable: Variable, stream: Stream) -> Array:
-    """The columns of a variable's components by name, without the duration."""
+    """The columns of a variable's components by name and in its units, without the duration."""
+    found = _named(variable, stream, stream.values)
+    return found * [_size(variable, stream, name) for name in variable.components if name != DT]
+
+
+def _size(variable: Variable, stream: Stream, component: str) -> float:
+    unit = stream.units[stream.place(component)]
+    return quantities.converted(variable, component, unit, "the stream")
+
+
+def _named(variable: Variable, stream: Stream, values: Array) -> Array:
+    """The columns of values (M, k) of a stream that are called like a variable's components."""
     names = [name for name in variable.components if name != DT]
     lost = [name for name in names if name not in stream.components]
     if lost:
@@ -159,7 +177,7 @@ def columns(variable: Variable, stream: Stream) -> Array:
             f"{listed(stream.components)}; they go by name",
             variable=variable,
         )
-    return stream.values[:, [stream.place(name) for name in names]]
+    return values[:, [stream.place(name) for name in names]]
 
 
 def places(recording: Recording, name: str, stream: Stream, landmark: Variable) -> Array:
@@ -183,7 +201,11 @@ def places(recording: Recording, name: str, stream: Stream, landmark: Variable) 
             variable=landmark,
         )
     found = [recording.landmarks[key][:size] for key in stream.subject.tolist()]
-    return np.array(found).reshape(-1, size)
+    metres = [
+        1.0 if name in landmark.angles else quantities.converted(landmark, name, "m", "landmarks")
+        for name in landmark.components
+    ]
+    return np.array(found).reshape(-1, size) * metres
 
 
 def without_place(stream: Stream, landmarks: Mapping[Hashable, Array]) -> Mask:

@@ -12,16 +12,21 @@ from pgm.arguments import public
 from pgm.boundary import as_floats, as_tuple, is_number, is_unordered
 from pgm.display import NoArray, Shown, Summary, count, table
 from pgm.errors import EvidenceError
+from pgm.evidence import degrees
+from pgm.factors.listing import with_units
 from pgm.factors.scope import listed
 from pgm.immutable import Immutable
-from pgm.io import degrees
 from pgm.io.stamped import as_stamps, clock
 from pgm.kernels.arrays import Array, Integers, Mask, frozen
+from pgm.recordings.drives import quantities
 from pgm.resources import FRAMES, optional
+from pgm.variables import Units
 
 Subjects = npt.NDArray[Any]
 # Bearings are within a turn; headings may go on, but not in jumps.
 _ANGLES = {"heading": degrees.seem_degrees, "bearing": degrees.beyond_a_turn}
+# Increments of a heading, which is hardly turned by more than a turn between two stamps.
+_TURNS = dict.fromkeys(("turn", "rot1", "rot2"), degrees.beyond_a_turn)
 _SUBJECTS = {int: np.dtype(int), str: np.dtype(np.str_), type(None): np.dtype(object)}
 
 
@@ -41,6 +46,9 @@ class Stream(Shown, NoArray, Immutable):
         (n,): whole numbers or words, each row's landmark; None where unknown.
     variances : array_like, optional
         (n, d), of the noise.
+    units : str, sequence or mapping of str to str, optional
+        The units that values are given in, by component, ``{"heading": "deg"}``. Those that are
+        known are converted to metres, seconds and radians; without, values are in these.
     begin : float, optional
         For increments: when the first of them begins, seconds. Without it, the first row only
         stamps the moment from which the second counts.
@@ -48,8 +56,8 @@ class Stream(Shown, NoArray, Immutable):
     Raises
     ------
     EvidenceError
-        If shapes do not fit, stamps are not finite, variances are negative, or headings or
-        bearings seem to be degrees.
+        If shapes do not fit, stamps are not finite, variances are negative, a unit is none of a
+        component, or angles seem to be degrees.
 
     Examples
     --------
@@ -69,6 +77,7 @@ class Stream(Shown, NoArray, Immutable):
     components: tuple[str, ...]
     subject: Subjects | None
     variances: Array | None
+    units: tuple[str, ...]
     begin: float | None
 
     _arrays: ClassVar[str] = ".stamps and .values"
@@ -81,6 +90,7 @@ class Stream(Shown, NoArray, Immutable):
         *,
         subject: Any = None,
         variances: npt.ArrayLike | None = None,
+        units: Units | None = None,
         begin: float | None = None,
     ) -> None:
         names = _names(components)
@@ -97,13 +107,18 @@ class Stream(Shown, NoArray, Immutable):
             row = int(np.argwhere(spread < 0.0)[0, 0])
             raise EvidenceError(f"variances, row {row}: {spread[row].tolist()}; 0 or more was due")
         table = _table("values", values, when.size, names)
-        _require_radians(when, table, names)
+        kept, sizes = quantities.sizes(units, names)
+        if any(size != 1.0 for size in sizes):
+            table *= sizes
+            spread = None if spread is None else spread * np.square(sizes)
+        _require_radians(when, table, names, told=units is not None)
         self._set(
             stamps=frozen(when),
             values=frozen(table),
             components=names,
             subject=None if subject is None else _subjects(subject, when.size),
             variances=None if spread is None else frozen(spread),
+            units=kept,
             begin=None if begin is None else float(begin),
         )
 
@@ -137,16 +152,19 @@ class Stream(Shown, NoArray, Immutable):
         return self.replace(
             values=self.values[:, places],
             components=tuple(columns),
+            units=[self.units[place] for place in places],
             variances=None if self.variances is None else self.variances[:, places],
         )
 
     def replace(self, **changes: Any) -> Stream:
         """A copy of the stream with some attributes replaced."""
         given = {name: getattr(self, name) for name in type(self).__annotations__ if name[0] != "_"}
+        if "components" in changes:
+            del given["units"]
         return Stream(**given | changes)
 
     def to_frame(self) -> Any:
-        """A `pandas.DataFrame` of the rows, by stamp."""
+        """A `pandas.DataFrame` of the rows, by stamp; ``frame.attrs["units"]`` has the units."""
         pandas = optional("pandas", "to_frame", FRAMES)
         frame = pandas.DataFrame(
             self.values, columns=list(self.components), index=pandas.Index(self.stamps, name="t")
@@ -155,6 +173,7 @@ class Stream(Shown, NoArray, Immutable):
             frame["subject"] = self.subject
         for k, name in enumerate(self.components if self.variances is not None else ()):
             frame[f"variance of {name}"] = self.variances[:, k]  # type: ignore[index]
+        with_units(frame, dict(zip(self.components, self.units, strict=True)))
         return frame
 
     @property
@@ -202,15 +221,21 @@ def _table(what: str, value: Any, rows: int, names: tuple[str, ...]) -> Array:
     return array
 
 
-def _require_radians(stamps: Array, values: Array, names: tuple[str, ...]) -> None:
-    """Refuse headings and bearings in degrees, as far as numbers tell."""
+def _require_radians(stamps: Array, values: Array, names: tuple[str, ...], *, told: bool) -> None:
+    """Refuse angles in degrees, as far as numbers tell; turns only where no unit is told."""
     order = np.argsort(stamps, kind="stable")
-    for name, seem in _ANGLES.items():
+    kinds = _ANGLES if told else _ANGLES | _TURNS
+    for name, seem in kinds.items():
         if name in names and seem(angles := values[order, names.index(name)]):
+            remedy = (
+                f"units={{{name!r}: 'deg'}} says so, and 'rad' that it is not"
+                if name in _TURNS
+                else "np.radians(degrees) makes radians; radians of many turns are to be wrapped, "
+                "(a + np.pi) % (2 * np.pi) - np.pi"
+            )
             raise EvidenceError(
                 f"{name!r} goes to {np.nanmax(np.abs(angles)):.4g} rad; it seems to be in degrees: "
-                "np.radians(degrees) makes radians; radians of many turns are to be wrapped, "
-                "(a + np.pi) % (2 * np.pi) - np.pi"
+                f"{remedy}"
             )
 
 

@@ -14,6 +14,7 @@ from pgm.kernels import quaternions, twists
 from pgm.kernels.arrays import Array
 from pgm.recordings.drives import earth, mending
 from pgm.recordings.drives.motion import PLANAR, PLANAR_SPEEDS
+from pgm.recordings.drives.quantities import WORLD
 from pgm.recordings.drives.recording import POSE
 from pgm.recordings.drives.scans import Scans
 from pgm.recordings.drives.stream import Stream
@@ -112,7 +113,7 @@ def _fixes(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
     stream = Stream(
         _stamps(topic, rows)[fixed],
         world[fixed],
-        (*earth.WORLD, "altitude"),
+        (*WORLD, "altitude"),
         variances=None if untold else spread[fixed],
     )
     return stream, told

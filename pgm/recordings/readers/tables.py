@@ -13,18 +13,20 @@ import numpy as np
 from pgm.arguments import public
 from pgm.boundary import as_tuple, is_whole
 from pgm.errors import EvidenceError
+from pgm.evidence import degrees
 from pgm.factors.scope import listed
-from pgm.io import degrees
 from pgm.io.dropped import Dropped
 from pgm.io.sources import Source
 from pgm.io.stamped import as_stamps
 from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import Array
 from pgm.recordings.drives import earth, motion
+from pgm.recordings.drives.quantities import LATITUDE, LONGITUDE, STAMP, WORLD, quantity
 from pgm.recordings.drives.recording import Recording
 from pgm.recordings.drives.stream import Stream
 from pgm.recordings.readers import cells, files
-from pgm.recordings.readers.units import ANGLE, RATE, STAMP, quantity, size_of
+from pgm.recordings.readers.units import unit_of
+from pgm.units import ANGLE, RATE, plain_unit
 
 # A landmark's number; 1_0 is a name, of which Python would make 10.
 _WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
@@ -35,15 +37,15 @@ _STREAMS = ("odometry", "velocities", "truth", "imu", "fixes")
 _MOTION = ("odometry", "velocities")
 # Where the variances of places on the earth stand, which are in metres.
 _SPREAD = {
-    earth.LATITUDE: earth.NORTH,
-    earth.LONGITUDE: earth.EAST,
+    LATITUDE: earth.NORTH,
+    LONGITUDE: earth.EAST,
     **dict.fromkeys(earth.HEIGHTS, earth.UP),
 }
 # Components in metres, and words of columns' names that tell of degrees in their place.
 _FLAT = (earth.EAST, earth.NORTH, "x", "y")
 _ON_EARTH = {
-    **dict.fromkeys(("lat", "latitude"), earth.LATITUDE),
-    **dict.fromkeys(("lon", "long", "lng", "longitude"), earth.LONGITUDE),
+    **dict.fromkeys(("lat", "latitude"), LATITUDE),
+    **dict.fromkeys(("lon", "long", "lng", "longitude"), LONGITUDE),
 }
 # Angles that go on beyond a turn where they are not wrapped.
 _UNBOUNDED = ("heading", "yaw")
@@ -51,11 +53,15 @@ _UNBOUNDED = ("heading", "yaw")
 
 @dataclass(frozen=True, slots=True)
 class _Column:
-    """A column asked for, by name or number; the size of its unit, and whether that was told."""
+    """A column asked for, by name or number, and the size and quantity of its unit, if told."""
 
     name: str | int
-    size: float
-    told: bool
+    size: float = 1.0
+    quantity: str | None = None
+
+    @property
+    def told(self) -> bool:
+        return self.quantity is not None
 
 
 @public
@@ -193,11 +199,19 @@ def _stream(
         when,
         table_of,
         names,
+        units=[plain_unit(each) if each else "" for each in _quantities(part, names, columns)],
         subject=subjects if SUBJECT in places else None,
         variances=np.array(variances).reshape(-1, len(names)) if told else None,
         begin=begin if part == "odometry" else None,
     )
     return stream, filled
+
+
+def _quantities(
+    part: str, names: Sequence[str], columns: Mapping[str, _Column]
+) -> list[str | None]:
+    """The quantity of each component, by its name or its unit."""
+    return [quantity(part, name) or columns[name].quantity for name in names]
 
 
 def _stamps(part: str, column: _Column, stamps: Sequence[float]) -> Array:
@@ -264,10 +278,14 @@ def _asked(part: str, given: Any) -> dict[str, _Column]:
             _require_spread(what, component, asked)
         if len(units) > 1:
             raise EvidenceError(f"{what}: {tuple(units)!r} are several units; one is due")
-        if not units and name in earth.WORLD:
+        if not units and name in WORLD:
             raise EvidenceError(f"{what} has its unit beside it, ({column!r}, 'deg') or 'rad'")
-        size = size_of(what, part, component, units[0]) if units else 1.0
-        found[name] = _Column(column, size if component == name else size**2, bool(units))
+        if units:
+            unit = unit_of(what, part, component, units[0])
+            size = unit.size if component == name else unit.size**2
+            found[name] = _Column(column, size, unit.quantity)
+        else:
+            found[name] = _Column(column)
     if STAMP not in found or not set(found) - {STAMP, SUBJECT}:
         raise EvidenceError(f"columns[{part!r}] names a column for t, and one or more components")
     for name in _FLAT:
@@ -293,8 +311,8 @@ def _require_metres(part: str, name: str, column: _Column) -> None:
 
 def _require_spread(what: str, component: str, asked: Mapping[str, Any]) -> None:
     """Refuse a variance given for a component that is not read."""
-    due = [_SPREAD[name] for name in asked if name in _SPREAD and earth.LATITUDE in asked]
-    if component in earth.WORLD or (component not in asked and component not in due):
+    due = [_SPREAD[name] for name in asked if name in _SPREAD and LATITUDE in asked]
+    if component in WORLD or (component not in asked and component not in due):
         hint = f" {listed(due)}, in metres" if due else " a component that is read, too"
         raise EvidenceError(f"{what}: a variance is of{hint}")
 

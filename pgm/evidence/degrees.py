@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
+
 import numpy as np
 
 from pgm.kernels.angles import TURN
@@ -15,15 +17,32 @@ _FASTEST = 3.0 * TURN
 
 
 def seem_degrees(angles: Array) -> bool:
-    """Whether angles (n,), in the order of time, can hardly be radians.
+    """Whether angles (..., n), in the order of time along the last axis, can hardly be radians.
 
     Radians are wrapped, and then within a turn, or follow each other without jumps. Degrees go
     beyond, but within 360, and where they are wrapped jump by more than 180 between rows, which is
     28 turns in radians.
     """
-    known = angles[np.isfinite(angles)]
-    jump = np.abs(np.diff(known)).max(initial=0.0)
-    return beyond_a_turn(known) and bool(np.abs(known).max() <= _CIRCLE and jump > _HALF)
+    if angles.shape[-1] < 2 or not angles.size:
+        return False
+    low, high = np.fmin.reduce(angles, axis=None), np.fmax.reduce(angles, axis=None)
+    if not (high - low > _HALF and max(high, -low) <= _CIRCLE):
+        return False
+    if angles.ndim == 1:
+        angles = angles[np.isfinite(angles)]
+    return bool(np.fmax.reduce(np.abs(np.diff(angles)), axis=None) > _HALF)
+
+
+def in_degrees(table: Array, names: Sequence[str], angles: Collection[str]) -> str | None:
+    """What is odd of the first angle among columns (..., n, d) that `seem_degrees`, in words."""
+    for k, name in enumerate(names):
+        if name in angles and seem_degrees(column := table[..., k]):
+            most = np.nanmax(np.abs(column))
+            return (
+                f"the angle {name!r} goes to {most:.4g} rad and jumps; it seems to be in degrees: "
+                "np.radians(degrees) makes radians"
+            )
+    return None
 
 
 def beyond_a_turn(angles: Array) -> bool:
