@@ -19,6 +19,7 @@ from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.compile.dynamic import DynamicGraph, SliceGraph
 from pgm.compile.machine import Choice, as_choice, without_machine_code
 from pgm.compile.methods import JunctionTree
+from pgm.cpds import by_step
 from pgm.display import InCode, titled
 from pgm.errors import GraphError, ModelError
 from pgm.factors.scope import Scope
@@ -295,6 +296,7 @@ def _dynamic(model: DynamicBayesianNetwork, steps: Any, method: Any, compiled: A
         "compile for fewer",
         error=GraphError,
     )
+    by_step.require_last(model._changing, int(steps), GraphError)
     choice = as_choice(compiled, "pgm.compile(...)")
     if choice and model.discrete:
         raise without_machine_code("tables", model)

@@ -264,7 +264,7 @@ class DynamicGraph(ClusterGraph, ABC):
         model = self.model
         for step in range(self.steps + 1):
             for cpd in (*(model.transition if step else model.prior), *model.observation):
-                if step or not set(cpd.parents) & set(model.controls):
+                if step or (cpd.steps is None and not set(cpd.parents) & set(model.controls)):
                     yield tuple(variable.at(step) for variable in cpd.scope)
 
 

@@ -124,6 +124,8 @@ class CPD(Shown, Immutable):
     discrete: ClassVar[bool] = False
     partial: bool = False
     """Whether its density takes readings in which components are NaN, as not measured."""
+    steps: int | None = None
+    """T, of a CPD with numbers of its own at each of the steps 1..T (see `LinearGaussianCPD`)."""
     _origin: CPD | None = None
     # Of a factor's residual, as which a Markov network is solved, the factor: messages name it.
     _of: Shown | None = None
@@ -205,8 +207,8 @@ class CPD(Shown, Immutable):
         Raises
         ------
         ModelError
-            If the step is no whole number, one of the variables would stand before step 0, or the
-            CPD is of a step already.
+            If the step is no whole number, one of the variables would stand before step 0, the CPD
+            has numbers by step and none of this one, or it is of a step already.
         """
         if self.child.step is not None:
             raise ModelError(
@@ -214,7 +216,12 @@ class CPD(Shown, Immutable):
                 "cpd.origin.at(...)",
                 cpd=self,
             )
-        return self._copy(lambda variable: variable.at(step), _origin=self.origin)
+        held = self._held(step)
+        return held._copy(lambda variable: variable.at(step), _origin=self.origin)
+
+    def _held(self, step: int) -> Self:
+        """The CPD with the numbers of a step, if it has others at each; else itself."""
+        return self
 
     @public
     def log_density(

@@ -46,7 +46,12 @@ class ByRunCPD(AffineCPD):
     def _lead(self) -> Shape:
         return self.offset.shape[:-1]
 
-    def _affine(self, hidden: Scope, inputs: Mapping[Variable, Array]) -> tuple[Array, Array]:
+    def _affine(
+        self,
+        hidden: Scope,
+        inputs: Mapping[Variable, Array],
+        step: int | Integers | None = None,
+    ) -> tuple[Array, Array]:
         """F over the stacked hidden parents, (d, n) or (1, runs, d, n), and b (rows, runs, d)."""
         shape = next(iter(self.matrices.values())).shape
         none = np.zeros((*shape[:-1], 0))
@@ -61,6 +66,8 @@ class ByRunCPD(AffineCPD):
 def kind_of(case: CPD) -> Hashable:
     """A key that cases have in common which differ in numbers alone; of one function, in noise."""
     if not isinstance(case, ConditionalGaussian) or isinstance(case.cov, Noise) or case.noise:
+        return id(case)
+    if case.steps is not None:  # numbers by step, beside which there are none by run
         return id(case)
     if isinstance(case, AffineCPD):
         return AffineCPD

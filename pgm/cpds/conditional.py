@@ -49,6 +49,33 @@ class Noise(InCode):
     def __repr__(self) -> str:
         return f"Noise({called(self.function)}, given=({listed(self.given)}))"
 
+    def scaled(self, factor: float) -> Noise:
+        """The noise whose covariances are a multiple of this one's."""
+        return replace(self, function=_Multiple(self.function, factor))
+
+    def _values(
+        self,
+        cpd: ConditionalGaussian,
+        known: Mapping[Variable, Array],
+        shape: tuple[int, ...],
+        step: int | Integers | None,
+        numbering: Numbering,
+    ) -> Array:
+        """The covariances that `evaluate` returns."""
+        arguments = [np.broadcast_to(known[v], (*shape, v.dimension)) for v in self.given]
+        call = Call(cpd.child, "noise", shape, step, numbering, cpd)
+        size = cpd.child.dimension
+        if self.diagonal:
+            value = on_diagonal(call(self.function, arguments, (*shape, size), _VARIANCES))
+        else:
+            due = (*shape, size, size)
+            value = symmetrised(call(self.function, arguments, due, _MATRICES))
+        if covariance_fault(value):
+            for index in np.ndindex(shape):
+                if fault := covariance_fault(value[index]):
+                    raise call.error(fault, index)
+        return value
+
 
 @public
 def noise(
@@ -115,22 +142,10 @@ def evaluate(
     """The covariance for given values of the parents, (*shape, n, n), checked.
 
     Values of the parents broadcast to (*shape, d), steps to the shape, whose last axis is of runs;
-    step and its `numbering` are for messages.
+    where covariances are a function, step and its `numbering` are for messages.
     """
-    cov, child = cpd.cov, cpd.child
-    assert isinstance(cov, Noise)
-    arguments = [np.broadcast_to(known[v], (*shape, v.dimension)) for v in cov.given]
-    call = Call(child, "noise", shape, step, numbering, cpd)
-    size = child.dimension
-    if cov.diagonal:
-        value = on_diagonal(call(cov.function, arguments, (*shape, size), _VARIANCES))
-    else:
-        value = symmetrised(call(cov.function, arguments, (*shape, size, size), _MATRICES))
-    if covariance_fault(value):
-        for index in np.ndindex(shape):
-            if fault := covariance_fault(value[index]):
-                raise call.error(fault, index)
-    return value
+    assert isinstance(cpd.cov, Noise)
+    return cpd.cov._values(cpd, known, shape, step, numbering)
 
 
 class ConditionalGaussian(CPD):
@@ -165,11 +180,7 @@ class ConditionalGaussian(CPD):
     def _scaled(self, factor: float) -> Self:
         """The CPD of Gaussian noise whose covariance is a multiple of this one's `cov`."""
         cov = self.cov
-        found = self._with_cov(
-            replace(cov, function=_Multiple(cov.function, factor))
-            if isinstance(cov, Noise)
-            else factor * cov
-        )
+        found = self._with_cov(cov.scaled(factor) if isinstance(cov, Noise) else factor * cov)
         found._set(noise=None)
         return found
 
@@ -240,7 +251,7 @@ class ConditionalGaussian(CPD):
         if not seen.all():
             return self._marginal(child, known, seen, centre, lower)
         error = normal_density.INEXACT * (np.abs(child) + np.abs(centre))
-        error = error + ROUNDING * unflat(self._summed(known.values), known.lead, 1)
+        error = error + ROUNDING * unflat(self._summed(known), known.lead, 1)
         if self.noise is not None:
             return self._robust(lower, difference(child, centre, angles), child.shape[-1])
         value = _log_density(lower, difference(child, centre, angles), error)
@@ -332,7 +343,7 @@ class ConditionalGaussian(CPD):
         """The mean at values of all parents, which broadcasts to (*call.lead, d)."""
         raise ModelError(f"{self!r} is of a kind that has no mean here", cpd=self)
 
-    def _summed(self, known: Mapping[Variable, Array]) -> Array:
+    def _summed(self, known: Known) -> Array:
         """Σ |summand| of the mean, a bound for its rounding, (..., d)."""
         return np.zeros((1, self.child.dimension))
 

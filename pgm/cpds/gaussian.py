@@ -11,8 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.arguments import public
-from pgm.boundary import as_floats
-from pgm.cpds.base import Moved
+from pgm.boundary import as_floats, is_whole
+from pgm.cpds import by_step
+from pgm.cpds.base import Known, Moved
 from pgm.cpds.conditional import ConditionalGaussian, Noise
 from pgm.cpds.derivatives import Derivatives
 from pgm.cpds.robust import RobustNoise
@@ -20,7 +21,8 @@ from pgm.display import Listing, by_component, called, named_matrix, number, sta
 from pgm.errors import ModelError
 from pgm.factors.arrays import flat, matrices
 from pgm.factors.scope import Scope, as_value, components, listed, namesake
-from pgm.kernels.arrays import Array, apply, frozen
+from pgm.kernels import roots
+from pgm.kernels.arrays import Array, Integers, apply, frozen
 from pgm.linearisers import FunctionTemplate, Lineariser
 from pgm.linearisers.calls import Call
 from pgm.tracing import Tracer
@@ -34,25 +36,42 @@ class AffineCPD(ConditionalGaussian):
     offset: Array
 
     def _affine(
-        self, hidden: tuple[Variable, ...], inputs: Mapping[Variable, Array]
+        self,
+        hidden: tuple[Variable, ...],
+        inputs: Mapping[Variable, Array],
+        step: int | Integers | None = None,
     ) -> tuple[Array, Array]:
-        """F (d, n) over the stacked hidden parents, and b with the evidence put in."""
+        """F (d, n) over the stacked hidden parents, and b with the evidence put in.
+
+        Of numbers by step they are those of the `step`, whose axes they have first.
+        """
         size = self.child.dimension
-        matrix = np.concatenate([np.zeros((size, 0)), *(self.matrices[p] for p in hidden)], axis=1)
-        offset = self.offset
+        matrices, offset = self._numbers(step)
+        parts = [np.zeros((size, 0)), *(matrices[p] for p in hidden)]
+        if any(part.ndim > 2 for part in parts):
+            lead = np.broadcast_shapes(*(part.shape[:-2] for part in parts))
+            parts = [np.broadcast_to(part, (*lead, *part.shape[-2:])) for part in parts]
+        matrix = np.concatenate(parts, axis=-1)
         for parent in self.given:
             if parent not in hidden:
-                offset = offset + apply(self.matrices[parent], inputs[parent])
+                offset = offset + apply(matrices[parent], inputs[parent])
         return matrix, offset
 
-    def _mean(self, known: Mapping[Variable, Array], lead: tuple[int, ...], call: Call) -> Array:
-        return self._affine((), known)[1] if self.given else flat(self.offset, lead, 1)
+    def _numbers(self, step: int | Integers | None) -> tuple[Mapping[Variable, Array], Array]:
+        """The matrices and the offset, of numbers by step those of the step."""
+        return self.matrices, self.offset
 
-    def _summed(self, known: Mapping[Variable, Array]) -> Array:
+    def _mean(self, known: Mapping[Variable, Array], lead: tuple[int, ...], call: Call) -> Array:
+        if self.given or self.steps is not None:
+            return self._affine((), known, call.step)[1]
+        return flat(self.offset, lead, 1)
+
+    def _summed(self, known: Known) -> Array:
         if not self.given:
             return super()._summed(known)
-        parts = (apply(np.abs(self.matrices[p]), np.abs(known[p])) for p in self.given)
-        return sum(parts, np.abs(self.offset))
+        matrices, offset = self._numbers(None if known.step is None else np.asarray(known.step))
+        parts = (apply(np.abs(matrices[p]), np.abs(known.values[p])) for p in self.given)
+        return sum(parts, np.abs(offset))
 
     def _over(self, moved: Moved) -> dict[str, Any]:
         found = super()._over(moved)
@@ -136,7 +155,17 @@ class GaussianCPD(AffineCPD):
 
 @public
 class LinearGaussianCPD(AffineCPD):
-    """A linear Gaussian density: y = Σ F_p p + offset + n, n ~ N(0, cov).
+    r"""A linear Gaussian density: y = Σ F_p p + offset + n, n ~ N(0, cov).
+
+    .. math:: p(y_t \mid p) = N\Bigl(\sum_p F_{p,t}\, p + b_t,\; Q_t\Bigr)
+
+    Its numbers are the same at all steps; or, in the transition or the observation of a
+    `DynamicBayesianNetwork`, they change from step to step, as where steps last for different
+    times. An array with one axis more, of length T and in front, then has **entry k, counted from
+    0, for step k + 1**, as row k of a plain array of evidence: of a transition for the move from
+    step k to step k + 1, of a sensor for its measurements at step k + 1. T is the number of steps
+    of the network, which takes no other; a sensor of such numbers has none at step 0. Numbers with
+    and without such an axis may stand beside one another.
 
     Parameters
     ----------
@@ -144,15 +173,30 @@ class LinearGaussianCPD(AffineCPD):
         y, d components.
     given : mapping of Variable to array_like
         The matrix F_p, (d, dimension of p), of each parent p; a number c stands for c I where
-        both have the same number of components.
+        both have the same number of components. By step: (T, d, dimension of p).
     cov : array_like or Noise
         (d, d), positive semidefinite; or (d,), the variance of each component; or one variance for
         all of them; or ``pgm.noise(...)``. Zero where the sum is exact: a static unknown is
-        ``LinearGaussianCPD(m, given={m.previous: 1.0}, cov=0)``.
+        ``LinearGaussianCPD(m, given={m.previous: 1.0}, cov=0)``. By step: (T, d, d).
     offset : array_like
-        (d,); zero, if not given.
+        (d,); zero, if not given. By step: (T, d).
     noise : RobustNoise, optional
         See `NonlinearGaussianCPD`.
+
+    Attributes
+    ----------
+    matrices : mapping of Variable to ndarray
+    offset : ndarray
+    cov : ndarray or Noise
+        By step ``cov.covs`` are the matrices, (T, d, d).
+    steps : int or None
+        T, where some numbers change from step to step; ``cpd.at(t)`` has those of step t.
+
+    Raises
+    ------
+    ModelError
+        If shapes do not fit, a number is not finite, `cov` is not a covariance, or arrays by step
+        differ in their numbers of steps.
 
     Examples
     --------
@@ -160,6 +204,14 @@ class LinearGaussianCPD(AffineCPD):
     >>> command = Variable("command", components=("v", "omega"))
     >>> LinearGaussianCPD(u, given={command: 1.0}, cov=[0.1, 0.02])
     LinearGaussianCPD(u | command)
+
+    A random walk over two steps, of 0.1 s and of 2 s, whose variance grows by 0.5 a second:
+
+    >>> x = Variable("x")
+    >>> dt = np.array([0.1, 2.0])
+    >>> walk = LinearGaussianCPD(x, given={x.previous: 1.0}, cov=0.5 * dt[:, None, None])
+    >>> walk.steps, walk.at(2).cov
+    (2, array([[1.]]))
     """
 
     def __init__(
@@ -177,6 +229,8 @@ class LinearGaussianCPD(AffineCPD):
                 f"like given={{x: 1.0}}; found {given!r}",
                 variable=child,
             )
+        if isinstance(child, Variable):
+            cov = by_step.as_noise(child, cov)
         self._set_family(child, given, cov)
         self._set_noise(noise)
         matrices = {parent: _matrix(child, parent, value) for parent, value in given.items()}
@@ -184,15 +238,43 @@ class LinearGaussianCPD(AffineCPD):
             offset, f"the offset of {child!r}", labels=child.components, variable=child
         ).copy()
         shift = np.full(child.dimension, shift) if shift.ndim == 0 else shift
-        if shift.shape != (child.dimension,):
-            raise ModelError(
-                f"LinearGaussianCPD of {child!r}: the offset has shape {shift.shape}; "
-                f"({child.dimension},) was due",
-                variable=child,
-            )
+        what = f"LinearGaussianCPD of {child!r}"
+        shift = by_step.as_stack(f"{what}: the offset", shift, (child.dimension,), child)
         self._set(matrices=MappingProxyType(matrices), offset=_finite(child, shift, "offset"))
+        every = {f"matrix of {p!r}": len(m) for p, m in matrices.items() if m.ndim > 2}
+        every |= {"offset": len(shift)} if shift.ndim > 1 else {}
+        covs = self.cov.covs if isinstance(self.cov, by_step.NoiseByStep) else None
+        every |= {} if covs is None else {"covariance": len(covs)}
+        steps = by_step.common(what, every, child)
+        if steps is not None:
+            self._set(steps=steps)
+        if covs is not None and noise is not None:
+            self.require_regular(roots.root(covs))
+
+    def _numbers(self, step: int | Integers | None) -> tuple[Mapping[Variable, Array], Array]:
+        if self.steps is None:
+            return self.matrices, self.offset
+        place = by_step.index(self, step)
+        matrices = {p: m[place] if m.ndim > 2 else m for p, m in self.matrices.items()}
+        return matrices, self.offset[place] if self.offset.ndim > 1 else self.offset
+
+    def _held(self, step: int) -> Self:
+        if self.steps is None or not is_whole(step):
+            return self  # what is no step is refused by whoever places it
+        matrices, offset = self._numbers(step)
+        cov = self.cov
+        if isinstance(cov, by_step.NoiseByStep):
+            cov = cov.covs[by_step.index(self, step)]
+        found = object.__new__(type(self))
+        found.__dict__.update(self._bare())
+        numbers = {"matrices": MappingProxyType(matrices), "offset": offset, "cov": cov}
+        found._set(**numbers, steps=None, _origin=self.origin)
+        return found
 
     def _parts(self) -> list[str | Listing]:
+        if self.steps is not None:
+            text = f"numbers of its own at each of the steps 1..{self.steps}; of step 1:"
+            return [text, *self._held(1)._parts()]
         whole = np.concatenate(
             [np.zeros((self.child.dimension, 0)), *self.matrices.values()], axis=1
         )
@@ -209,8 +291,7 @@ def _matrix(child: Variable, parent: Variable, value: npt.ArrayLike) -> Array:
     due = (child.dimension, parent.dimension)
     if matrix.ndim == 0 and due[0] == due[1]:
         matrix = matrices(matrix, due[0])
-    if matrix.shape != due:
-        raise ModelError(f"{what} has shape {matrix.shape}; {due} was due", variable=parent)
+    matrix = by_step.as_stack(what, matrix, due, parent)
     return _finite(child, matrix, f"matrix of {parent!r}")
 
 

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from pgm.arguments import public
 from pgm.boundary import as_floats, as_tuple
+from pgm.cpds import by_step
 from pgm.cpds.base import CPD, Known, Moved, Values
 from pgm.cpds.conditional import ConditionalGaussian, Noise
 from pgm.cpds.gaussian import GaussianCPD
@@ -89,6 +90,9 @@ class MixtureCPD(CPD):
         )
         self._set(parts=parts, weights=frozen(self._checked(weights, len(parts))))
         self._set(partial=all(part.partial for part in parts))
+        changing = by_step.among(parts)
+        if changing is not None:
+            self._set(steps=changing.steps)
         self._lead()
 
     def _checked(self, weights: npt.ArrayLike, count: int) -> Array:
@@ -123,6 +127,13 @@ class MixtureCPD(CPD):
 
     def require_proper(self, what: str) -> None:
         """Refuse an infinite variance, of which a mixture has none."""
+
+    def _held(self, step: int) -> Self:
+        if self.steps is None:
+            return self
+        found = self._with(tuple(part._held(step) for part in self.parts))
+        found._set(steps=None, _origin=self.origin)
+        return found
 
     def _with(self, parts: tuple[CPD, ...]) -> Self:
         found = copy.copy(self)

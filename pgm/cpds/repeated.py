@@ -103,6 +103,13 @@ def plate(
             "a plate is of a GaussianCPD, LinearGaussianCPD, NonlinearGaussianCPD or "
             f"NonlinearGaussianFactor, not of {titled(cpd)}; declare others one by one"
         )
+    if cpd.steps is not None:
+        raise ModelError(
+            f"a plate stands in a network without time, and {titled(cpd)} has numbers of its own "
+            f"at each of the steps 1..{cpd.steps}; give each its matrix, offset= or cov=",
+            variable=cpd.child,
+            cpd=cpd,
+        )
     shape, rows = _rows(cpd, over)
     _Numbers(cpd, shape, rows).take(told)
     return tuple(rows)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Hashable, Iterable, Mapping
 from itertools import product
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from pgm.arguments import public
 from pgm.boundary import as_tuple
+from pgm.cpds import by_step
 from pgm.cpds.base import CPD, Known, Moved, Values
 from pgm.display import Listing, few
 from pgm.errors import ModelError
@@ -115,6 +117,9 @@ class SwitchingCPD(CPD):
         self._set_scope(child, (*switches, *own), noise)
         self._set(switches=switches, cases=MappingProxyType(by_case))
         self._set(partial=all(part.partial for part in parts))
+        changing = by_step.among(parts)
+        if changing is not None:
+            self._set(steps=changing.steps)
 
     def _require_kinds(self, scope: Scope) -> None:
         """All kinds: the discrete parents choose, and the others are those of cases."""
@@ -173,6 +178,14 @@ class SwitchingCPD(CPD):
         cases = {k: part._copy(moved, _origin=part.origin) for k, part in self.cases.items()}
         switches = tuple(map(moved, self.switches))
         return super()._over(moved) | {"switches": switches, "cases": MappingProxyType(cases)}
+
+    def _held(self, step: int) -> Self:
+        if self.steps is None:
+            return self
+        cases = {k: part._held(step) for k, part in self.cases.items()}
+        found = copy.copy(self)
+        found._set(cases=MappingProxyType(cases), steps=None, _origin=self.origin)
+        return found
 
     def _parts(self) -> list[str | Listing]:
         rows = [(self.named(case), part._title) for case, part in self.cases.items()]

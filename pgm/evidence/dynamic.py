@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from pgm.cpds import CPD
+from pgm.cpds import CPD, by_step
 from pgm.errors import EvidenceError
 from pgm.evidence.lengths import Lengths
 from pgm.evidence.rows import (
@@ -227,6 +227,7 @@ def bind(
     among: Container[Variable] = (),
     threads: int = 1,
     forecasts: bool = False,
+    whole: bool = True,
 ) -> BoundEvidence:
     """Check evidence against a dynamic network's CPDs and lay it out by step.
 
@@ -239,9 +240,11 @@ def bind(
     among: The hidden variables that may be candidates themselves.
     threads: How many share the work on many numbers.
     forecasts: Whether sensors are laid out also at the steps where nothing was read.
+    whole: Whether the steps are those of the model, 1..T; else they are a part, at any place.
     """
     open_ = identities, among
-    binder = _Binder(transition, observation, evidence, steps, lead, drawing, open_, threads)
+    parts = transition, observation, evidence, steps, lead, drawing, open_, threads
+    binder = _Binder(*parts, whole=whole)
     return binder.bind(transition if transition_inputs else (), forecasts=forecasts)
 
 
@@ -256,7 +259,10 @@ class _Binder:
         drawing: bool,
         identities: tuple[bool, Container[Variable]],
         threads: int,
+        *,
+        whole: bool,
     ) -> None:
+        self.changing = by_step.among((*transition, *observation)) if whole else None
         self.evidence, self.drawing = evidence, drawing
         self.identities, self.among = identities
         self.threads = threads
@@ -299,6 +305,7 @@ class _Binder:
             if rows is not None and rows.shape[-2] == self.steps:
                 continue
             begun = rows is not None or any(parent in self.arrays for parent in cpd.parents)
+            begun = begun or cpd.steps is not None
             step = self.span if begun else np.arange(self.steps + 1)
             # Evidence that no reading needs is not refused, whatever it is: there is no forecast.
             self.shapes = [("the runs", lead)]
@@ -351,9 +358,9 @@ class _Binder:
         )
 
     def _length(self, steps: int | None) -> int:
-        lengths = Lengths(self.arrays, self.sensors, self.evidence)
+        lengths = Lengths(self.arrays, self.sensors, self.evidence, self.changing)
         found = lengths.steps(steps, self._unexplained())
-        if steps is None:
+        if steps is None and self.changing is None:
             if not math.prod(self.lead) > 1:
                 lengths.warn_of_columns(found)
             lengths.warn_of_step_behind(found)
@@ -405,6 +412,15 @@ class _Binder:
                 count = rows.shape[-2]
             runs = 1 if rows is None else math.prod(rows.shape[:-2])
             step = as_steps(sensor, value.step, count, self.steps, runs)
+            if self.changing is not None and cpd.steps is not None and not step.all():
+                raise EvidenceError(
+                    f"a sighting of {sensor!r} at step 0: {cpd!r} has numbers of its own at each "
+                    f"of the steps 1..{cpd.steps}, and none of step 0; leave it out, or give it to "
+                    "a sensor of its own",
+                    variable=sensor,
+                    cpd=cpd,
+                    step=0,
+                )
         else:
             given = {}
             rows = self.arrays.get(sensor)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.boundary import as_wholes, is_whole
-from pgm.cpds import CPD
+from pgm.cpds import CPD, by_step
 from pgm.errors import EvidenceError, EvidenceWarning, levels_to_user
 from pgm.evidence.rows import Rows, due
 from pgm.evidence.values import Evidence, Sightings
@@ -25,11 +25,13 @@ class Lengths:
     arrays: By variable; of a discrete one the last axis is added.
     sensors: The variables that are measured; all others are inputs.
     evidence: As the user gave it.
+    changing: A CPD whose numbers change from step to step, by which T is told; None if none do.
     """
 
     arrays: Mapping[Variable, Rows]
     sensors: Collection[Variable]
     evidence: Evidence
+    changing: CPD | None = None
 
     def steps(self, asked: int | None, unexplained: tuple[Variable, CPD] | None) -> int:
         """The number of steps, T.
@@ -40,12 +42,17 @@ class Lengths:
         if asked is not None and (not is_whole(asked) or asked < 0):
             raise EvidenceError(f"steps must be a whole number, 0 or more, not {asked!r}")
         lengths = {variable: array.shape[-2] for variable, array in self.arrays.items()}
+        explicit = asked is not None
+        if asked is not None:
+            by_step.require_last(self.changing, int(asked), EvidenceError)
+        elif self.changing is not None:
+            asked = self.changing.steps
         if asked is not None:
             for variable, length in lengths.items():
                 # The last steps of a sensor may be without readings; an input must be known.
-                forecast = length < asked and self._measured(variable)
+                forecast = explicit and length < asked and self._measured(variable)
                 if length != asked and (not forecast or self._runs(variable) == asked):
-                    raise self._other_than_asked(variable, int(asked))
+                    raise self._other_than_asked(variable, int(asked), explicit=explicit)
             return int(asked)
         if not lengths:
             raise self._untold(unexplained)
@@ -94,12 +101,16 @@ class Lengths:
         )
         warnings.warn(message, EvidenceWarning, stacklevel=levels_to_user())
 
-    def _other_than_asked(self, variable: Variable, steps: int) -> EvidenceError:
+    def _other_than_asked(self, variable: Variable, steps: int, *, explicit: bool) -> EvidenceError:
         length = self.arrays[variable].shape[-2]
+        due = f"steps {_span(steps)} are asked for"
+        if not explicit and self.changing is not None:
+            due = f"{self.changing!r} has numbers of its own at each of the steps {_span(steps)}"
         return EvidenceError(
             f"evidence for {variable!r} has {_rows(length)}, of steps {_span(length)}, where "
-            f"steps {_span(steps)} are asked for; {self._advice(variable, steps)}",
+            f"{due}; {self._advice(variable, steps)}",
             variable=variable,
+            cpd=None if explicit else self.changing,
         )
 
     def _disagreement(self, lengths: Mapping[Variable, int]) -> EvidenceError:

@@ -109,6 +109,13 @@ class GaussianStep:
                     cpd=cpd,
                 )
             due = cpd.child.dimension, parent.dimension
+            if cpd.matrices[parent].shape != due:
+                raise ModelError(
+                    f"{cpd!r}: the matrix of {parent!r} is another at each step, and coefficients "
+                    "are learnt that are the same at all; give it one to start with, or leave it "
+                    "out of Coefficients({...: True})",
+                    cpd=cpd,
+                )
             self.free[:, self.places[parent]] = _mask(cpd, f"the mask of {parent!r}", mask, due)
 
     def _free_offset(self, cpd: ConditionalGaussian, part: Offset) -> None:
@@ -121,7 +128,10 @@ class GaussianStep:
         if cpd.offset.ndim > 1:
             raise ModelError(
                 f"{cpd!r}: its mean differs by run, and one is learnt of all runs; give it one to "
-                "start with",
+                "start with"
+                if cpd.steps is None
+                else f"{cpd!r}: its offset is another at each step, and one is learnt of all "
+                "steps; give it one to start with",
                 cpd=cpd,
             )
         due = (cpd.child.dimension,)
@@ -283,12 +293,16 @@ class GaussianStep:
         """The coordinates of a CPD: first its free entries, then its covariance's."""
         parts = [np.zeros(0)]
         if self.free.any():
-            whole = [cpd.matrices[p] for p in self.order]
-            table = np.concatenate([*whole, cpd.offset[:, None]], axis=1)
-            parts.append(table[self.free])
+            parts.append(self._coefficients(cpd)[self.free])
         if self.noise is not None:
             parts.append(self.noise.vector(cpd))
         return np.concatenate(parts)
+
+    def _coefficients(self, cpd: Any) -> Array:
+        """Coefficients and offset as `free` has them; of those by step, never free, the first."""
+        offset = cpd.offset if cpd.offset.ndim == 1 else cpd.offset[0]
+        whole = [each if each.ndim == 2 else each[0] for each in map(cpd.matrices.get, self.order)]
+        return np.concatenate([*whole, offset[:, None]], axis=1)
 
     def at(self, cpd: Any, vector: Array) -> ConditionalGaussian:
         """The CPD of some coordinates."""

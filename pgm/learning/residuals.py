@@ -25,7 +25,7 @@ import numpy as np
 
 from pgm.cpds import AffineCPD
 from pgm.kernels.angles import nearest_branch
-from pgm.kernels.arrays import Array, Mask, components_last, quiet, symmetric, transpose
+from pgm.kernels.arrays import Array, Mask, apply, components_last, quiet, symmetric, transpose
 from pgm.kernels.moments import predict
 from pgm.kernels.solving import regression
 from pgm.linearisation.family import Family
@@ -124,8 +124,10 @@ def lines(belief: FamilyBelief, known: Known) -> tuple[Array, Array, Array | Non
     if isinstance(family.cpd, AffineCPD):
         matrix, shift = family.affine
         if family is not belief.family:
-            matrix, shift = family.cpd._affine(family.hidden, family.inputs)
-        return mean @ matrix.T + shift, matrix, None
+            step = family.step[:, None]
+            matrix, shift = family.cpd._affine(family.hidden, family.inputs, step)
+        value = apply(matrix, mean) if matrix.ndim > 2 else mean @ matrix.T
+        return value + shift, matrix, None
     line = family.checked(family.bound(slice(None), 2, mean.shape[:-1]), mean, cov)
     error = None if line.error is None else components_last(line.error, 2)
     return components_last(line.value, 1), components_last(line.matrix, 2), error

@@ -9,6 +9,7 @@ import numpy as np
 
 from pgm.boundary import as_floats
 from pgm.cpds import ConditionalGaussian, Noise, TableCPD
+from pgm.cpds.by_step import NoiseByStep
 from pgm.display import called, number
 from pgm.errors import ModelError
 from pgm.factors.scope import as_value
@@ -36,6 +37,11 @@ class ScaledNoise:
         return self.factor * np.asarray(self.function(*given))
 
 
+def _which(noise: Noise) -> str:
+    by_step = isinstance(noise, NoiseByStep)
+    return "another at each step" if by_step else "a function of parents"
+
+
 class CovarianceStep:
     """The M step of one covariance, and its coordinates without constraints.
 
@@ -53,7 +59,7 @@ class CovarianceStep:
         if isinstance(cpd.cov, Noise):
             if kind != "scaled":
                 raise ModelError(
-                    f"{cpd!r}: its noise is a function of parents, of which a factor alone can be "
+                    f"{cpd!r}: its noise is {_which(cpd.cov)}, of which a factor alone can be "
                     f'learnt: pgm.learning.Covariance("scaled"), not "{kind}"',
                     cpd=cpd,
                 )
@@ -147,6 +153,9 @@ class CovarianceStep:
 
     def factor(self, cpd: Any) -> float:
         """The factor on the covariance at the start."""
+        if isinstance(cpd.cov, NoiseByStep):
+            total = float(np.einsum("kii->", self.start.covs))
+            return float(np.einsum("kii->", cpd.cov.covs)) / total if total else 1.0
         if isinstance(cpd.cov, Noise):
             function: Any = cpd.cov.function
             own = isinstance(function, ScaledNoise) and function is not self.start.function
@@ -156,6 +165,8 @@ class CovarianceStep:
     def scaled(self, factor: float) -> Any:
         """The covariance at the start times a factor."""
         factor = float(np.clip(factor, self.declared.lower, self.declared.upper))
+        if isinstance(self.start, NoiseByStep):
+            return self.start.scaled(factor)
         if isinstance(self.start, Noise):
             function = ScaledNoise(self.start.function, factor)
             return Noise(function, self.start.given, self.start.diagonal)

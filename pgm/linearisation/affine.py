@@ -12,7 +12,7 @@ import numpy as np
 
 from pgm.cpds import AffineCPD, ConditionalGaussian
 from pgm.factors.scope import Scope
-from pgm.kernels.arrays import Array, apply
+from pgm.kernels.arrays import Array, Integers, apply
 from pgm.linearisation.rows import own_noise
 from pgm.linearisers.numbering import COUNTED
 from pgm.variables import Variable
@@ -24,16 +24,19 @@ def affine_rows(
     hidden: Scope,
     inputs: Mapping[Variable, Array],
     lead: tuple[int, ...],
+    step: Integers,
 ) -> tuple[Array, Array]:
     """F (d, n), or (rows, d, n) of a plate, and b (rows or 1, runs or 1, d).
 
+    F of numbers that change from step to step is (rows, 1, d, n).
+
     `cpd` is the CPD of all rows, or the first of the `plate`; `hidden` are those of its parents
     without evidence, and `inputs` the others' values (rows, runs or 1, d). `lead` are the axes of
-    runs.
+    runs, and `step` (rows,) the steps.
     """
     if not plate:
-        constant, shift = cpd._affine(hidden, inputs)
-        if not cpd.given and shift.ndim > 1:
+        constant, shift = cpd._affine(hidden, inputs, step[:, None])
+        if not cpd.given and shift.ndim > 1 and cpd.steps is None:
             shift = np.broadcast_to(shift, (*lead, shift.shape[-1])).reshape(1, -1, shift.shape[-1])
         return constant, shift if shift.ndim == 3 else shift[None, None]
     cpds = [each for each in plate if isinstance(each, AffineCPD)]

@@ -118,7 +118,7 @@ class Family(Rows):
         """
         rows, runs = step.size, math.prod(lead)
         height, width = cpd.child.dimension, dimension(hidden)
-        copies = all(each.origin is cpd.origin for each in plate)
+        copies = cpd.origin.steps is None and all(each.origin is cpd.origin for each in plate)
         plate = () if copies else tuple(plate)
         noise = own_noise(cpd, step if timed else None, rows, inputs, lead, numbering)
         if plate:
@@ -136,7 +136,7 @@ class Family(Rows):
         made = cls(*known)
         made.plate, made.noise = plate, np.broadcast_to(noise, (rows, runs, height, height))
         if isinstance(cpd, AffineCPD):
-            constant, shift = made.affine = affine_rows(cpd, plate, hidden, inputs, lead)
+            constant, shift = made.affine = affine_rows(cpd, plate, hidden, inputs, lead, step)
             slope = constant if constant.ndim == 4 else constant[..., None, :, :]
             made.matrix = np.broadcast_to(slope, (rows, runs, height, width))
             made.offset = np.broadcast_to(shift, (rows, runs, height))
@@ -209,7 +209,8 @@ class Family(Rows):
             part.noise = part.noise.copy("K")
         if self.exact:
             part.matrix, part.offset = cut(self.matrix, runs), cut(self.offset, runs)
-            part.affine = self.affine[0], cut(self.affine[1], runs)
+            matrix, shift = self.affine
+            part.affine = cut(matrix, runs) if matrix.ndim == 4 else matrix, cut(shift, runs)
         return part
 
     def window(self, first: int, last: int) -> Family:
@@ -229,7 +230,8 @@ class Family(Rows):
             part.own_noise = self.own_noise[rows]
         if self.exact:
             matrix, shift = self.affine
-            part.affine = matrix, shift[rows] if len(shift) > 1 else shift
+            own = matrix[rows] if matrix.ndim == 4 and len(matrix) > 1 else matrix
+            part.affine = own, shift[rows] if len(shift) > 1 else shift
         else:
             part.matrix, part.offset = part.matrix.copy("K"), part.offset.copy("K")
         if self.approximate:

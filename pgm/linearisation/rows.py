@@ -72,7 +72,7 @@ class Rows:
     covariance. `batch` is (runs,), or () for one run; `numbering` is of the axis of runs, for the
     texts of errors. The rows may be of several CPDs, a `plate`, which differ in their variables,
     numbers and noise alone: then `cpd` and its parents are the first row's, and F is (rows, d, n).
-    F of a CPD whose numbers differ by run is (1, runs, d, n).
+    F of a CPD whose numbers differ by run is (1, runs, d, n), and by step (rows, 1, d, n).
     A *trace* is a function recorded as a graph of scalar operations (`pgm.tracing`). `answers`
     records the values and slopes that the function's trace gives in this call, for a comparison
     with the function afterwards; None without that.
@@ -108,7 +108,7 @@ class Rows:
 
     @cached_property
     def noisy(self) -> bool:
-        """Whether the noise covariance depends on observed parents."""
+        """Whether the noise covariance depends on observed parents, or on the step."""
         return isinstance(self.cpd.cov, Noise)
 
     @cached_property
@@ -185,9 +185,9 @@ class Rows:
             noise = self._own(0, count)
         if self.template is None:
             assert isinstance(self.cpd, AffineCPD)
-            if not inputs:
+            if not inputs and self.cpd.steps is None:
                 return self._affine_at(0, count)._replace(noise=noise)
-            matrix, shift = self.cpd._affine(self.hidden, self._wide(inputs, count))
+            matrix, shift = self.cpd._affine(self.hidden, self._wide(inputs, count), step)
             offset = np.broadcast_to(shift, (count, 1, shift.shape[-1])).reshape(-1)
             return At(None, np.tile(matrix, (count, 1)), offset, noise, 0, count)
         arguments = [None if place is None else inputs[place] for place in self.order]
@@ -290,15 +290,16 @@ class Rows:
         """
         constant, shift = self.affine
         count = last - first
-        if len(shift) == 1 == len(self.own_noise):
+        alike = len(shift) == 1 == len(self.own_noise) and (constant.ndim < 4 or len(constant) == 1)
+        if alike:
             found = self._constant_at.get(count)
             if found is not None:
                 return At(None, found.matrix, found.offset, found.noise, first, last)
         offset = np.broadcast_to(
             shift if len(shift) == 1 else shift[first:last], (count, *shift.shape[1:])
         )
-        if constant.ndim == 4:  # of each run
-            each = components_first(constant[0], 2)
+        if constant.ndim == 4:  # of each run, or of each step
+            each = components_first(constant[first if len(constant) > 1 else 0], 2)
             each = each if self.batch else each[..., 0]
             matrix = np.tile(each, (count, *(1,) * (each.ndim - 1)))
         elif self.batch:
@@ -310,7 +311,7 @@ class Rows:
         else:
             offset = offset.reshape(-1)
         made = At(None, matrix, offset, self._own(first, last), first, last)
-        if len(shift) == 1 == len(self.own_noise):
+        if alike:
             self._constant_at[count] = made
         return made
 
@@ -318,7 +319,7 @@ class Rows:
     def _constant_at(self) -> dict[int, At]:
         """A cache of an affine CPD: by their number k, the stacked arrays of k rows.
 
-        It stays empty if the rows of the CPD differ in their offset or noise.
+        It stays empty if the rows of the CPD differ in their matrix, offset or noise.
         """
         return {}
 

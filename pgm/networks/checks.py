@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import TypeVar
 
 import numpy as np
@@ -65,7 +65,7 @@ def runs(cpds: Iterable[CPD]) -> tuple[int, ...]:
         ) from None
 
 
-def no_step_before(cpds: Iterable[CPD]) -> None:
+def no_step_before(cpds: Collection[CPD]) -> None:
     """Refuse parents of the step before, where there is no time."""
     for cpd in cpds:
         for parent in cpd.parents:
@@ -77,6 +77,19 @@ def no_step_before(cpds: Iterable[CPD]) -> None:
                     variable=parent,
                     cpd=cpd,
                 )
+    no_steps(cpds, "a network without time has no steps")
+
+
+def no_steps(cpds: Iterable[CPD], where: str) -> None:
+    """Refuse CPDs of numbers that change from step to step, where there are no steps."""
+    for cpd in cpds:
+        if cpd.steps is not None:
+            raise ModelError(
+                f"{cpd!r} has numbers of its own at each of the steps 1..{cpd.steps}, and {where}; "
+                "cpd.at(step) has those of one step, at that step",
+                variable=cpd.child,
+                cpd=cpd,
+            )
 
 
 def in_order(cpds: Sequence[C], parents: Callable[[C], Scope]) -> tuple[C, ...]:

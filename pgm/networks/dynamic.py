@@ -10,7 +10,7 @@ import numpy as np
 
 from pgm.arguments import public
 from pgm.boundary import as_generator, as_mapping, is_whole
-from pgm.cpds import CPD, TableCPD
+from pgm.cpds import CPD, TableCPD, by_step
 from pgm.display import Drawn, Listing, Summary
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
@@ -40,6 +40,9 @@ class DynamicBayesianNetwork(Drawn, Immutable):
     CPDs at 0..T. All CPDs are Gaussian; or all are tables, of a hidden Markov model, whose sensors
     may also be `SwitchingCPD` of continuous readings; or it is mixed: tables of discrete variables,
     and Gaussian CPDs, among which `SwitchingCPD` lets the discrete variables choose.
+
+    Numbers of a `LinearGaussianCPD` may change from step to step: T is then as many as they are,
+    `steps`, and no other number of steps is taken.
 
     Parameters
     ----------
@@ -125,6 +128,8 @@ class DynamicBayesianNetwork(Drawn, Immutable):
         checks.check_states(prior, transition, observation, states, hidden)
         checks.check_parents(prior, transition, observation, states, hidden, set(sensors))
         checks.runs(everything)
+        checks.no_steps(prior, "the prior is of step 0 alone")
+        by_step.among((*transition, *observation))
         transition = checks.in_order(transition, lambda cpd: cpd.given)
         parents = (v for cpd in (*transition, *observation) for v in cpd.parents)
         inputs = tuple(dict.fromkeys(v for v in parents if v.template not in hidden))
@@ -172,6 +177,17 @@ class DynamicBayesianNetwork(Drawn, Immutable):
     def variables(self) -> Scope:
         """All variables: states, controls, sensors, inputs."""
         return (*self.states, *self.controls, *self.sensors, *self.inputs)
+
+    @property
+    def steps(self) -> int | None:
+        """The number of steps T, where CPDs have arrays with an entry for each; else None."""
+        changing = self._changing
+        return None if changing is None else changing.steps
+
+    @property
+    def _changing(self) -> CPD | None:
+        """A CPD whose numbers change from step to step, by which T is told."""
+        return by_step.among((*self.transition, *self.observation))
 
     @property
     def lead(self) -> tuple[int, ...]:
@@ -236,6 +252,7 @@ class DynamicBayesianNetwork(Drawn, Immutable):
         BayesianNetwork(p(x[0])  p(z[0] | x[0])  p(x[1] | x[0])  p(z[1] | x[1]))
         """
         self._require_steps(steps)
+        by_step.require_last(self._changing, int(steps), ModelError)
         slices = range(int(steps) + 1)
         placed = [cpd.at(step) for step in slices for cpd in self.cpds_at(step)]
         if self.discrete or self.mixed:
@@ -283,14 +300,18 @@ class DynamicBayesianNetwork(Drawn, Immutable):
     def cpds_at(self, step: int) -> tuple[CPD, ...]:
         """The CPDs that hold at a step, as templates.
 
-        At step 0 they are the prior and the sensors whose parents exist there; later the transition
-        and all sensors.
+        At step 0 they are the prior and the sensors whose parents exist there, but for those with
+        arrays by step, which begin at step 1; later the transition and all sensors.
         """
         if not is_whole(step) or step < 0:
             raise ModelError(f"steps are counted from 0 on; there is no step {step!r}")
         if step == 0:
             possible = set(self.states) | set(self.inputs)
-            first = tuple(cpd for cpd in self.observation if set(cpd.parents) <= possible)
+            first = tuple(
+                cpd
+                for cpd in self.observation
+                if cpd.steps is None and set(cpd.parents) <= possible
+            )
             return self.prior + first
         return self.transition + self.observation
 

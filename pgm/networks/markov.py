@@ -94,6 +94,8 @@ class MarkovNetwork(Drawn, Immutable):
             raise ModelError(f"a Markov network is a sequence of factors, not {titled(factors)}")
         for factor in found:
             _require_factor(factor)
+        cpds = [factor for factor in found if isinstance(factor, CPD)]
+        checks.no_steps(cpds, "a network without time has no steps")
         one_name_each(v for factor in found for v in factor.scope)
         variables = tuple(dict.fromkeys(v for factor in found for v in factor.scope))
         if not variables:

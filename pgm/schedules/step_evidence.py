@@ -17,6 +17,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from pgm.boundary import as_floats
+from pgm.cpds import by_step
 from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Constant, Sightings, bind, constant, sightings
 from pgm.evidence.rows import as_log_weights, as_rows, rows_of
@@ -79,8 +80,11 @@ def inputs(
                 variable=variable,
                 step=belief.step + 1,
             )
+    for cpd in model.transition:
+        by_step.require_step(cpd, belief.step + 1)
     evidence = {v: _constant(value) for v, value in values.items()}
-    return _same_runs(belief, bind(model.transition, (), evidence, 1, belief.lead))
+    bound = bind(model.transition, (), evidence, 1, belief.lead, whole=False)
+    return _same_runs(belief, bound)
 
 
 def readings(
@@ -96,10 +100,13 @@ def readings(
     chain of this one step, which is therefore its step 0. With `among`, sightings may be of one of
     several hidden variables.
     """
+    for cpd in model.observation:
+        if cpd.child in values:
+            by_step.require_step(cpd, belief.step)
     evidence = {v: _reading(model, v, value) for v, value in values.items()}
     parts = model.transition, model.observation, evidence, 0, belief.lead
     hidden = frozenset(cpd.child for cpd in model.transition) if among else ()
-    bound = bind(*parts, transition_inputs=False, identities=True, among=hidden)
+    bound = bind(*parts, transition_inputs=False, identities=True, among=hidden, whole=False)
     return _same_runs(belief, bound)
 
 

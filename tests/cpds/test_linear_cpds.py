@@ -161,8 +161,13 @@ def test_one_run_does_not_excuse_another():
 
 @pytest.mark.parametrize("cov", [np.ones((3, 1, 1)), np.ones((1, 1, 1))])
 def test_only_priors_have_covariances_by_run(cov):
+    """Elsewhere the axis in front is of steps, which a network without time does not have."""
+    cpd = LinearGaussianCPD(A, {B: 1.0}, cov=cov)
+    assert cpd.steps == len(cov)
+    with pytest.raises(pgm.ModelError, match=f"each of the steps 1..{len(cov)}, and a network wi"):
+        pgm.BayesianNetwork([GaussianCPD(B, 0.0, 1.0), cpd])
     with pytest.raises(pgm.ModelError, match="shape"):
-        LinearGaussianCPD(A, {B: 1.0}, cov=cov)
+        LinearGaussianCPD(A, {B: 1.0}, cov=cov[None])
 
 
 @pytest.mark.parametrize(

@@ -55,6 +55,7 @@ def mean_at(
         found.flags.writeable = False
         values[parent] = found
     if isinstance(cpd, AffineCPD):
+        cpd = cpd._held(step)
         offset = cpd.offset.reshape(-1, cpd.child.dimension)
         mean = np.broadcast_to(offset[run if len(offset) > 1 else 0], (count, offset.shape[1]))
         for parent, value in values.items():
@@ -134,9 +135,11 @@ def settled(cpd: CPD, known: Known, step: int, run: int) -> CPD:
     """A CPD with its noise evaluated for a step and a run, ready to be asked for many densities.
 
     A covariance that is a function of observed parents is replaced by its value at `known`. A
-    `GaussianCPD` with axes of runs is replaced by that of the run. The parts of a mixture are
-    treated likewise. Other CPDs are returned as they are.
+    `GaussianCPD` with axes of runs is replaced by that of the run, and numbers that change from
+    step to step by those of the step. The parts of a mixture are treated likewise. Other CPDs are
+    returned as they are.
     """
+    cpd = cpd._held(step)
     if isinstance(cpd, MixtureCPD):
         return cpd._with(tuple(settled(part, known, step, run) for part in cpd.parts))
     if isinstance(cpd, GaussianCPD) and cpd._lead():

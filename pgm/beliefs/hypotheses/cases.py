@@ -25,7 +25,7 @@ from pgm.beliefs.moments.passes.backward import between_slices
 from pgm.beliefs.moments.steps.chain import MomentChain, largest
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.readings import Certain
-from pgm.compile import DynamicGraph, compile
+from pgm.compile import DynamicGraph, SliceGraph
 from pgm.cpds import CPD, GaussianCPD, SwitchingCPD
 from pgm.cpds.by_run import kind_of, repeated, stacked
 from pgm.evidence import BoundEvidence, Reading
@@ -317,7 +317,7 @@ def motions(
     for group in choices.alike:
         which = np.flatnonzero(np.isin(choices.of[0], group)) if mixed else group
         cpds = choices.at(choices.of[0, which] if mixed else which, copies, given.bound.lead)
-        graph = compile(given.network(transition=cpds), given.bound.steps, compiled=False)
+        graph = SliceGraph(given.network(transition=cpds), given.bound.steps, False)
         own = [seen(cpd, each) for cpd, each in zip(cpds, inputs, strict=True)]
         found.append(Batch(given, which, copies, graph, own, (), keep=keep))
     return found
@@ -331,7 +331,7 @@ def sensors(
     for group in choices.alike:
         which = np.flatnonzero(np.isin(choices.of, group))
         cpds = choices.at(choices.of[which], copies, given.bound.lead)
-        graph = compile(given.network(observation=cpds), given.bound.steps, compiled=False)
+        graph = SliceGraph(given.network(observation=cpds), given.bound.steps, False)
         own = [
             replace(reading, cpd=cpd, inputs=seen(cpd, reading.inputs))
             for cpd, reading in zip(cpds, readings, strict=True)
@@ -346,7 +346,7 @@ def starts(given: Given, choices: Choices) -> list[tuple[Integers, MomentChain]]
     for group in choices.alike:
         which = np.flatnonzero(np.isin(choices.of, group))
         cpds = choices.at(choices.of[which], 1, given.bound.lead)
-        graph = compile(given.network(prior=cpds), 0, compiled=False)
+        graph = SliceGraph(given.network(prior=cpds), 0, False)
         own, first = given.bound.runs, given.bound.first_run
         part = BoundEvidence(0, (which.size * own,), (), (), first, own_runs=own)
         plan = ChainPlan.make(graph, part, given.lineariser)

@@ -84,7 +84,10 @@ def _other(chain: HypothesisChain) -> str | None:
     if chain.by_memory:
         return "motions are chosen by states of the step before"
     if any(len(choices.alike) != 1 for choices in chain.choices):
-        return "cases differ in more than their numbers: in their parents, or functions of noise"
+        return (
+            "cases differ in more than their numbers: in their parents, functions of noise, or "
+            "arrays by step"
+        )
     if regimes.size > _REGIMES:
         return f"there are {regimes.size} joint states, and machine code takes {_REGIMES}"
     if repeated * regimes.memories * regimes.size > _EVIDENCE:

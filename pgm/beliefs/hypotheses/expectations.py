@@ -17,7 +17,7 @@ from pgm.beliefs.hypotheses.cases import seen, stand_in
 from pgm.beliefs.hypotheses.records import Members
 from pgm.beliefs.markov.counts import Tally
 from pgm.beliefs.moments.steps.plan import ChainPlan, Link
-from pgm.compile import DynamicGraph, compile
+from pgm.compile import DynamicGraph, SliceGraph
 from pgm.cpds import SwitchingCPD
 from pgm.evidence import Reading
 from pgm.evidence.dynamic import Inputs
@@ -104,7 +104,7 @@ class _Expected:
             part.own if cpd is part.cpd else stand_in(cpd.child) for cpd in self.chain.roles.prior
         ]
         plan = self._plan(
-            compile(self.chain.given.network(prior=prior), 0, compiled=False), copies, prior=True
+            SliceGraph(self.chain.given.network(prior=prior), 0, False), copies, prior=True
         )
         link = next(each for each in plan.prior if each.family.cpd is part.own)
         states = plan.layout.state_places
@@ -120,7 +120,7 @@ class _Expected:
         mean = np.stack([two.mean for two in self.pairs])
         cov = np.stack([two.cov for two in self.pairs])
         steps, copies, count, runs = logs.shape
-        graph = compile(given.network(transition=cpds), self.bound.steps, compiled=False)
+        graph = SliceGraph(given.network(transition=cpds), self.bound.steps, False)
         inputs = [
             seen(own, each) if own is part.own else {}
             for own, each in zip(cpds, roles.inputs, strict=True)
@@ -144,7 +144,7 @@ class _Expected:
         reading = next(each for each in self.bound.readings if each.cpd is part.cpd)
         own = replace(reading, cpd=part.own, inputs=seen(part.own, reading.inputs))
         copies = max(len(self.members[step].logs) for step in set(reading.step.tolist()))
-        graph = compile(given.network(observation=[part.own]), self.bound.steps, compiled=False)
+        graph = SliceGraph(given.network(observation=[part.own]), self.bound.steps, False)
         plan = self._plan(graph, copies, readings=[own])
         (sensor,) = plan.sensors
         size, runs, rows = self.chain.size, self.chain.runs, reading.step.size

@@ -26,7 +26,7 @@ from pgm.beliefs.moments.steps.chain import MomentChain
 from pgm.beliefs.moments.steps.readings import Moments
 from pgm.beliefs.moments.steps.readings import Reading as Read
 from pgm.beliefs.moments.steps.vector import vector
-from pgm.compile import compile
+from pgm.compile import SliceGraph
 from pgm.cpds import CPD, SwitchingCPD
 from pgm.cpds.by_run import kind_of, stacked
 from pgm.cpds.caused import too_far
@@ -319,7 +319,7 @@ class OpenSensor:
             cpd = cpds[0]
             own = np.repeat(self.unknown.candidates, runs, axis=0)  # type: ignore[attr-defined]
             values[self.parent] = np.tile(own, (copies, 1))
-        graph = compile(given.network(observation=[cpd]), given.bound.steps, compiled=False)
+        graph = SliceGraph(given.network(observation=[cpd]), given.bound.steps, False)
         inputs = seen(cpd, self.reading.inputs)
         reading = replace(self.reading, cpd=cpd, inputs=inputs, unknown=None)
         return Batch(given, which, copies, graph, (), [reading], values=values)

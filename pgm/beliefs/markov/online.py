@@ -22,7 +22,7 @@ from pgm.beliefs.markov.online_beliefs import Held, OnlineStates, Passed
 from pgm.beliefs.markov.plan import SlicePlan, TableSlices
 from pgm.beliefs.markov.run import require_beliefs
 from pgm.boundary import as_mapping
-from pgm.compile import compile
+from pgm.compile import SliceGraph
 from pgm.display import InCode, titled
 from pgm.errors import ModelError
 from pgm.evidence import BoundEvidence
@@ -60,7 +60,7 @@ class TableSteps(InCode, Immutable):
 
     @cached_property
     def _plan(self) -> SlicePlan:
-        return SlicePlan(compile(self.model, 1).layout)
+        return SlicePlan(SliceGraph(self.model, 1).layout)
 
     def __getstate__(self) -> dict[str, Any]:
         # What was laid out is not part of the value.

@@ -28,7 +28,7 @@ from pgm.beliefs.points.components import parts
 from pgm.beliefs.points.filter import PointFilter
 from pgm.beliefs.points.model import ParticleModel
 from pgm.beliefs.points.particle_belief import ParticleBelief
-from pgm.compile import DynamicGraph, compile
+from pgm.compile import DynamicGraph, SliceGraph
 from pgm.display import Summary
 from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence
@@ -225,7 +225,7 @@ class ParticleSteps(PointFilter[OnlineParticleBelief]):
 
     @cached_property
     def _graph(self) -> DynamicGraph:
-        return compile(self.model, 1)
+        return SliceGraph(self.model, 1)
 
     def _spread(
         self, belief: OnlineParticleBelief, bound: BoundEvidence, cloud: Cloud | None = None

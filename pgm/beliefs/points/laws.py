@@ -255,9 +255,8 @@ class GaussianLaw(Law):
         """
         values = self.given(row, some)
         if isinstance(self.cpd, AffineCPD):
-            offset = self._offset if some.owner is None else self._offset[:, self._runs_of(some)]
-            total = offset
-            for parent, matrix in self._matrices.items():
+            total, matrices = self._affine(self.cpd, some)
+            for parent, matrix in matrices.items():
                 value = values[parent]
                 total = total + matrix @ value.T
             return total
@@ -334,7 +333,7 @@ class GaussianLaw(Law):
         if not isinstance(self.cpd.cov, Noise):
             return self._constant
         known = {v: np.asarray(self.inputs[v][row], dtype=np.float64) for v in self.cpd.cov.given}
-        count = max(len(rows) for rows in known.values())
+        count = max((len(rows) for rows in known.values()), default=1)
         cov = evaluate(self.cpd, known, (count,), step, Numbering(self.first_run))
         return self._root(roots.root(cov), step)
 
@@ -358,6 +357,15 @@ class GaussianLaw(Law):
                 step=step,
             )
         return Root(lower, self.dtype)
+
+    def _affine(self, cpd: AffineCPD, some: Some) -> tuple[States, Mapping[Variable, States]]:
+        """The offset (d, m) or (d, 1), and by parent the matrix, of an affine CPD at particles."""
+        if cpd.steps is None:
+            offset = self._offset if some.owner is None else self._offset[:, self._runs_of(some)]
+            return offset, self._matrices
+        matrices, shift = cpd._numbers(some.step)
+        every = {v: matrix.astype(self.dtype) for v, matrix in matrices.items()}
+        return shift[:, None].astype(self.dtype), every
 
     @cached_property
     def _offset(self) -> States:

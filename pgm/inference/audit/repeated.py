@@ -72,8 +72,10 @@ def of_family(family: Family, count: int, runs: int) -> Family:
     if family.exact:
         constant, shift = family.affine
         shift = tiled(shift, count)
+        constant = tiled(constant, count) if constant.ndim == 4 else constant
         made.affine = constant, shift
-        made.matrix = np.broadcast_to(constant[..., None, :, :], (rows, total, height, width))
+        slope = constant if constant.ndim == 4 else constant[..., None, :, :]
+        made.matrix = np.broadcast_to(slope, (rows, total, height, width))
         made.offset = np.broadcast_to(shift, (rows, total, height))
     return made
 

@@ -265,6 +265,8 @@ def _evidence(
 
 def _fed(family: Family, sensor: Sensor | None, given: Where, table: _Constants) -> dict[str, Any]:
     """The inputs of a CPD as they are given at each step."""
+    if family.cpd.steps is not None:
+        raise Uncompiled(f"{family.cpd!r} has numbers of its own at each step")
     if family.noisy:
         raise Uncompiled(f"{family.cpd!r} has a noise that depends on inputs")
     own = None if sensor is None else sensor.variable

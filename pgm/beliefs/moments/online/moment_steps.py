@@ -45,7 +45,7 @@ from pgm.beliefs.moments.steps.cost import require_cost
 from pgm.beliefs.moments.steps.gate import prepare as prepare_gates
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.readings import Moments
-from pgm.compile import compile
+from pgm.compile import SliceGraph
 from pgm.compile.machine import COMPILED, Choice, as_choice
 from pgm.cpds import AffineCPD, NonlinearGaussianCPD
 from pgm.display import InCode, titled
@@ -110,7 +110,7 @@ class MomentSteps(InCode, Immutable):
     @cached_property
     def _graph(self) -> Any:
         """The cluster graph of one transition, from which plans are made."""
-        return compile(self.model, 1)
+        return SliceGraph(self.model, 1)
 
     @cached_property
     def _filtering(self) -> Filtering:

@@ -309,12 +309,19 @@ def trailing(plan: ChainPlan, ats: Sequence[At]) -> MomentChain:
 
     It works on a copy of the plan, in which the linearisations of this step are stored, so that the
     plan can be filled with the next step's inputs. `ats` are the transition's CPDs bound to the
-    step's inputs: a noise that depends on inputs is taken from these.
+    step and its inputs: a noise that depends on these, and numbers by step, are taken from them.
     """
     own = plan.window(0, 1)
-    for link, at in zip(own.transition, ats, strict=True):
-        if link.family.noisy and not plan.batch:  # laid out for other rows, maybe
-            link.family.noise = link.family.own_noise = at.noise[None, None]
+    if plan.batch:
+        return MomentChain(own, ONCE)
+    for family, at in zip((link.family for link in own.transition), ats, strict=True):
+        if family.noisy:  # laid out for other rows, maybe
+            family.noise = family.own_noise = at.noise[None, None]
+        if family.cpd.steps is not None:
+            assert at.matrix is not None
+            assert at.offset is not None
+            family.affine = at.matrix[None, None], at.offset[None, None]
+            family.matrix, family.offset = family.affine
     return MomentChain(own, ONCE)
 
 

@@ -35,6 +35,8 @@ def _cpd(cpd: ConditionalGaussian, lead: tuple[int, ...], runs: slice) -> Condit
 
     It is the same CPD if all runs have one offset and one covariance.
     """
+    if cpd.steps is not None:
+        return cpd  # whose arrays are by step, and of no run
     changed: dict[str, Any] = {}
     for name, own in (("offset", 1), ("cov", 2)):
         value = getattr(cpd, name, None)
