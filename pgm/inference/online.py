@@ -61,10 +61,10 @@ class OnlineFilter(InCode, Immutable):
         as they are when the filter is made; see `renewed` for later changes. Some steps are made
         without machine code, with equal results: those of many runs, of a lag with iterations, of
         Levenberg–Marquardt, in twice the digits, with noise that depends on inputs or is graduated,
-        or with functions that make floats of their input. Machine code runs in one thread. If not
-        given, steps of linear models are made in it after the first 1,000 of a kind for each four
-        components of a slice, which take as long as its making; those of others are not, since a
-        function that is recorded may change unseen.
+        with numbers that change from step to step, or with functions that make floats of their
+        input. Machine code runs in one thread. If not given, steps of linear models are made in it
+        after the first 1,000 of a kind for each four components of a slice, which take as long as
+        its making; those of others are not, since a function that is recorded may change unseen.
 
     Raises
     ------
@@ -181,7 +181,8 @@ class OnlineFilter(InCode, Immutable):
         EvidenceError
             If an input is missing or of a wrong shape, or a variable given is no input.
         ModelError
-            If the belief is not this filter's, or a function returns a wrong shape.
+            If the belief is not this filter's, a function returns a wrong shape, or a CPD has
+            numbers of its own at each step, and none of this one.
         LinearisationError, NumericalError
             If a linearisation, or the belief, has no finite value.
         """

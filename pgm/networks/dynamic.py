@@ -71,6 +71,8 @@ class DynamicBayesianNetwork(Drawn, Immutable):
         Whether all its hidden variables are discrete, and their CPDs tables rather than Gaussian.
     mixed : bool
         Whether discrete variables are hidden beside continuous ones, or choose their CPDs.
+    steps : int or None
+        T, where numbers of CPDs change from step to step.
 
     Raises
     ------
@@ -243,7 +245,7 @@ class DynamicBayesianNetwork(Drawn, Immutable):
         have, get equal probabilities of their states: given their evidence, marginals are the same,
         and the log-evidence of each step less by their ln(size).
 
-        For T = `steps`, 0 or more.
+        For T = `steps`, 0 or more; of a model with arrays by step it is their T.
 
         Examples
         --------
