@@ -397,3 +397,25 @@ def test_what_is_the_same_at_all_steps_is_learnt_beside_what_is_not():
         pgm.fit(scaled, {z: one.zs}, learn={z: Covariance()})
     rated = pgm.fit(hidden_markov(), {z: own.zs}, learn={mode: Table()}, iterations=2, tolerance=0)
     assert rated.log_evidence[-1] >= rated.log_evidence[0]
+
+
+def test_measurements_are_foretold_with_the_numbers_of_their_steps():
+    net = model(control=False)
+    read = {z: own.zs[:3]}
+    whole = dense(control=False)
+    for compiled in (False, True):
+        posterior = pgm.filter(net, read, steps=T, compiled=compiled)
+        for t in range(1, T + 1):
+            before = {("z", s): own.zs[s - 1] for s in range(1, min(t - 1, 3) + 1)}
+            close(posterior.predicted[z.at(t)], *whole.given(before)[0].marginal(("z", t)))
+        given = whole.given({("z", s): own.zs[s - 1] for s in (1, 2, 3)})[0]
+        close(pgm.smooth(net, read, steps=T)[z.at(5)], *given.marginal(("z", 5)))
+    robot = pgm.OnlineFilter(net)
+    belief = robot.initial()
+    for t in range(3):
+        belief = robot.update(robot.predict(belief), {z: own.zs[t]})
+    recorded, innovation = posterior.innovations[z], belief.innovations[z]
+    assert_allclose(innovation.residual, recorded.residual[2], atol=1e-12)
+    assert_allclose(innovation.cov, recorded.cov[2], atol=1e-12)
+    with pytest.raises(pgm.EvidenceError, match="at step 0"):
+        posterior.predicted[z.at(0)]
