@@ -40,6 +40,7 @@ QUESTIONS: dict[str, tuple[str, type[PgmError]]] = {
     "filtered": ("the forward pass", Unanswered),
     "innovations": ("innovations", Unanswered),
     "joint": ("joints", EvidenceError),
+    "left_out": ("beliefs of readings given all others", Unanswered),
     "lost": ("innovations, which tell where a belief was lost", Unanswered),
     "message": ("messages", GraphError),
     "potential": ("potentials of clusters", GraphError),

@@ -457,6 +457,42 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
         return self._ask("predicted")  # type: ignore[no-any-return]
 
     @property
+    def left_out(self) -> Mapping[Variable, Any]:
+        r"""By sensor, the belief of each reading given all readings but its own, of a smoother.
+
+        .. math:: p(z_k \mid z_j,\, j \neq k)
+
+        It is found from the smoothed beliefs, by removing the reading's own likelihood, without
+        running again: leave-one-out cross-validation of a model, and of each of its readings, noise
+        included. Rows are the readings in the order of the evidence, as in `innovations`.
+        Nonlinear sensors stay linearised, and robust noise weighed, as they were with the reading.
+
+        Returns
+        -------
+        mapping of Variable to Gaussian or Table
+            (*runs, M, d): the belief of M readings of d components; ``.steps`` are their steps.
+
+        Raises
+        ------
+        EvidenceError
+            If the posterior is of a filter or a fixed lag, or the variable was not read.
+        NumericalError
+            If a reading without noise, or one that alone tells what it measures, cannot be removed.
+
+        References
+        ----------
+        de Jong, A cross-validation filter for time series models, 1988.
+
+        Examples
+        --------
+        >>> from pgm.examples import walk, x, z
+        >>> found = pgm.smooth(walk, {z: [[4.0], [2.0]]}).left_out[z]
+        >>> found.mean.ravel().round(2), found.cov.ravel().round(2)
+        (array([0.8, 2. ]), array([3.2, 4. ]))
+        """
+        return self._ask("left_out")  # type: ignore[no-any-return]
+
+    @property
     def innovations(self) -> Mapping[Variable, Innovations]:
         """By sensor, the `Innovations`: how far measurements were from their prediction."""
         return self._ask("innovations")  # type: ignore[no-any-return]

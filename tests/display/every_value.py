@@ -194,6 +194,7 @@ def filtered():
         "innovations": one.innovations[Z],
         "many innovations": many.innovations[Z],
         "by sensor": one.innovations,
+        "left out": many.left_out,
         "rejections": gated.rejected[Z],
         "rejected": gated.rejected,
         "lost": gated.lost,

@@ -261,3 +261,49 @@ def test_what_is_kept_alone_has_no_forecasts():
         kept.predicted[z]
     with pytest.raises(pgm.EvidenceError, match="z"):
         kept[z.at(T)]
+
+
+def without(evidence, sensor, row):
+    """The evidence without one reading."""
+    values = np.array(evidence[sensor])
+    values[row] = np.nan
+    return evidence | {sensor: values}
+
+
+def test_readings_left_out_are_those_of_a_run_without_them():
+    found = pgm.smooth(model(), EVIDENCE, steps=T).left_out
+    for v in (z, y):
+        assert_array_equal(found[v].steps, np.arange(1, len(EVIDENCE[v]) + 1))
+        for row in range(len(EVIDENCE[v])):
+            again = pgm.smooth(model(), without(EVIDENCE, v, row), steps=T)[v.at(row + 1)]
+            matches(found[v][row], (again.mean, again.cov), 1e-11)
+    due = Dense(T).of(z, 4, {key: row for key, row in KNOWN.items() if key != (z, 4)})
+    matches(found[z][3], due)
+
+
+@pytest.mark.parametrize("prior", [np.inf, 1e4])
+def test_sightings_left_out_of_many_runs(prior):
+    """Several at a step, in any order, with a flat prior or a wide one."""
+    values, step = RNG.normal(size=(3, 6, 1)), np.array([7, 0, 3, 3, 4, 0])
+    rest = {y: RNG.normal(size=(T, 2))}
+
+    def smoothed(chosen):
+        seen = {z: pgm.sightings(values[:, chosen], step=step[chosen])}
+        return pgm.smooth(model(prior), rest | seen)
+
+    found = smoothed(np.arange(6)).left_out[z]
+    for row in range(6):
+        again = smoothed(np.delete(np.arange(6), row))
+        at = again[x.at(int(step[row]))]
+        assert_allclose(found.mean[:, row], at.mean @ H.T, rtol=1e-10, atol=1e-10)
+        assert_allclose(found.cov[:, row], H @ at.cov @ H.T + R, rtol=1e-10)
+
+
+def test_what_cannot_be_left_out_is_refused():
+    with pytest.raises(pgm.EvidenceError, match=r"knows all readings but one.*is filtered"):
+        pgm.filter(model(), EVIDENCE, steps=T).left_out[z]
+    one = pgm.smooth(model(np.inf), {z: [[1.0], [2.0]]})
+    with pytest.raises(pgm.NumericalError, match=r"left_out\[z\]: the reading at step 1 .*tells"):
+        one.left_out[z]
+    with pytest.raises(pgm.EvidenceError, match="y"):
+        pgm.smooth(model(), {z: ZS}).left_out[y]

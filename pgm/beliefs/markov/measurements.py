@@ -9,6 +9,7 @@ filtered and smoothed ones measurements that were not taken. Beliefs are (*state
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from pgm.errors import Unanswered
 from pgm.evidence import BoundEvidence, Reading
 from pgm.factors import Gaussian, GaussianMixture, Table
 from pgm.factors.axes import discrete
-from pgm.kernels.arrays import Array, frozen
+from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.kernels.semirings import SUM_PRODUCT
 from pgm.linearisation.family import Family
 from pgm.linearisers import Taylor
@@ -43,9 +44,23 @@ def expected(
     rows = np.argsort(reading.order)
     if variable.step is not None:
         rows = rows[[one_row(reading.step[rows], variable)]]
-    if isinstance(reading.cpd, TableCPD):
-        return _table(plan, bound, reading, variable, beliefs, rows)
-    return _mixture(plan, bound, reading, variable, beliefs, rows)
+    return at_rows(plan, bound, reading, variable, rows, [beliefs[t] for t in reading.step[rows]])
+
+
+def at_rows(
+    plan: SlicePlan,
+    bound: BoundEvidence,
+    reading: Reading,
+    variable: Variable,
+    rows: Integers,
+    beliefs: Sequence[Array],
+) -> Table | GaussianMixture:
+    """The beliefs of a sensor's measurements at some rows, each with its belief over the slice.
+
+    The result has an axis of rows, unless `variable` is that of one step.
+    """
+    kind = _table if isinstance(reading.cpd, TableCPD) else _mixture
+    return kind(plan, bound, reading, variable, rows, beliefs)
 
 
 def unread(
@@ -68,8 +83,8 @@ def _table(
     bound: BoundEvidence,
     reading: Reading,
     variable: Variable,
-    beliefs: Any,
-    rows: Any,
+    rows: Integers,
+    beliefs: Sequence[Array],
 ) -> Table:
     """The table of a discrete sensor at some rows of its reading."""
     cpd: Any = reading.cpd
@@ -83,8 +98,8 @@ def _table(
         if fixed is None or reading.inputs:
             fixed = tables.factor(row, SUM_PRODUCT, as_map=False)
         by_run = (runs,) if fixed.ndim > len(own) + 1 else ()
-        belief = beliefs[reading.step[row]]
         of = (*range(len(plan.slice)), *last)
+        belief: Any = beliefs[place]
         found[place] = np.einsum(belief, of, fixed, (*own, child, *by_run), (child, *last))
     shown = discrete((variable,))
     found = np.moveaxis(found, -1, 0) if lead else found
@@ -98,8 +113,8 @@ def _mixture(
     bound: BoundEvidence,
     reading: Reading,
     variable: Variable,
-    beliefs: Any,
-    rows: Any,
+    rows: Integers,
+    beliefs: Sequence[Array],
 ) -> GaussianMixture:
     """The mixture of a continuous sensor's cases at some rows of its reading."""
     cpd: Any = reading.cpd  # a SwitchingCPD
@@ -121,9 +136,7 @@ def _mixture(
             family.linearise(slice(None), none, np.zeros((*none.shape, 0)))
         state: dict[Any, int] = dict(zip(cpd.switches, case, strict=True))
         place = tuple(state[v] if v in switches else slice(None) for v in plan.slice)
-        weight = np.stack(
-            [_summed(beliefs[t][place], bool(bound.lead)) for t in reading.step[rows]]
-        )
+        weight = np.stack([_summed(belief[place], bool(bound.lead)) for belief in beliefs])
         for observed in set(cpd.switches) - set(switches):
             chosen = reading.inputs[observed][rows, :, 0] == state[observed]
             weight = weight * chosen

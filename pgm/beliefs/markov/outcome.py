@@ -19,6 +19,7 @@ from pgm.beliefs.markov.chain import TINY, StateChain
 from pgm.beliefs.markov.draws import draws
 from pgm.beliefs.markov.impossible_runs import blank, blanked
 from pgm.beliefs.markov.joints import joint, pair, potential
+from pgm.beliefs.markov.left_out import left_out
 from pgm.beliefs.markov.marginals import Beliefs, PredictedStates, StateMarginals
 from pgm.beliefs.markov.measurements import unread
 from pgm.beliefs.markov.plan import SlicePlan, TableSlices
@@ -33,6 +34,7 @@ from pgm.factors.scope import Scope
 from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.posteriors.belief_kind import FILTERED, PREDICTED, SMOOTHED, Kind, require_smoothed
 from pgm.posteriors.hidden import measured, require_at_steps
+from pgm.posteriors.left_out import LeftOut, require_all
 from pgm.posteriors.outcome import SLICES, Outcome
 from pgm.posteriors.shown_slices import Room
 from pgm.posteriors.status import Status
@@ -149,6 +151,12 @@ class StateOutcome(Outcome[Table]):
         chain = self._chain
         found = chain.known if chain.semiring.linear else [*map(chain.numbers, chain.known)]
         return self._blanked(found, FILTERED)
+
+    @cached_property
+    def left_out(self) -> LeftOut:
+        """The beliefs of readings given all but their own, by sensor."""
+        require_all(self.kind)
+        return LeftOut(left_out(self._plan, self._chain))
 
     @property
     def filtered(self) -> StateMarginals:

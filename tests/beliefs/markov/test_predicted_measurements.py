@@ -95,6 +95,38 @@ def test_runs_and_observed_parents():
         pgm.filter(model, {}, steps=4).predicted[o]
 
 
+def test_readings_left_out_are_those_of_a_run_without_them():
+    found = pgm.smooth(MODEL, {o: OS, r: RS}, steps=6).left_out
+    for row in range(4):
+        rest = np.where(np.arange(4) == row, -1, OS)
+        again = pgm.smooth(MODEL, {o: rest, r: RS}, steps=6)
+        due = again[o.at(row + 1)].probabilities
+        assert_allclose(found[o].probabilities[row], due, rtol=1e-12)
+        rest = np.where(np.arange(4)[:, None] == row, np.nan, RS)
+        again = pgm.smooth(MODEL, {o: OS, r: rest}, steps=6)
+        assert_allclose(found[r].weights[row], again[r.at(row + 1)].weights, rtol=1e-12)
+
+
+def test_a_reading_that_alone_rules_out_a_state_is_left_out():
+    """Its likelihood is zero in states that the others allow; single and joint runs, and logs."""
+    sure = MODEL.replace(observation=[pgm.TableCPD(o, given=s, table=[[1, 0], [0.5, 0.5], [0, 1]])])
+    steps = 40
+    seen = RNG.integers(2, size=(3, steps))
+    found = pgm.smooth(sure, {o: seen}).left_out[o].probabilities
+    for row in (0, 17, steps - 1):
+        rest = np.where(np.arange(steps) == row, -1, seen)
+        again = pgm.smooth(sure, {o: rest})[o.at(row + 1)].probabilities
+        assert_allclose(found[:, row], again, rtol=1e-11)
+    single = pgm.DynamicBayesianNetwork(
+        [pgm.TableCPD(s, table=[1, 0, 0])],
+        [pgm.TableCPD(s, s.previous, table=[[1, 1e-200, 0], [0, 1, 0], [0, 1e-3, 1.0 - 1e-3]])],
+        [pgm.TableCPD(o, s, table=[[1, 0], [1e-180, 1], [0, 1]])],
+    )
+    told = pgm.smooth(single, {o: [0, 0, 0]}).left_out[o].probabilities
+    again = pgm.smooth(single, {o: [0, -1, 0]})[o.at(2)].probabilities
+    assert_allclose(told[1], again, rtol=1e-10)
+
+
 def test_impossible_runs_have_no_forecasts():
     sure = MODEL.replace(observation=[pgm.TableCPD(o, given=s, table=[[1, 0], [1, 0], [1, 0]])])
     found = pgm.filter(sure, {o: [[0, 0, 0], [0, 1, 0]]}, steps=4, impossible="allow")

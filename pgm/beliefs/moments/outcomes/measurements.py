@@ -38,17 +38,12 @@ class Expected(NamedTuple):
     spread: Diffuse
 
     @classmethod
-    def of(
-        cls, family: Family, parents: Index, mean: Array, spread: Diffuse, *, linearise: bool
-    ) -> Expected:
+    def of(cls, family: Family, parents: Index, mean: Array, spread: Diffuse) -> Expected:
         """The beliefs at a family's rows, from those over all slices, `mean` and `spread`.
 
-        `parents` are the places of the CPD's hidden parents in a slice. With `linearise` the CPD is
-        first linearised at these beliefs, else it stays as it is.
+        `parents` are the places of the CPD's hidden parents in a slice.
         """
         at, own = mean[family.step][..., parents], spread.at(family.step).of(parents)
-        if linearise:
-            family.linearise(slice(None), at, own.shown)
         value = family.value(slice(None), at)
         return cls(family.step, value, own.measured(family.matrix, family.noise))
 
@@ -77,7 +72,7 @@ def read(sensor: Sensor, mean: Array, spread: Diffuse) -> Expected:
     `mean` (T+1, runs, n) and `spread` are the beliefs over slices. Of robust noise each sighting
     has the covariance by which it was weighed.
     """
-    found = Expected.of(sensor.family, sensor.parents, mean, spread, linearise=False)
+    found = Expected.of(sensor.family, sensor.parents, mean, spread)
     return found._replace(mean=_on_branch(sensor, found.mean))
 
 
@@ -118,7 +113,8 @@ def expected(
         return found.at(np.argsort(sensor.order))
     family, parents = unread
     family.trace(plan.layout.prior_means, None)
-    found = Expected.of(family, parents, mean, spread, linearise=not family.exact)
+    _linearise(family, parents, mean, spread)
+    found = Expected.of(family, parents, mean, spread)
     if sensor is None:
         return found
     counts, bounds = np.diff(sensor.bounds), np.asarray(sensor.bounds)
@@ -148,9 +144,26 @@ def _of_sightings(sensor: Sensor, mean: Array, spread: Diffuse, *, anew: bool) -
     """The beliefs of a sensor's sightings, as of `read`, with the covariance of the CPD's noise."""
     if not sensor.robust and (sensor.family.exact or not anew):
         return read(sensor, mean, spread)
-    family = sensor.family.unweighed()
-    found = Expected.of(family, sensor.parents, mean, spread, linearise=not family.exact)
+    family = unweighed(sensor, mean, spread)
+    found = Expected.of(family, sensor.parents, mean, spread)
     return found._replace(mean=_on_branch(sensor, found.mean))
+
+
+def unweighed(sensor: Sensor, mean: Array, spread: Diffuse) -> Family:
+    """A sensor's family with the covariance of its CPD's noise, linearised at beliefs over slices.
+
+    No weight of robust noise is in it.
+    """
+    family = sensor.family.unweighed()
+    _linearise(family, sensor.parents, mean, spread)
+    return family
+
+
+def _linearise(family: Family, parents: Index, mean: Array, spread: Diffuse) -> None:
+    """Linearise a CPD at all rows, unless it is affine, at the beliefs over their slices."""
+    if not family.exact:
+        at, own = mean[family.step][..., parents], spread.at(family.step).of(parents)
+        family.linearise(slice(None), at, own.shown)
 
 
 def _follow(sensor: Sensor, sightings: Integers, mean: Array, rows: Integers) -> None:

@@ -27,6 +27,7 @@ from pgm.beliefs.moments.digits.careful_belief import rounded_belief
 from pgm.beliefs.moments.digits.careful_pass import Careful
 from pgm.beliefs.moments.outcomes.draws import draws
 from pgm.beliefs.moments.outcomes.innovated import Innovated
+from pgm.beliefs.moments.outcomes.left_out import left_out
 from pgm.beliefs.moments.outcomes.marginals import Marginals, Predicted
 from pgm.beliefs.moments.outcomes.measurements import unread
 from pgm.beliefs.moments.outcomes.shown_slices import ShownMoments
@@ -50,6 +51,7 @@ from pgm.kernels.arrays import Array, block, quiet
 from pgm.posteriors.associations import Found
 from pgm.posteriors.belief_kind import FILTERED, PREDICTED, SMOOTHED, Kind, require_smoothed
 from pgm.posteriors.hidden import measured, require_at_steps
+from pgm.posteriors.left_out import LeftOut, require_all
 from pgm.posteriors.outcome import CHAIN, Outcome
 from pgm.posteriors.shown_slices import Room
 from pgm.posteriors.status import Status
@@ -204,6 +206,14 @@ class ChainOutcome(Innovated, Outcome[Gaussian]):
         beliefs = Beliefs(forward.predicted_mean, forward.predicted_cov)
         shown = self.graph.layout, beliefs, self._lead, PREDICTED
         return Predicted(*shown, plan, forward.ahead)
+
+    @cached_property
+    @quiet()
+    def left_out(self) -> LeftOut:
+        """The beliefs of readings given all but their own, by sensor."""
+        require_all(self.kind)
+        plan, mean, spread = self._plan, self._beliefs.mean, self._spread
+        return LeftOut({s.variable: left_out(plan, s, mean, spread) for s in plan.sensors})
 
     @property
     def filtered(self) -> Marginals:
