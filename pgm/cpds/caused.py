@@ -15,6 +15,7 @@ from pgm.cpds.conditional import ConditionalGaussian
 from pgm.cpds.mixture import MixtureCPD
 from pgm.cpds.switching import SwitchingCPD
 from pgm.cpds.table import TableCPD
+from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.factors.axes import sizes
 from pgm.kernels.arrays import Array
@@ -25,12 +26,13 @@ def caused(cpd: CPD, names: set[str]) -> tuple[TableCPD, SwitchingCPD]:
     """The table of a mixture's cause, which component a value is of, and the CPD that it chooses.
 
     The cause is "component of x" of a mixture of x, and has its weights, whatever else is so; where
-    discrete variables choose among mixtures, it has those of their case. `names` are those that
-    are taken, to which the cause's is added.
+    discrete variables choose among mixtures, it has those of their case; of a residual it has the
+    factor's name. `names` are those that are taken, to which the cause's is added.
     """
     switches = cpd.switches if isinstance(cpd, SwitchingCPD) else ()
     mixtures = {case: flat(own) for case, own in cases_of(cpd).items()}
-    name = f"component of {cpd.child.name}"
+    of = cpd if cpd._of is None else cpd._of
+    name = f"component of {of.child.name if isinstance(of, CPD) else titled(of)}"
     while name in names:
         name += "'"
     names.add(name)
@@ -95,8 +97,9 @@ def is_farthest(cpd: CPD) -> bool:
 
 def too_far(cpd: CPD, where: str) -> str:
     """The text of the error for a reading that is of the largest scale; `where` tells which."""
+    read = cpd.child if cpd._of is None else cpd  # which is titled as the factor
     return (
-        f"a reading of {cpd.child!r}{where} is more than a million deviations of {cpd!r} from all "
+        f"a reading of {read!r}{where} is more than a million deviations of {cpd!r} from all "
         "that is expected, farther than its robust noise is known: is it a number in other units, "
         "or one that stands for none, as NaN does?"
     )

@@ -53,20 +53,21 @@ class Roles:
 
     known: All variables.
     children: Those that a CPD explains.
-    dependent: Of each parent the child of a CPD.
+    dependent: Of each parent the child of a CPD; of a factor's residual the CPD, named as it.
     """
 
     known: frozenset[Variable]
     children: frozenset[Variable]
-    dependent: Mapping[Variable, Variable]
+    dependent: Mapping[Variable, Variable | CPD]
 
     @classmethod
     def of(cls, cpds: Iterable[CPD]) -> Roles:
         """The roles in some CPDs."""
-        children, dependent = set(), {}
+        children: set[Variable] = set()
+        dependent: dict[Variable, Variable | CPD] = {}
         for cpd in cpds:
             children.add(cpd.child)
-            dependent.update(dict.fromkeys(cpd.parents, cpd.child))
+            dependent.update(dict.fromkeys(cpd.parents, cpd.child if cpd._of is None else cpd))
         return cls(frozenset(children.union(dependent)), frozenset(children), dependent)
 
 

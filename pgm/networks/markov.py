@@ -12,6 +12,7 @@ import numpy as np
 from pgm.arguments import public
 from pgm.boundary import as_tuple
 from pgm.cpds import CPD, CausalIndependence, ConditionalGaussian, NonlinearGaussianFactor, TableCPD
+from pgm.cpds.caused import components
 from pgm.display import Drawn, Summary, titled
 from pgm.errors import ModelError
 from pgm.factors import CanonicalForm, Table
@@ -44,30 +45,33 @@ class MarkovNetwork(Drawn, Immutable):
     Parameters
     ----------
     factors : iterable of factors
-        In any order, of discrete variables `Table` and `TableCPD`; of continuous ones
-        `CanonicalForm`, `NonlinearGaussianFactor` and Gaussian CPDs. Several may be over the same
+        In any order, of discrete variables `Table` and CPDs of tables; of continuous ones
+        `CanonicalForm`, `NonlinearGaussianFactor`, Gaussian CPDs and `MixtureCPD`s of these; of
+        both `SwitchingCPD`, whose cases discrete variables choose. Several may be over the same
         variables; a table over none is a number. Variables are those of the factors: one that no
         other factor has stands in a `Table.vacuous`. Factors may leave directions open, as long as
-        all together leave none: of a `CanonicalForm` those of an eigenvalue within 8 n roundings of
-        zero, in units in which its n diagonal entries are one.
+        all together leave none, in each state of the discrete variables that is possible: of a
+        `CanonicalForm` those of an eigenvalue within 8 n roundings of zero, in units in which its n
+        diagonal entries are one.
 
     Attributes
     ----------
     factors : tuple
     variables : tuple of Variable
         All variables, as they come first in the factors.
-    discrete : bool
-        Whether they are discrete, or else continuous; a network of both is a `BayesianNetwork`.
+    discrete, mixed : bool
+        Whether all are discrete; whether some are discrete and some continuous.
 
     Raises
     ------
     ModelError
-        If a factor is none, has axes of runs, some are discrete and some continuous, or there is no
-        variable.
+        If a factor is none, has axes of runs, is a CPD of other densities, or there is no variable.
 
     References
     ----------
-    Koller & Friedman, Probabilistic Graphical Models, 2009, chapter 4.
+    Koller & Friedman, Probabilistic Graphical Models, 2009, chapter 4. Lauritzen & Wermuth,
+    Graphical models for associations between variables, some of which are qualitative and some
+    quantitative, 1989.
 
     Examples
     --------
@@ -107,9 +111,11 @@ class MarkovNetwork(Drawn, Immutable):
                     f"have; name the steps, {variable.name}.at(0)",
                     variable=variable,
                 )
-        discrete = _of_one_kind(found)
+        kinds = {isinstance(variable, Discrete) for variable in variables}
+        discrete = True in kinds
         found = tuple(factor if factor.scope else _number(factor, discrete) for factor in found)
-        self._set(factors=found, variables=variables, discrete=discrete, mixed=False)
+        both = len(kinds) > 1
+        self._set(factors=found, variables=variables, discrete=discrete and not both, mixed=both)
 
     @cached_property
     def _factorised(self) -> MarkovNetwork:
@@ -256,29 +262,19 @@ def _require_factor(factor: Any) -> None:
             variable=factor.child,
             cpd=factor,
         )
-    if isinstance(factor, CPD) and not isinstance(factor, TableCPD | ConditionalGaussian):
-        raise ModelError(
-            f"{factor!r}: the CPDs of a Markov network are tables, or Gaussian; others stand in a "
-            "BayesianNetwork",
-            variable=factor.child,
-            cpd=factor,
-        )
-
-
-def _of_one_kind(factors: Iterable[Factor]) -> bool:
-    """Whether factors are over discrete variables; a ModelError if some are continuous too."""
-    kinds = {isinstance(v, Discrete): factor for factor in factors for v in factor.scope}
-    if len(kinds) > 1:
-        raise ModelError(
-            f"the factors {titled(kinds[True])} and {titled(kinds[False])} are of discrete and of "
-            "continuous variables: a network of both is a BayesianNetwork, where discrete "
-            "variables choose CPDs (pgm.SwitchingCPD)"
-        )
-    return True in kinds
+    if isinstance(factor, CPD) and not isinstance(factor, TableCPD):
+        for own in components(factor):
+            if not isinstance(own, ConditionalGaussian):
+                raise ModelError(
+                    f"{own!r}: the CPDs of a Markov network are tables, or Gaussian, or such that "
+                    "a SwitchingCPD or a MixtureCPD has; others stand in a dynamic network",
+                    variable=factor.child,
+                    cpd=factor,
+                )
 
 
 def _number(factor: Factor, discrete: bool) -> Factor:
-    """A factor over nothing, a table or a form as all other factors are."""
+    """A factor over nothing: a table where there are tables, else a form."""
     if discrete and isinstance(factor, CanonicalForm):
         return Table((), 1.0, factor.g)
     if discrete or not isinstance(factor, Table):

@@ -81,6 +81,9 @@ def networks():
         "large": large,
         "hostile": hostile,
         "undirected": pgm.MarkovNetwork([APART, pgm.CanonicalForm(A, [[1.0]], [0.0])]),
+        "undirected and mixed": pgm.MarkovNetwork(
+            [pgm.Table((bad_state, RAIN), np.eye(2)), APART, pgm.GaussianCPD(A, 0.0, 1.0)]
+        ),
         "undirected tables": pgm.MarkovNetwork([pgm.Table((bad_state, RAIN), np.eye(2))]),
     }
 

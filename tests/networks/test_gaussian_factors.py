@@ -237,13 +237,10 @@ def test_what_is_refused():
     network = pgm.MarkovNetwork([proper])
     with pytest.raises(pgm.EvidenceError, match="which the network does not have"):
         pgm.infer(pgm.compile(network), {B: 1.0})
-    state = pgm.Discrete("state", 2)
-    with pytest.raises(pgm.ModelError, match="of discrete and of continuous variables"):
-        pgm.MarkovNetwork([proper, pgm.Table(state, [1.0, 2.0])])
     with pytest.raises(pgm.ModelError, match="is a stack of factors"):
         pgm.MarkovNetwork([pgm.CanonicalForm(A, np.ones((2, 1, 1)), np.ones((2, 1)))])
     with pytest.raises(pgm.ModelError, match="are tables, or Gaussian"):
-        pgm.MarkovNetwork([pgm.MixtureCPD([proper], [1.0])])
+        pgm.MarkovNetwork([pgm.SampledCPD(A, (), sample=lambda rng: rng)])
 
 
 @pytest.mark.parametrize(

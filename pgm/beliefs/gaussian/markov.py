@@ -13,7 +13,7 @@ from pgm.beliefs.gaussian.model import Model
 from pgm.beliefs.gaussian.outcome import GaussianOutcome
 from pgm.beliefs.gaussian.reweighting import weights_shown
 from pgm.beliefs.gaussian.run import linearised, run
-from pgm.beliefs.gaussian.undirected import Directed, directed, side
+from pgm.beliefs.gaussian.undirected import BEYOND, NEARLY_FLAT, Directed, directed, side
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.cpds import NonlinearGaussianFactor
 from pgm.cpds.base import naming_factors
@@ -32,12 +32,6 @@ from pgm.posteriors.weights import FactorWeights
 from pgm.schedules.schedule import Schedule
 from pgm.schedules.starting_points import Start
 from pgm.variables import Variable
-
-# Why digits are few, for a warning.
-NEARLY_FLAT = (
-    "a canonical form is nearly flat along a direction, and its entries hold few digits of what it "
-    "knows there; give it as Gaussian CPDs, or as residuals, which keep them"
-)
 
 
 def run_factors(
@@ -62,8 +56,8 @@ def run_factors(
     with naming_factors():
         found = run(made.graph, known, schedule, lineariser, start, warn=False)
     status = found.status
-    if made.lost > 10.0**-ENOUGH_DIGITS:
-        status = status._losing(np.full(status.converged.size, made.lost), NEARLY_FLAT)
+    if made.measured.lost > 10.0**-ENOUGH_DIGITS:
+        status = status._losing(np.full(status.converged.size, made.measured.lost), NEARLY_FLAT)
     if warn:
         status._warn()
     own = {field.name: getattr(found, field.name) for field in fields(found)}
@@ -92,7 +86,7 @@ def _measured(graph: ClusterGraph, evidence: Evidence) -> tuple[Directed, dict[V
     for variable in evidence:
         if variable not in known:
             raise no_evidence_for(variable, known)
-    return made, {**evidence, **made.values}
+    return made, {**evidence, **made.measured.values}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -115,23 +109,20 @@ class MarkovOutcome(GaussianOutcome):
         """The value ln Z, (...), of all factors with the evidence put in."""
         value = np.asarray(super().log_evidence + self._level)
         if not np.isfinite(value).all():
-            raise NumericalError(
-                "ln Z is beyond the range of float64: a factor is more than 1e150 deviations from "
-                "zero; give forms nearer the origin"
-            )
+            raise NumericalError(BEYOND)
         return frozen(value)
 
     def entered(self, run: int) -> dict[Variable, Array]:
         """The values that were given, by variable, (d,) each."""
         assert self._made is not None
         found = super().entered(run)
-        return {v: value for v, value in found.items() if v not in self._made.residuals}
+        return {v: value for v, value in found.items() if v not in self._made.measured.residuals}
 
     @cached_property
     def weights(self) -> Mapping[Any, Array]:
         """By factor, (*runs): the weight of its residual, 1 for Gaussian noise."""
         assert self._made is not None
-        factors = self._made.residuals
+        factors = self._made.measured.residuals
         by_child = weights_shown(self._model)
         return FactorWeights(
             {

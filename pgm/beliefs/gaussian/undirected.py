@@ -14,7 +14,7 @@ logarithm.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
@@ -24,8 +24,17 @@ from typing import Any
 import numpy as np
 
 from pgm.clustergraph import ClusterGraph
-from pgm.cpds import CPD, AffineCPD, GaussianCPD, LinearGaussianCPD, NonlinearGaussianCPD
-from pgm.cpds.conditional import ConditionalGaussian
+from pgm.cpds import (
+    CPD,
+    AffineCPD,
+    ConditionalGaussian,
+    GaussianCPD,
+    LinearGaussianCPD,
+    MixtureCPD,
+    NonlinearGaussianCPD,
+    SwitchingCPD,
+)
+from pgm.cpds.caused import components
 from pgm.cpds.plates import plate
 from pgm.cpds.residual import NonlinearGaussianFactor
 from pgm.errors import ModelError
@@ -33,10 +42,52 @@ from pgm.factors import CanonicalForm
 from pgm.factors.scope import names
 from pgm.kernels import canonical
 from pgm.kernels.arrays import LOG_2PI, Array
-from pgm.networks import BayesianNetwork, MarkovNetwork, checks
+from pgm.networks import BayesianNetwork, checks
 from pgm.networks.markov import Factor
 from pgm.resources import uncollected
 from pgm.variables import Variable
+
+# Why digits are few, for a warning.
+NEARLY_FLAT = (
+    "a canonical form is nearly flat along a direction, and its entries hold few digits of what it "
+    "knows there; give it as Gaussian CPDs, or as residuals, which keep them"
+)
+BEYOND = (
+    "ln Z is beyond the range of float64: a factor is more than 1e150 deviations from zero; give "
+    "forms nearer the origin"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """Factors of continuous variables as CPDs, some of them residuals that are observed.
+
+    Attributes
+    ----------
+    cpds : sequence of CPD
+        Flat priors, the factors that stay CPDs, parents first, and residuals.
+    by_factor : sequence of CPD or None
+        By number of the factor the CPD in its place; None of a mere number.
+    residuals : dict of Variable
+        Those that are observed, with the factors that they are of.
+    values : dict of Variable
+        The values (d,) of the residuals: zero, but of factors that have a value.
+    flat : sequence of Variable
+        Those of which no CPD is left: their priors are flat.
+    levels : ndarray
+        By factor, (factors,).
+    lost : float
+        The part of a canonical form's least information that rounding of its entries may have
+        changed, the largest of all forms.
+    """
+
+    cpds: Sequence[CPD]
+    by_factor: Sequence[CPD | None]
+    residuals: dict[Variable, Factor]
+    values: dict[Variable, Array]
+    flat: Sequence[Variable]
+    levels: Array
+    lost: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,75 +98,82 @@ class Directed:
     ----------
     graph : ClusterGraph
         Its clusters are those of the network's graph, each with the residuals of its factors too.
-    residuals : dict of Variable
-        Those that are observed, with the factors that they are of.
-    values : dict of Variable
-        The values (d,) of the residuals: zero, but of factors that have a value.
+    measured : Measured
+        The CPDs in the place of the factors.
     levels : ndarray
-        By cluster, (clusters,).
-    lost : float
-        The part of a canonical form's least information that rounding of its entries may have
-        changed, the largest of all forms.
+        By cluster, (clusters,): those of its factors and flat priors.
     """
 
     graph: ClusterGraph
-    residuals: dict[Variable, Factor]
-    values: dict[Variable, Array]
+    measured: Measured
     levels: Array
-    lost: float
+
+
+def flat_level(variable: Variable) -> float:
+    """The level of a variable's flat prior."""
+    return 0.5 * LOG_2PI * variable.dimension
 
 
 def directed(graph: ClusterGraph) -> Directed:
     """The Bayesian network of a Markov network's graph."""
-    with uncollected(len(graph.network.factors)):
-        return _measured(graph)
-
-
-def _measured(graph: ClusterGraph) -> Directed:
     network = graph.network
-    taken = {v.name for v in network.variables}
-    names_left = (name for k in count(1) if (name := f"residual {k}") not in taken)
-    kept = _directed(network)
-    measured: list[CPD] = []
+    with uncollected(len(network.factors)):
+        made = measured(network.factors, network.variables)
+        # Of each cluster the children of its CPDs, and its level.
+        children = [list[Variable]() for _ in graph._members]
+        levels = np.zeros(len(graph._members))
+        for k, assigned in enumerate(graph._assigned):
+            levels[k] = made.levels[list(assigned)].sum()
+            children[k] += [cpd.child for n in assigned if (cpd := made.by_factor[n]) is not None]
+        homes: dict[int, int] = {}
+        for k, members in enumerate(graph._members):
+            for place in members:
+                homes.setdefault(place, k)
+        for variable in made.flat:
+            home = homes[network._places[variable]]
+            children[home].append(variable)
+            levels[home] += flat_level(variable)
+        return Directed(_widened(graph, BayesianNetwork._made(made.cpds), children), made, levels)
+
+
+def measured(
+    factors: Sequence[Factor], variables: Iterable[Variable], taken: Collection[str] = ()
+) -> Measured:
+    """The CPDs in the place of factors of continuous variables.
+
+    `taken` are names that no residual may have, besides those of the `variables`.
+    """
+    variables = tuple(variables)
+    names_taken = {v.name for v in variables}.union(taken)
+    names_left = (name for k in count(1) if (name := f"residual {k}") not in names_taken)
+    kept = _directed(factors)
+    by_factor: list[CPD | None] = []
     residuals: dict[Variable, Factor] = {}
     values: dict[Variable, Array] = {}
     alike: dict[Hashable, NonlinearGaussianCPD] = {}
-    # Of each cluster the children of its CPDs, and its level.
-    children = [list[Variable]() for _ in graph._members]
-    levels, lost = np.zeros(len(graph._members)), 0.0
-    for k, assigned in enumerate(graph._assigned):
-        for number in assigned:
-            factor = network.factors[number]
-            if number in kept:
-                assert isinstance(factor, CPD)
-                children[k].append(factor.child)
-                continue
-            cpd, level, uncertain = _measurement(factor, next(names_left), alike)
-            levels[k] += level
-            lost = max(lost, uncertain)
-            if cpd is None:
-                continue
-            cpd.__dict__["_of"] = factor
-            measured.append(cpd)
-            children[k].append(cpd.child)
-            residuals[cpd.child] = factor
-            values[cpd.child] = _value(factor, cpd)
-    own = [each for k in sorted(kept) if isinstance(each := network.factors[k], CPD)]
+    levels, lost = np.zeros(len(factors)), 0.0
+    for number, factor in enumerate(factors):
+        if number in kept:
+            assert isinstance(factor, CPD)
+            by_factor.append(factor)
+            continue
+        cpd, levels[number], uncertain = _measurement(factor, next(names_left), alike)
+        lost = max(lost, uncertain)
+        by_factor.append(cpd)
+        if cpd is None:
+            continue
+        for part in (cpd, *components(cpd)):
+            part.__dict__["_of"] = factor
+        residuals[cpd.child] = factor
+        values[cpd.child] = _value(factor, cpd)
+    own = [cpd for k in sorted(kept) if (cpd := by_factor[k]) is not None]
     explained = {each.child for each in own}
-    cpds: list[CPD] = []
-    flat: dict[int, GaussianCPD] = {}
-    homes: dict[int, int] = {}
-    for k, members in enumerate(graph._members):
-        for place in members:
-            homes.setdefault(place, k)
-    for place, variable in enumerate(network.variables):
-        if variable not in explained:
-            cpds.append(_anywhere(variable, flat))
-            children[homes[place]].append(variable)
-            levels[homes[place]] += 0.5 * LOG_2PI * variable.dimension
+    unexplained = [v for v in variables if v not in explained]
+    priors: dict[int, GaussianCPD] = {}
+    cpds: list[CPD] = [_anywhere(variable, priors) for variable in unexplained]
     cpds += checks.in_order(own, lambda cpd: cpd.parents)
-    made = _widened(graph, BayesianNetwork._made([*cpds, *measured]), children)
-    return Directed(made, residuals, values, levels, lost)
+    cpds += [cpd for k, cpd in enumerate(by_factor) if cpd is not None and k not in kept]
+    return Measured(cpds, by_factor, residuals, values, unexplained, levels, lost)
 
 
 def _value(factor: Factor, cpd: CPD) -> Array:
@@ -147,16 +205,16 @@ def _widened(
     return graph._with(network, members, shared, [[place[v] for v in own] for own in children])
 
 
-def _directed(network: MarkovNetwork) -> set[int]:
+def _directed(factors: Sequence[Factor]) -> set[int]:
     """The numbers of the CPDs that may stay: one a child, and none on a cycle.
 
     One of robust noise does not: as a measurement it may weigh a child without evidence.
     """
     first: dict[Variable, int] = {}
-    for number, cpd in enumerate(network.factors):
-        if isinstance(cpd, ConditionalGaussian) and cpd.noise is None:
+    for number, cpd in enumerate(factors):
+        if isinstance(cpd, CPD) and not _is_robust(cpd):
             first.setdefault(cpd.child, number)
-    above = {child: network.factors[number].scope[1:] for child, number in first.items()}
+    above = {child: factors[number].scope[1:] for child, number in first.items()}
     order = TopologicalSorter({v: [p for p in above[v] if p in above] for v in above})
     with suppress(CycleError):
         order.prepare()
@@ -174,20 +232,28 @@ def _directed(network: MarkovNetwork) -> set[int]:
     return set(kept.values())
 
 
+def _is_robust(cpd: CPD) -> bool:
+    """Whether a CPD has robust noise, in one of its cases or components."""
+    if isinstance(cpd, ConditionalGaussian):
+        return cpd.noise is not None
+    return any(isinstance(c, ConditionalGaussian) and c.noise is not None for c in components(cpd))
+
+
 def _measurement(
     factor: Factor, name: str, alike: dict[Hashable, NonlinearGaussianCPD]
 ) -> tuple[CPD | None, float, float]:
     """A factor as a CPD of a residual of some name, None of a mere number; its level; what is lost.
 
-    See `Directed`. `alike` has the first residual of each plate of nonlinear CPDs, and gets others.
+    See `Measured`. `alike` has the first residual of each plate of nonlinear CPDs, and gets others.
     """
     if isinstance(factor, NonlinearGaussianFactor):
         child = factor._cpd.child._with(name=name)
         return factor._cpd._with_child(child), 0.0, 0.0
     if isinstance(factor, CanonicalForm):
         return _of_form(factor, name)
-    assert isinstance(factor, ConditionalGaussian)
-    return _of_cpd(factor, name, alike), 0.0, 0.0
+    assert isinstance(factor, CPD)
+    y = factor.child
+    return _of_cpd(factor, Variable(name, y.components, y.angles), alike), 0.0, 0.0
 
 
 def _of_form(form: CanonicalForm, name: str) -> tuple[CPD | None, float, float]:
@@ -206,20 +272,29 @@ def _of_form(form: CanonicalForm, name: str) -> tuple[CPD | None, float, float]:
             "along a direction of no information, where it grows without bound; multiply it into "
             "another factor that bounds it, and give their product"
         )
+    if not form.scope:
+        return None, float(form.g), lost
+    if not len(rows):  # of which a reading of nothing is left, so that its variables are in use
+        rows, target = np.zeros((1, rows.shape[1])), np.zeros(1)
     rank = len(rows)
     level = float(form.g) + 0.5 * float(target @ target) + 0.5 * rank * LOG_2PI
-    if not rank:
-        return None, level, lost
     parts = np.split(rows, np.cumsum([v.dimension for v in form.scope])[:-1], axis=1)
     child = Variable(name, tuple(f"r{k}" for k in range(rank)) if rank > 1 else ())
     given = dict(zip(form.scope, parts, strict=True))
     return LinearGaussianCPD(child, given, offset=-target, cov=np.eye(rank)), level, lost
 
 
-def _of_cpd(
-    cpd: ConditionalGaussian, name: str, alike: dict[Hashable, NonlinearGaussianCPD]
-) -> CPD:
-    """A CPD as a measurement of its child less its mean, whose residual is of the child's kind."""
+def _of_cpd(cpd: CPD, child: Variable, alike: dict[Hashable, NonlinearGaussianCPD]) -> CPD:
+    """A CPD as a measurement of its child less its mean; `child` is the residual, of its kind.
+
+    Of one that discrete variables choose, or of a mixture, so is each case, or component.
+    """
+    if isinstance(cpd, SwitchingCPD):
+        cases = {case: _of_cpd(own, child, alike) for case, own in cpd.cases.items()}
+        return SwitchingCPD(child, cpd.switches, cases)
+    if isinstance(cpd, MixtureCPD):
+        return MixtureCPD([_of_cpd(part, child, alike) for part in cpd.parts], cpd.weights)
+    assert isinstance(cpd, ConditionalGaussian)
     flat = isinstance(cpd.cov, np.ndarray) and not np.isfinite(cpd.cov).all()
     if cpd._lead() or flat:
         raise ModelError(
@@ -229,7 +304,6 @@ def _of_cpd(
             cpd=cpd,
         )
     y = cpd.child
-    child = Variable(name, y.components, y.angles)
     if isinstance(cpd, AffineCPD):
         given = {y: np.eye(y.dimension)} | {p: -matrix for p, matrix in cpd.matrices.items()}
         return LinearGaussianCPD(child, given, offset=-cpd.offset, cov=cpd.cov, noise=cpd.noise)

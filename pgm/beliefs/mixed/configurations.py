@@ -36,8 +36,8 @@ def fits(part: Part, states: Collection[Variable]) -> bool:
 def possible(boundary: States, tables: DiscreteOutcome, states: Mapping[Variable, int]) -> Integers:
     """The configurations of discrete variables that are possible, (configurations, variables).
 
-    `tables` are the beliefs by the tables and by the `states` that all runs observe. Too many are a
-    GraphError.
+    `tables` are the beliefs by the tables, by the `states` that all runs observe and those that
+    some run leaves possible. Too many are a GraphError.
     """
     hidden = tuple(v for v in boundary if v not in states)
     total = math.prod(sizes(hidden))
@@ -145,7 +145,9 @@ class Cases:
         used, place = np.unique(own, return_inverse=True)
         if used.size == 1:
             return cases[int(used[0])]
-        return stacked([cases[k] for k in used], np.repeat(place, runs.size))
+        found = stacked([cases[k] for k in used], np.repeat(place, runs.size))
+        found.__dict__["_of"] = cpd._of
+        return found
 
 
 def _is_exact(case: CPD) -> bool:

@@ -12,18 +12,19 @@ import numpy as np
 
 from pgm.beliefs.discrete.outcome import DiscreteOutcome
 from pgm.beliefs.gaussian.outcome import GaussianOutcome
+from pgm.beliefs.gaussian.undirected import BEYOND, NEARLY_FLAT
 from pgm.beliefs.mixed.configurations import FEW
 from pgm.beliefs.mixed.draws import draws
 from pgm.beliefs.mixed.weighing import Weighed
 from pgm.clustergraph import ClusterGraph
 from pgm.display import Summary
-from pgm.errors import EvidenceError, GraphError
+from pgm.errors import EvidenceError, GraphError, NumericalError
 from pgm.factors import Gaussian, GaussianMixture, Table
 from pgm.factors.scope import Scope, as_scope, dimension, namesake, positions
 from pgm.kernels.arrays import Array, Integers, Mask, frozen
 from pgm.posteriors.outcome import MIXTURES, Outcome
 from pgm.posteriors.posterior import require_variable
-from pgm.posteriors.status import FAR_APART, Status
+from pgm.posteriors.status import ENOUGH_DIGITS, FAR_APART, Status
 from pgm.posteriors.summaries import of_network
 from pgm.resources import require_memory
 from pgm.variables import Discrete, Variable
@@ -42,12 +43,14 @@ class MixedOutcome(Outcome[Any]):
 
     kind: ClassVar[None] = None
     graph: ClusterGraph
+    _variables: Scope
     _tables: DiscreteOutcome
     _parts: Sequence[Weighed]
     _choices: Sequence[Discrete | None]
     _observed: Collection[Variable]
     _lead: tuple[int, ...]
     _total: Array
+    _lost: float
 
     def __getitem__(self, variable: Variable) -> Table | GaussianMixture:
         """The marginal of a variable without evidence."""
@@ -81,11 +84,10 @@ class MixedOutcome(Outcome[Any]):
         return math.prod(self._lead)
 
     def _require_hidden(self, variable: Variable) -> Variable:
-        network = self.graph.network
-        if require_variable(variable) not in network._places:
+        if require_variable(variable) not in self._variables:
             raise EvidenceError(
-                f"{variable!r} is not in the network; its variables are {list(network.variables)}"
-                f"{namesake(variable, network.variables)}",
+                f"{variable!r} is not in the network; its variables are {list(self._variables)}"
+                f"{namesake(variable, self._variables)}",
                 variable=variable,
             )
         known = self._observed
@@ -155,15 +157,17 @@ class MixedOutcome(Outcome[Any]):
     @property
     def _hidden(self) -> Scope:
         tables = frozenset(self._tables._hidden)
-        return tuple(v for v in self.graph.network.variables if v in self._homes or v in tables)
+        return tuple(v for v in self._variables if v in self._homes or v in tables)
 
     @property
     def log_evidence(self) -> Array:
-        """The value ln p(evidence), (...), in nats.
+        """The value ln p(evidence), (...), in nats; of a Markov network ln Z.
 
         Where a configuration makes evidence certain it is that of those which make the most
         certain, as a density of the rest.
         """
+        if not np.isfinite(self._total).all():
+            raise NumericalError(BEYOND)
         return frozen(self._total.reshape(self._lead))
 
     @property
@@ -206,7 +210,10 @@ class MixedOutcome(Outcome[Any]):
                 residuals[:count, own] = np.maximum(residuals[:count, own], worst)
         told = digits.reshape(self._lead) if np.isfinite(digits).any() else None
         record = residuals.reshape(most - 1, *self._lead)
-        return Status(most, record, converged.reshape(self._lead), digits=told, _cause=cause)
+        status = Status(most, record, converged.reshape(self._lead), digits=told, _cause=cause)
+        if self._lost > 10.0**-ENOUGH_DIGITS:
+            status = status._losing(np.full(runs, self._lost), NEARLY_FLAT)
+        return status
 
     @property
     def _title(self) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -11,50 +11,34 @@ from pgm.beliefs.discrete.run import run as run_tables
 from pgm.beliefs.mixed.configurations import fits, possible
 from pgm.beliefs.mixed.outcome import MixedOutcome
 from pgm.beliefs.mixed.parts import Part, fitting
+from pgm.beliefs.mixed.split import Split, split_of
 from pgm.beliefs.mixed.tabled import Tabled
 from pgm.beliefs.mixed.weighing import Asked, Weighed, weighed
 from pgm.clustergraph import ClusterGraph
-from pgm.compile.methods import JunctionTree
 from pgm.cpds import CPD, ConditionalGaussian, SwitchingCPD
-from pgm.cpds.caused import (
-    FAR,
-    caused,
-    components,
-    has_mixtures,
-    in_scales,
-    is_farthest,
-    is_mixture,
-    too_far,
-)
+from pgm.cpds.base import naming_factors
+from pgm.cpds.caused import FAR, components, is_farthest, too_far
 from pgm.errors import EvidenceError, NumericalError
 from pgm.evidence import Evidence
 from pgm.evidence.rows import as_rows, no_evidence_for, require_finite
-from pgm.evidence.static import BoundValues, bind_discrete, bind_values
+from pgm.evidence.static import BoundStates, BoundValues, bind_discrete, bind_values
+from pgm.evidence.values import Soft, soft
 from pgm.factors.arrays import common_runs, flat
 from pgm.factors.axes import sizes
-from pgm.factors.scope import Scope
 from pgm.kernels.arrays import Array, Mask
-from pgm.networks import BayesianNetwork
-from pgm.schedules.argument_checks import require_gaussian
 from pgm.schedules.options import Call
 from pgm.schedules.starting_points import Start, require_hidden
 from pgm.variables import Discrete, Variable
 
 
-class _Split(NamedTuple):
-    """The CPDs of a mixed network by kind, and the graph of its tables alone."""
-
-    tables: Sequence[CPD]
-    continuous: Sequence[CPD]
-    graph: ClusterGraph
-    needed: Scope
-
-
 def run(graph: ClusterGraph, evidence: Evidence, call: Call) -> MixedOutcome:
     """The beliefs of a network of discrete and continuous variables, given its evidence."""
-    graph = graph.derived(_with_causes)
-    split: _Split = graph.derived(_split)
-    variables = frozenset(graph.network.variables)
+    with naming_factors():
+        return _inferred(graph, graph.derived(split_of), evidence, call)
+
+
+def _inferred(graph: ClusterGraph, split: Split, evidence: Evidence, call: Call) -> MixedOutcome:
+    variables = frozenset(split.variables)
     for variable in evidence:
         if variable not in variables:
             raise no_evidence_for(variable, variables)
@@ -62,6 +46,7 @@ def run(graph: ClusterGraph, evidence: Evidence, call: Call) -> MixedOutcome:
     others: dict[Variable, Any] = {
         v: value for v, value in evidence.items() if not isinstance(v, Discrete)
     }
+    others |= split.values
     states = bind_discrete(frozenset(v for v in variables if isinstance(v, Discrete)), discrete)
     bound = bind_values(split.continuous, others, graph.network.lead, split.needed)
     owners = ("continuous variables", bound.lead), ("discrete variables", states.lead)
@@ -71,18 +56,19 @@ def run(graph: ClusterGraph, evidence: Evidence, call: Call) -> MixedOutcome:
     fixed: dict[Variable, int] = {
         v: state for v, state in states.states.items() if isinstance(state, int)
     }
-    tables = run_tables(split.graph, fixed, None)
+    tables = run_tables(split.graph, {**_in_some_run(states), **fixed}, None)
     # What was measured nowhere is as barren as what was not observed.
     values = _with_gaps(bound)
     told = {v for v, value in values.items() if not np.isnan(value).all()}
+    continuous, level = split.inside(values.keys() - bound.taken.keys())
     parts = [
         (part, possible(part.boundary, tables, fixed))
-        for part in fitting(split.continuous, values, told, lambda part: fits(part, fixed))
+        for part in fitting(continuous, values, told, lambda part: fits(part, fixed))
     ]
     observed = frozenset(v for v, state in states.states.items() if np.all(np.asarray(state) >= 0))
     robust = _weighing([part for part, _ in parts], observed)
     if robust:
-        return run(_in_scales(graph, robust), evidence, call)
+        return _inferred(graph, split.in_scales(robust), evidence, call)
     hidden = [v for part, _ in parts for v in part.hidden]
     start = None if call.start is None else _start(call.start, hidden, lead)
     asked = Asked(values, start, lead, call.lineariser, call.schedule)
@@ -91,23 +77,30 @@ def run(graph: ClusterGraph, evidence: Evidence, call: Call) -> MixedOutcome:
     logs = [each.log for each in found]
     allowed = _allowed(tabled, found)
     beliefs, total = tabled.solved(logs, allowed)
-    known = frozenset(asked.values)
-    outcome = MixedOutcome(graph, beliefs, found, tabled.choices, known, lead, total)
+    outcome = MixedOutcome(
+        graph,
+        split.variables,
+        beliefs,
+        found,
+        tabled.choices,
+        frozenset(asked.values),
+        lead,
+        total + level,
+        split.lost,
+    )
     _require_near(outcome, found)
     outcome.status._warn()
     return outcome
 
 
-def _with_causes(graph: ClusterGraph) -> ClusterGraph:
-    """The graph of a network whose mixtures hidden discrete variables choose, if it has any."""
-    network = graph.network
-    if not has_mixtures(network.cpds):
-        return graph
-    names = {v.name for v in network.variables}
-    cpds = list[CPD]()
-    for cpd in network.cpds:
-        cpds += caused(cpd, names) if is_mixture(cpd) else [cpd]
-    return JunctionTree()(BayesianNetwork(cpds))
+def _in_some_run(states: BoundStates) -> dict[Variable, Soft]:
+    """Of variables whose evidence has axes of runs the states that it leaves possible in some."""
+    found = {v: (weights > -np.inf).any(axis=0) for v, weights in states.weights.items()}
+    for variable, state in states.states.items():
+        rows = np.asarray(state)
+        if rows.ndim and (rows >= 0).all():
+            found[variable] = np.isin(np.arange(variable.size), rows)
+    return {v: soft(mask.astype(np.float64)) for v, mask in found.items() if not mask.all()}
 
 
 def _weighing(parts: Sequence[Part], observed: Collection[Variable]) -> set[CPD]:
@@ -140,25 +133,6 @@ def _require_near(outcome: MixedOutcome, parts: Sequence[Weighed]) -> None:
             share = outcome._weights([k])[:, np.isin(number, far)].sum(axis=1)
             if (share > FAR).any():
                 raise NumericalError(too_far(cpd, ""), variable=cpd.child, cpd=cpd)
-
-
-def _in_scales(graph: ClusterGraph, robust: set[CPD]) -> ClusterGraph:
-    """The graph of a network in which some CPDs' robust noise is a mixture of several scales."""
-    why = "by whose densities states of discrete variables are weighed"
-    cpds = [in_scales(cpd, why) if cpd in robust else cpd for cpd in graph.network.cpds]
-    return JunctionTree()(BayesianNetwork(cpds))
-
-
-def _split(graph: ClusterGraph) -> _Split:
-    cpds = graph.network.cpds
-    tables = [cpd for cpd in cpds if cpd.discrete]
-    continuous = [cpd for cpd in cpds if not cpd.discrete]
-    for cpd in continuous:
-        own = cpd.cases.values() if isinstance(cpd, SwitchingCPD) else (cpd,)
-        require_gaussian(own, "the Gaussian beliefs of a mixed network")
-    noise = (v for cpd in continuous for v in cpd.noise_given)
-    needed = tuple(dict.fromkeys([*graph.network.inputs, *noise]))
-    return _Split(tables, continuous, JunctionTree()(BayesianNetwork(tables)), needed)
 
 
 def _with_gaps(bound: BoundValues) -> dict[Variable, Array]:

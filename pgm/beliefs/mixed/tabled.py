@@ -1,9 +1,9 @@
 """The network of tables, with the configurations of the parts as variables of their own.
 
-A part's *choice* is a variable whose states are the part's possible configurations, all alike
-before. For each discrete parent of the part there is an *agreement*, which is observed to be true:
-that the parent has the state that the chosen configuration has. The log-evidence of configurations
-is then soft evidence of the choice, run by run, and its belief their probability.
+A part's *choice* is a variable whose states are the part's possible configurations. For each
+discrete parent of the part there is a factor, zero but where the parent has the state that the
+chosen configuration has. The log-evidence of configurations is then soft evidence of the choice,
+run by run, and its belief their probability.
 """
 
 from __future__ import annotations
@@ -19,12 +19,13 @@ from pgm.beliefs.discrete.run import run as run_tables
 from pgm.beliefs.mixed.parts import Part
 from pgm.clustergraph import ClusterGraph
 from pgm.compile.methods import JunctionTree
-from pgm.cpds import CPD, TableCPD
 from pgm.errors import EvidenceError
 from pgm.evidence.rows import as_log_weights
 from pgm.evidence.values import Soft, soft
+from pgm.factors import Table
 from pgm.kernels.arrays import Array, Integers, Mask
-from pgm.networks import BayesianNetwork
+from pgm.networks import MarkovNetwork
+from pgm.networks.markov import Factor
 from pgm.schedules.impossible import ImpossibleEvidence
 from pgm.variables import Discrete, Variable
 
@@ -37,7 +38,7 @@ class Tabled:
     ----------
     graph : ClusterGraph
     evidence : mapping of Discrete
-        What is known of the discrete variables, and that choices agree with them.
+        What is known of the discrete variables.
     choices : sequence of Discrete or None
         By part its choice; None where there is one configuration alone.
     every : Discrete
@@ -55,14 +56,14 @@ class Tabled:
     @classmethod
     def of(
         cls,
-        tables: Sequence[CPD],
+        tables: Sequence[Factor],
         evidence: Mapping[Variable, object],
         parts: Sequence[tuple[Part, Integers]],
         lead: tuple[int, ...],
     ) -> Tabled:
         """The network of some tables, and of parts with their possible configurations."""
-        names = {cpd.child.name for cpd in tables}
-        cpds, known = list(tables), dict(evidence)
+        names = {v.name for factor in tables for v in factor.scope}
+        factors = list(tables)
         choices: list[Discrete | None] = []
         for part, configurations in parts:
             count = len(configurations)
@@ -71,19 +72,16 @@ class Tabled:
                 continue
             choice = Discrete(_name(f"choice {len(choices)}", names), count)
             choices.append(choice)
-            cpds.append(TableCPD(choice, table=np.full(count, 1.0 / count)))
+            factors.append(Table.vacuous(choice))
             for k, parent in enumerate(part.boundary):
                 own = configurations[:, k]
                 if (own == own[0]).all() and parent in evidence:
                     continue  # it is observed to be that
-                agreement = Discrete(_name(f"{choice.name} {parent.name}", names), 2)
                 agrees = (own[:, None] == np.arange(parent.size)).astype(np.float64)
-                table = np.stack([1.0 - agrees, agrees], axis=-1)
-                cpds.append(TableCPD(agreement, given=(choice, parent), table=table))
-                known[agreement] = 1
+                factors.append(Table((choice, parent), agrees))
         every = Discrete(_name("every run", names), 1)
-        cpds.append(TableCPD(every, table=[1.0]))
-        return cls(JunctionTree()(BayesianNetwork(cpds)), known, choices, every, lead)
+        factors.append(Table.vacuous(every))
+        return cls(JunctionTree()(MarkovNetwork(factors)), evidence, choices, every, lead)
 
     def solved(
         self, logs: Sequence[Array], allowed: Sequence[Mask]
@@ -99,7 +97,6 @@ class Tabled:
             if choice is None:
                 total = total + own.max(axis=0)
             else:
-                total = total + math.log(choice.size)
                 known[choice] = soft(own.T.reshape(*self.lead, choice.size), log=True)
         known[self.every] = soft(np.ones((*self.lead, self.every.size)))
         try:

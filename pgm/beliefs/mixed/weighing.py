@@ -134,6 +134,8 @@ def weighed(part: Part, configurations: Integers, asked: Asked) -> Weighed:
             if left.size:
                 waiting.append((which, left))
             continue
+        except NumericalError as error:
+            raise _placed(error, cases, which, runs, asked) from None
         shape = which.size, runs.size
         value = np.broadcast_to(found.log_evidence.ravel(), (math.prod(shape),))
         log[np.ix_(which, runs)] = value.reshape(shape)
@@ -184,6 +186,36 @@ def _solved(cases: Cases, which: Integers, runs: Integers, asked: Asked) -> Gaus
     return run(graph, repeated(asked.values), *options, warn=False)
 
 
+def _placed(
+    error: NumericalError, cases: Cases, which: Integers, runs: Integers, asked: Asked
+) -> NumericalError:
+    """The error of one of some configurations that have no beliefs together, with its states."""
+    part = cases.part
+    if not part.boundary:
+        return error
+    found = error
+    while which.size > 1:
+        half = which.size // 2
+        try:
+            _solved(cases, which[:half], runs, asked)
+        except NumericalError as own:
+            found, which = own, which[:half]
+        else:
+            which = which[half:]
+    try:
+        _solved(cases, which, runs, asked)
+    except NumericalError as own:
+        found = own
+    else:  # it fails beside others alone
+        return error
+    states = zip(part.boundary, cases.configurations[which[0]].tolist(), strict=True)
+    where = ", ".join(f"{variable!r} is {variable.states[k]}" for variable, k in states)
+    found.args = (
+        f"where {where}, which the tables and some run's evidence leave possible: {found}",
+    )
+    return found
+
+
 def _certain(part: Part, cases: Cases, asked: Asked, log: Array) -> Integers:
     """How many components of the evidence each configuration makes certain, (.., runs).
 
@@ -213,11 +245,14 @@ def _certain(part: Part, cases: Cases, asked: Asked, log: Array) -> Integers:
         found[k], repeats[k] = lost[:, 0], lost[:, 1] > 0
     several = np.isfinite(log) & (np.isfinite(log).sum(axis=0) > 1)
     if (repeats & several).any():
+        sources = [cpd for cpd in part.cpds if cpd.child in asked.values]
+        named = [cpd.child if cpd._of is None else cpd for cpd in sources]
         raise NumericalError(
-            f"evidence for {list(seen)} repeats itself exactly, by CPDs without noise, where "
+            f"evidence for {named} repeats itself exactly, by CPDs without noise, where "
             f"states of ({listed(part.boundary)}) are weighed by its density, of which there is "
             "none; leave out what repeats, or give it some noise",
             variable=seen[0],
+            cpd=sources[0],
         )
     return found
 
