@@ -13,6 +13,7 @@ name              what it is                           what returns it
 `GridBelief`      probabilities of cells               ``posterior[x]``, of a `Grid`
 `ParticleBelief`  weighted draws                       ``posterior[x]``, of `Particles`
 `Innovations`     measurements less predictions        ``posterior.innovations[z]``
+`Predictions`     beliefs of readings to be taken      ``belief.predicted``, in a loop
 `StepInnovations` those of a step in a robot's loop    ``belief.innovations[z]``
 `Rejections`      decisions of a sensor's gate         ``posterior.rejected[z]``
 `Associations`    probabilities of what was sighted    ``posterior.associations[z]``
@@ -63,6 +64,7 @@ from pgm.inference import (
     ParticleBelief,
     ParticleFigures,
     Posterior,
+    Predictions,
     Rejections,
     SensitiveEntry,
     Sensitivities,
@@ -119,6 +121,7 @@ __all__ = [
     "ParticleBelief",
     "ParticleFigures",
     "Posterior",
+    "Predictions",
     "ReadingReport",
     "Rejections",
     "Row",

@@ -77,6 +77,7 @@ CALLS = {
     "ParticleBelief": lambda: pgm.filter(walk, GIVEN, belief=CLOUD)[x],
     "ParticleFigures": lambda: pgm.filter(walk, GIVEN, belief=CLOUD).status._figures,
     "Posterior": lambda: pgm.infer(pgm.compile(rainy), {rain: "no"}),
+    "Predictions": lambda: online().predicted,
     "ReadingReport": lambda: pgm.timeline(**LOG).readings[z],
     "Rejections": lambda: pgm.filter(walk, GIVEN, gate=0.9).rejected[z],
     "Row": lambda: pgm.compare(walk, GIVEN)["Taylor", "filter"],
@@ -94,7 +95,8 @@ OLD = sorted(
     set(results.__all__)
     - {"Compilation", "ControlReport", "Derivatives", "GridFigures", "Innovations"}
     - {"Association", "CliqueTree", "Growth", "ParticleFigures", "ReadingReport", "Row", "Sample"}
-    - {"MaxMarginals", "SensitiveEntry", "Sensitivities", "Sensitivity", "StepInnovations"}
+    - {"MaxMarginals", "SensitiveEntry", "Sensitivities", "Sensitivity"}
+    - {"Predictions", "StepInnovations"}
 )
 # What posteriors, statuses and filters are of, by the name of their class before.
 POSTERIORS = {

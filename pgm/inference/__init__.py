@@ -42,6 +42,7 @@ from pgm.posteriors.innovations import Innovations
 from pgm.posteriors.lost import Lost
 from pgm.posteriors.online_belief import OnlineBelief
 from pgm.posteriors.posterior import Posterior
+from pgm.posteriors.predictions import Predictions
 from pgm.posteriors.rejections import Rejections
 from pgm.posteriors.status import Status
 from pgm.posteriors.step_innovations import StepInnovations
@@ -101,6 +102,7 @@ __all__ = [
     "ParticleFigures",
     "Particles",
     "Posterior",
+    "Predictions",
     "Prepared",
     "Rejections",
     "Residual",

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from pgm.display import NoArray, Shown
 from pgm.errors import Unanswered
 from pgm.kernels.arrays import Array
 from pgm.posteriors.belief_kind import Kind
+from pgm.posteriors.predictions import Predictions
 from pgm.posteriors.status import Status
 from pgm.variables import Variable
 
@@ -54,6 +56,10 @@ class OnlineBelief(Shown, NoArray):
     innovations : mapping of Variable to StepInnovations
         Of the last update, by sensor: residuals, their covariances, NIS and gains; of Gaussian
         beliefs. They are found when they are asked for, by making the update again.
+    predicted : Predictions
+        Of a belief that `predict` returned, those of measurements before they are taken:
+        ``predicted[z]``, or ``predicted.of(z, given={m: ...})`` with observed parents; of Gaussian
+        beliefs and tables.
     rejected : mapping of Variable to Rejections
         The decisions of the gates at the last update, by sensor; of Gaussian beliefs.
     lost, lost_since : ndarray
@@ -69,6 +75,8 @@ class OnlineBelief(Shown, NoArray):
     >>> from pgm.examples import walk, x, z
     >>> robot = pgm.OnlineFilter(walk)
     >>> belief = robot.predict(robot.initial())
+    >>> belief.predicted[z].mean, belief.predicted[z].std
+    (array([0.]), array([2.]))
     >>> belief = robot.update(belief, {z: [4.0]})
     >>> belief[x]
     Gaussian(x)
@@ -125,6 +133,15 @@ class OnlineBelief(Shown, NoArray):
             If the belief is not over the variable, or of another step.
         """
         raise NotImplementedError
+
+    @property
+    def predicted(self) -> Predictions:
+        """The beliefs of measurements of its step before they are taken."""
+        return Predictions(self)
+
+    def _measurement(self, variable: Variable, given: Mapping[Variable, Any]) -> Any:
+        """The belief of a sensor's measurement, of a belief that is predicted."""
+        raise Unanswered(f"beliefs of measurements: {self.beliefs} have none online")
 
     def _moments(self, variable: Variable) -> Any:
         """The marginal of a variable, in a form that has moments, for summaries."""

@@ -110,6 +110,19 @@ def readings(
     return _same_runs(belief, bound)
 
 
+def unread(variable: Variable, given: Mapping[Variable, Any]) -> tuple[Sightings, bool]:
+    """Sightings of a sensor of which nothing was read, and whether they stand for one by itself.
+
+    `given` has the sensor's observed parents, of which there are as many rows as sightings, or
+    constants. Without rows there is one sighting, by itself.
+    """
+    rows = [v for v, each in given.items() if not isinstance(each, Constant)]
+    count = max((rows_of(v, given[v], "M").shape[-2] for v in rows), default=1)
+    discrete = isinstance(variable, Discrete)
+    nothing = np.full(count, -1) if discrete else np.full((count, variable.dimension), np.nan)
+    return Sightings(nothing, None, given), not rows
+
+
 def _same_runs(belief: Place, bound: BoundEvidence) -> BoundEvidence:
     """The same evidence; an `EvidenceError` if it is of other runs than a window behind the belief.
 

@@ -211,6 +211,7 @@ def filtered():
         "message": many.message(3, 4),
         "online filter": online,
         "online belief": belief,
+        "predictions": belief.predicted,
         "step innovations": read.innovations[Z],
         "step innovations by sensor": read.innovations,
         "prepared": pgm.prepare(pgm.compile(model, STEPS), drawn.evidence),

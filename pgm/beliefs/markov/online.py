@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from pgm.beliefs.markov.chain import TINY, StateChain
+from pgm.beliefs.markov.measurements import at_rows
 from pgm.beliefs.markov.online_beliefs import Held, OnlineStates, Passed
 from pgm.beliefs.markov.plan import SlicePlan, TableSlices
 from pgm.beliefs.markov.run import require_beliefs
@@ -26,6 +27,8 @@ from pgm.compile import SliceGraph
 from pgm.display import InCode, titled
 from pgm.errors import ModelError
 from pgm.evidence import BoundEvidence
+from pgm.factors import Gaussian, GaussianMixture, Table
+from pgm.factors.axes import discrete
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array
 from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT
@@ -77,7 +80,7 @@ class TableSteps(InCode, Immutable):
         chain = StateChain(slices.within(semiring), semiring)
         prior = chain.start()
         held = Held(semiring.over(prior, chain.total(prior)), None, semiring.linear)
-        return OnlineStates(self._plan, 0, PREDICTED, held, np.zeros(()), self.lag)
+        return OnlineStates(self, 0, PREDICTED, held, np.zeros(()))
 
     def predict(
         self, belief: OnlineStates, inputs: Mapping[Variable, Any] | None = None
@@ -101,12 +104,11 @@ class TableSteps(InCode, Immutable):
         )
         trail = (*before._trail, Passed(before._held, slices))
         return OnlineStates(
-            self._plan,
+            self,
             step,
             PREDICTED,
             held,
             before.log_evidence + log_density.reshape(bound.lead),
-            self.lag,
             trail[-self.lag :] if self.lag else (),
         )
 
@@ -145,15 +147,28 @@ class TableSteps(InCode, Immutable):
             return joint, weights, scale
 
         held, log_density = self._in_digits(slices, before._held, taken)
-        return OnlineStates(
-            self._plan,
-            step,
-            FILTERED,
-            held,
-            before.log_evidence + log_density.reshape(bound.lead),
-            self.lag,
-            before._trail,
-        )
+        log_evidence = before.log_evidence + log_density.reshape(bound.lead)
+        return OnlineStates(self, step, FILTERED, held, log_evidence, before._trail)
+
+    def measurement(
+        self, belief: OnlineStates, variable: Variable, given: Mapping[Variable, Any]
+    ) -> Table | GaussianMixture:
+        """The belief of a sensor's measurement at the step of a predicted belief.
+
+        `given` has the values of the sensor's observed parents, in rows or constant.
+        """
+        step, (nothing, alone) = belief.step, step_evidence.unread(variable, given)
+        bound = step_evidence.readings(self.model, belief, {variable: nothing})
+        shifted = tuple(replace(r, step=r.step + step) for r in bound.readings)
+        bound, before = replace(bound, readings=shifted), self._spread(belief, bound.lead)
+        asked = variable.at(step) if alone else variable
+        (reading,), known = bound.readings, before._held.numbers
+        rows = np.argsort(reading.order)
+        found = at_rows(self._plan, bound, reading, asked, rows, [known] * rows.size)
+        if isinstance(found, Table):
+            return Table._plain(discrete((variable,)), found.values)
+        of = found.components
+        return GaussianMixture._make(found.weights, Gaussian._make((variable,), of.mean, of.cov))
 
     def _in_digits(self, slices: TableSlices, known: Held, work: Any) -> tuple[Held, Array]:
         """A prediction or an update, in numbers, or in logarithms where numbers may lose a state.
@@ -216,9 +231,7 @@ class TableSteps(InCode, Immutable):
 
         trail = tuple(Passed(held(each.held), each.ahead) for each in belief._trail)
         log_evidence = np.array(np.broadcast_to(belief.log_evidence, lead))
-        return OnlineStates(
-            self._plan, belief.step, belief.kind, held(belief._held), log_evidence, self.lag, trail
-        )
+        return OnlineStates(self, belief.step, belief.kind, held(belief._held), log_evidence, trail)
 
     def _check(self, belief: OnlineStates) -> None:
         """Raise `ModelError` for a belief of another filter, or a smoothed one of `lagged`."""

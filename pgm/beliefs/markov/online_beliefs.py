@@ -8,8 +8,8 @@ logarithms where numbers may underflow: a *semiring* is the arithmetic of the on
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import ClassVar, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from pgm.beliefs.markov.chain import TINY, BackwardChain, smallest
 from pgm.beliefs.markov.plan import SlicePlan, TableSlices
 from pgm.display import Summary
 from pgm.errors import EvidenceError, Unanswered
-from pgm.factors import Table
+from pgm.factors import GaussianMixture, Table
 from pgm.factors.axes import discrete
 from pgm.factors.scope import namesake
 from pgm.immutable import Immutable
@@ -26,9 +26,13 @@ from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT, Semiring
 from pgm.posteriors.belief_kind import Kind
 from pgm.posteriors.online_belief import OnlineBelief
 from pgm.posteriors.posterior import require_variable
+from pgm.posteriors.predictions import require_parents
 from pgm.posteriors.status import Status
 from pgm.posteriors.summaries import at_a_step
 from pgm.variables import Variable
+
+if TYPE_CHECKING:
+    from pgm.beliefs.markov.online import TableSteps
 
 
 class Held(NamedTuple):
@@ -96,9 +100,9 @@ class OnlineStates(OnlineBelief, Immutable):
     kind: Filtered after an update, predicted before; of a belief from `lagged`, fixed-lag.
     lead: The user's axes of runs.
     behind: Always None; beliefs of Gaussian filters keep earlier steps here, to smooth them.
+    _steps: The filter's steps, which made it.
     _held: The belief over the slice.
     _trail: The past steps within the filter's lag, earliest first, from which `lagged` smooths.
-    _lag: The filter's lag in steps; None without one.
     """
 
     step: int
@@ -108,22 +112,20 @@ class OnlineStates(OnlineBelief, Immutable):
     lead: tuple[int, ...]
     # A window of steps that are linearised again: tables need none.
     behind: None
-    _plan: SlicePlan
+    _steps: TableSteps
     _held: Held
     _trail: tuple[Passed, ...]
-    _lag: int | None
 
     beliefs: ClassVar[str] = "tables"
     _arrays: ClassVar[str] = "probabilities by variable, belief[x].probabilities"
 
     def __init__(
         self,
-        plan: SlicePlan,
+        steps: TableSteps,
         step: int,
         kind: Kind,
         held: Held,
         log_evidence: Array,
-        lag: int | None,
         trail: tuple[Passed, ...] = (),
     ) -> None:
         lead = log_evidence.shape
@@ -131,7 +133,24 @@ class OnlineStates(OnlineBelief, Immutable):
         self._set(
             step=step, kind=kind, log_evidence=frozen(np.asarray(log_evidence)), status=status
         )
-        self._set(lead=lead, behind=None, _plan=plan, _held=held, _lag=lag, _trail=trail)
+        self._set(lead=lead, behind=None, _steps=steps, _held=held, _trail=trail)
+
+    @property
+    def _plan(self) -> SlicePlan:
+        return self._steps._plan
+
+    @property
+    def _lag(self) -> int | None:
+        """The filter's lag in steps; None without one."""
+        return self._steps.lag
+
+    def _measurement(
+        self, variable: Variable, given: Mapping[Variable, Any]
+    ) -> Table | GaussianMixture:
+        if variable in self._plan.slice:
+            return self[variable]
+        require_parents(self._plan.model, variable, given, self.step)
+        return self._steps.measurement(self, variable, given)
 
     def __getitem__(self, variable: Variable) -> Table:
         """The marginal of a hidden variable at the belief's step, (*lead, size).
@@ -172,9 +191,8 @@ class OnlineStates(OnlineBelief, Immutable):
         values = _Window(self._trail, self._held, self.lead).smoothed()
         found = Held(values, None, linear=True)
         kind = Kind(passed + self.kind.lag)
-        return OnlineStates(
-            self._plan, self.step - passed, kind, found, np.array(self.log_evidence), self._lag
-        )
+        before = self._steps, self.step - passed, kind, found
+        return OnlineStates(*before, np.array(self.log_evidence))
 
     @property
     def _title(self) -> str:

@@ -134,3 +134,39 @@ def test_impossible_runs_have_no_forecasts():
     assert np.isfinite(ahead[0]).all()
     assert np.isfinite(ahead[1, :2]).all()
     assert np.isnan(ahead[1, 2:]).all()
+
+
+@pytest.mark.parametrize("runs", [(), (2,)])
+def test_in_a_robots_loop(runs):
+    """Of each step before its readings are taken, those of the record."""
+    heard = np.broadcast_to([1, 0, 1, -1], (*runs, 4))
+    values = np.broadcast_to([[0.5], [np.nan], [1.0], [np.nan]], (*runs, 4, 1))
+    due = pgm.filter(MODEL, {o: heard, r: values}).predicted
+    robot = pgm.OnlineFilter(MODEL, lag=2)
+    belief = robot.initial()
+    for k in range(4):
+        belief = robot.predict(belief)
+        found, own = belief.predicted, due[r]
+        for one, other in (  # the prior is of one run until evidence is of several
+            (found[o].probabilities, due[o].probabilities[..., k, :]),
+            (found[r].mean, own.mean[..., k, :]),
+            (found[r].cov, own.cov[..., k, :, :]),
+        ):
+            assert_allclose(np.broadcast_to(one, other.shape), other, rtol=1e-12)
+        assert found[s].probabilities.tolist() == belief[s].probabilities.tolist()
+        belief = robot.update(belief, {o: heard[..., k], r: values[..., k, :]})
+    with pytest.raises(pgm.EvidenceError, match="knows measurements of its step"):
+        belief.predicted[o]
+
+
+def test_in_a_loop_with_observed_parents():
+    told = pgm.DynamicBayesianNetwork(
+        [pgm.TableCPD(s, table=FIRST)],
+        [pgm.TableCPD(s, s.previous, table=MOVE[:, 0])],
+        [pgm.TableCPD(o, given=(u, s), table=TOLD)],
+    )
+    belief = pgm.OnlineFilter(told).initial()
+    found = belief.predicted.of(o, given={u: [1, 0]})
+    assert_allclose(found.probabilities, [FIRST @ TOLD[1], FIRST @ TOLD[0]], rtol=1e-12)
+    with pytest.raises(pgm.EvidenceError, match=r"depends on \[u\], which nothing tells"):
+        belief.predicted[o]

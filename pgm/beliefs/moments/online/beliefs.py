@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from copy import copy
-from functools import cached_property
+from functools import cached_property, partial
 from types import MappingProxyType
 from typing import Any, ClassVar, NoReturn, Protocol
 
@@ -30,8 +30,8 @@ import numpy as np
 from pgm.beliefs.moments.digits import certificate, close_points, last_places
 from pgm.beliefs.moments.digits.careful_belief import Belief, over
 from pgm.beliefs.moments.online.judged import Decided
+from pgm.beliefs.moments.online.origin import Origin, Pair
 from pgm.beliefs.moments.online.records import Records
-from pgm.beliefs.moments.online.taken import Pair, Taken
 from pgm.beliefs.moments.online.watch import Watch
 from pgm.beliefs.moments.online.window import Sliding, Trail, is_like
 from pgm.beliefs.moments.steps.gate import Asked
@@ -51,6 +51,7 @@ from pgm.posteriors.belief_kind import FILTERED, PREDICTED, Kind
 from pgm.posteriors.lost import PageTest
 from pgm.posteriors.online_belief import OnlineBelief
 from pgm.posteriors.posterior import require_variable
+from pgm.posteriors.predictions import require_parents
 from pgm.posteriors.rejections import Rejections, RejectionsBySensor
 from pgm.posteriors.status import CLOSE_POINTS, FAR_APART, LAST_PLACE, Status, digits
 from pgm.posteriors.step_innovations import StepInnovations, StepInnovationsBySensor
@@ -68,15 +69,15 @@ class Steps(Protocol):
     `layout` is that of the slices. `only` is the slice's hidden variable, if there is just one and
     machine code for its `marginal`, which is made from a core's bytes; else None. `record` says how
     numbers lie in these: the mean (n,), the covariance (n, n), the log-evidence, and with a watch
-    its numbers. Behind them stand `Records`. `taken` are the filter's steps, which make an update
-    again.
+    its numbers. Behind them stand `Records`. `asks` are the filter's steps, of which a belief asks
+    what it has no numbers of.
     """
 
     layout: SliceLayout
     only: Variable | None
     marginal: Callable[[bytes], Gaussian]
     record: Any
-    taken: Any
+    asks: Any
 
 
 def opened(steps: Steps, numbers: bytes) -> Any:
@@ -110,11 +111,10 @@ class _Later:
         moments = found["mean"], found["cov"], found["total"]
         parts = step, steps.layout, (), *moments, records.status(rest), kind, None, behind
         MomentBelief.__init__(belief, *parts)
+        pair = None
         if kind == FILTERED:
-            before = belief._before
-            belief.__dict__["_taken"] = Taken(
-                steps.taken, lambda: _update(steps, step, before, records.given(rest))
-            )
+            pair = partial(_update, steps, step, belief._before, records, rest)
+        belief.__dict__["_origin"] = Origin(steps.asks, pair)
         if "watch" in steps.record.names:
             belief.__dict__["watch"] = Watch.of(found["watch"])
         belief.__dict__["_gated"] = records.decided(rest) if kind == FILTERED else ()
@@ -125,13 +125,12 @@ class _Later:
 _later: Any = _Later
 
 
-def _update(steps: Steps, step: int, before: bytes, readings: Mapping[Variable, Any]) -> Pair:
-    """The belief before an update in machine code, from its numbers, and the readings."""
+def _update(steps: Steps, step: int, before: bytes, records: Records, rest: Array) -> Pair:
+    """The belief before an update in machine code, and the readings, from the numbers of both."""
     found = opened(steps, before)
     moments = found["mean"], found["cov"], found["total"]
-    return MomentBelief(
-        step, steps.layout, (), *moments, nothing_to_iterate(()), PREDICTED
-    ), readings
+    known = MomentBelief(step, steps.layout, (), *moments, nothing_to_iterate(()), PREDICTED)
+    return known, records.given(rest)
 
 
 class _Kept:
@@ -163,7 +162,7 @@ class MomentBelief(_Kept, OnlineBelief, Immutable):
     careful: The belief in twice the digits, where float64 has too few; else None.
     behind: The steps kept behind it for a lag; None without.
     watch: The state of the test whether it is lost; None without.
-    _taken: The update that it was made by; None of a predicted one.
+    _origin: What made it, and its last update; None of a lagged one.
     """
 
     beliefs: ClassVar[str] = "Gaussian beliefs"
@@ -181,7 +180,7 @@ class MomentBelief(_Kept, OnlineBelief, Immutable):
     associations: Found = NONE
     _gated: tuple[Decided, ...] = _later()
     watch: Watch | None = _later()
-    _taken: Taken | None = _later()
+    _origin: Origin | None = _later()
     _arrays: ClassVar[str] = ".mean and .cov by variable, belief[x].mean"
 
     def __init__(
@@ -213,7 +212,7 @@ class MomentBelief(_Kept, OnlineBelief, Immutable):
         values["behind"] = behind
         values["_gated"] = ()
         values["watch"] = None
-        values["_taken"] = None
+        values["_origin"] = None
         put_steps(self, None)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -294,10 +293,17 @@ class MomentBelief(_Kept, OnlineBelief, Immutable):
 
     @cached_property
     def _innovations(self) -> StepInnovationsBySensor:
-        taken = self._taken
-        if taken is None:
+        origin = self._origin
+        if origin is None or self.kind != FILTERED:
             return StepInnovationsBySensor({})
-        return StepInnovationsBySensor(taken.steps.innovations(self, taken))
+        return StepInnovationsBySensor(origin.steps.innovations(self, origin.pair))
+
+    def _measurement(self, variable: Variable, given: Mapping[Variable, Any]) -> Gaussian:
+        if variable in self.layout.slice:
+            return self[variable]
+        require_parents(self.layout.model, variable, given, self.step)
+        assert self._origin is not None  # as of all that are predicted
+        return self._origin.steps.measurement(self, variable, given)
 
     def plain(self) -> MomentBelief:
         """The same belief without steps behind it, and without what it was made by."""
@@ -306,9 +312,9 @@ class MomentBelief(_Kept, OnlineBelief, Immutable):
         found.__dict__["watch"] = self.watch
         return found
 
-    def took(self, taken: Taken) -> MomentBelief:
-        """The belief itself, which is new, with the update that it was made by."""
-        self.__dict__["_taken"] = taken
+    def of(self, origin: Origin) -> MomentBelief:
+        """The belief itself, which is new, with its origin."""
+        self.__dict__["_origin"] = origin
         return self
 
     @property

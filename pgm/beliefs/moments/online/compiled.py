@@ -109,7 +109,7 @@ class CompiledSteps:
         *,
         wait: int = 0,
     ) -> None:
-        self.layout, self.taken, model = layout, asks, layout.model
+        self.layout, self.asks, model = layout, asks, layout.model
         # With the first machine code of a step the marginal of a single variable gets its own.
         self.only: Variable | None = None
         self.marginal: Callable[[bytes], Gaussian] = _none

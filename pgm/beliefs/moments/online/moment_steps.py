@@ -32,16 +32,18 @@ from pgm.beliefs.moments.online.beliefs import (
 from pgm.beliefs.moments.online.compiled import CompiledSteps
 from pgm.beliefs.moments.online.judged import of_update, of_window
 from pgm.beliefs.moments.online.kind import Questions
+from pgm.beliefs.moments.online.origin import Origin, Pair, kept, opened
 from pgm.beliefs.moments.online.settings import require_settings, require_watch
 from pgm.beliefs.moments.online.slid import slid
 from pgm.beliefs.moments.online.step_layouts import Layouts
-from pgm.beliefs.moments.online.taken import Taken, kept, opened
 from pgm.beliefs.moments.online.watch import Watch
 from pgm.beliefs.moments.online.window import Passed, Sliding, Trail, look_again, trailing
+from pgm.beliefs.moments.outcomes.measurements import Expected, unweighed
 from pgm.beliefs.moments.outcomes.step_innovations import at_last_step
 from pgm.beliefs.moments.passes.forward import Forward
 from pgm.beliefs.moments.steps.chain import MomentChain
 from pgm.beliefs.moments.steps.cost import require_cost
+from pgm.beliefs.moments.steps.diffuse import Diffuse
 from pgm.beliefs.moments.steps.gate import prepare as prepare_gates
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.readings import Moments
@@ -51,6 +53,7 @@ from pgm.cpds import AffineCPD, NonlinearGaussianCPD
 from pgm.display import InCode, titled
 from pgm.errors import ModelError, NumericalError
 from pgm.evidence import BoundEvidence, Sightings
+from pgm.factors import Gaussian
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import deviation
 from pgm.linearisers import TAYLOR, Lineariser
@@ -214,7 +217,7 @@ class MomentSteps(InCode, Immutable):
     @_quiet
     def _initial(self) -> MomentBelief:
         """The prior belief; if the filter watches, it has a new test whether a belief is lost."""
-        found = self._prior()
+        found = self._prior().of(self._own)
         return found if not self.watch else found.judged((), Watch.start(found.lead))
 
     def _prior(self) -> MomentBelief:
@@ -255,7 +258,7 @@ class MomentSteps(InCode, Immutable):
         LinearisationError, NumericalError
             If a linearisation, or the belief, has no finite value.
         """
-        later = self._later(belief, inputs)
+        later = self._later(belief, inputs).of(self._own)
         return later if belief.watch is None else later.judged((), belief.watch.on(belief.step))
 
     def _later(self, belief: MomentBelief, inputs: Mapping[Variable, Any] | None) -> MomentBelief:
@@ -375,7 +378,7 @@ class MomentSteps(InCode, Immutable):
             made = slid(self._windows, belief.step, behind, belief.log_evidence)
             tell_online(made.status.converged, self.schedule)
             made = made.judged(*of_window(belief.watch, behind.settled(self._windows)))
-            return made.took(Taken(self, None))
+            return made.of(self._own)
         if is_plain(belief):
             ordinary = self._updated(belief, readings)
             if ordinary is not None:
@@ -390,12 +393,17 @@ class MomentSteps(InCode, Immutable):
         behind = None if behind is None else behind._replace(imprecise=True)
         made = careful_belief(plan, belief.step, found, log_evidence, status, FILTERED, behind)
         made = made.judged(*of_update(belief.watch, parts, Moments.of(plan, *known.moments)))
-        return made.took(self._update(belief, readings))
+        return made.of(self._update(belief, readings))
 
-    def _update(self, belief: MomentBelief, readings: Mapping[Variable, Any]) -> Taken:
+    def _update(self, belief: MomentBelief, readings: Mapping[Variable, Any]) -> Origin:
         """The record of an update of a belief by readings, from which innovations are found."""
         before, values = belief.plain(), kept(readings)
-        return Taken(self, lambda: (before, opened(values)))
+        return Origin(self, lambda: (before, opened(values)))
+
+    @cached_property
+    def _own(self) -> Origin:
+        """The origin of beliefs of which no update is told."""
+        return Origin(self)
 
     def _updated(
         self, belief: MomentBelief, readings: Mapping[Variable, Any]
@@ -432,11 +440,13 @@ class MomentSteps(InCode, Immutable):
         made = belief_of(plan, belief.step, found, log_evidence, status, FILTERED, belief.behind)
         if chain.gate is not None or belief.watch is not None:
             made = made.judged(*of_update(belief.watch, parts, known))
-        return made.took(self._update(belief, readings))
+        return made.of(self._update(belief, readings))
 
     @_quiet
-    def innovations(self, belief: MomentBelief, taken: Taken) -> dict[Variable, StepInnovations]:
-        """The innovations of an update, `taken`, which led to a belief.
+    def innovations(
+        self, belief: MomentBelief, update: Pair | None
+    ) -> dict[Variable, StepInnovations]:
+        """The innovations of an update, of a belief by readings, which led to `belief`.
 
         The update is made again, at the same numbers. If that leads elsewhere, a function of the
         model has changed, and a ModelError refuses to tell innovations of another update.
@@ -445,7 +455,8 @@ class MomentSteps(InCode, Immutable):
             window = belief.behind.settled(self._windows)
             found = at_last_step(window.plan, window.ahead)
             return {z: StepInnovations(*each) for z, each in found.items()}
-        before, readings = taken.pair
+        assert update is not None
+        before, readings = update
         plan, forward = self._update_again(before, readings)
         if not _is_same(belief, Moments.of(plan, forward.mean[0], forward.cov[0])):
             raise ModelError(
@@ -457,6 +468,27 @@ class MomentSteps(InCode, Immutable):
             variable: StepInnovations(*each, alone=type(readings[variable]) is not Sightings)
             for variable, each in at_last_step(plan, forward).items()
         }
+
+    @_quiet
+    def measurement(
+        self, belief: MomentBelief, variable: Variable, given: Mapping[Variable, Any]
+    ) -> Gaussian:
+        """The belief of a sensor's measurement at the step of a predicted belief.
+
+        `given` has the values of the sensor's observed parents, in rows or constant.
+        """
+        nothing, alone = step_evidence.unread(variable, given)
+        asked = {variable: nothing}
+        plan = self._plan(step_evidence.readings(self.model, belief, asked), belief.step)
+        (sensor,) = plan.sensors
+        mean, cov = (part[None] for part in moments_of(belief, plan).by_run)
+        ahead, first = Diffuse.known(cov), belief.step
+        family = unweighed(sensor, mean, ahead, first=first)
+        found = Expected.of(family, sensor.parents, mean, ahead, first=first)
+        mean, cov = found.mean.swapaxes(0, 1), found.spread.shown.swapaxes(0, 1)
+        lead = plan.lead if alone else (*plan.lead, found.step.size)
+        mean, cov = (part.reshape(*lead, *part.shape[2:]) for part in (mean, cov))
+        return Gaussian._make((variable,), mean, cov)
 
     def _update_again(
         self, before: MomentBelief, readings: Mapping[Variable, Any]

@@ -38,12 +38,16 @@ class Expected(NamedTuple):
     spread: Diffuse
 
     @classmethod
-    def of(cls, family: Family, parents: Index, mean: Array, spread: Diffuse) -> Expected:
+    def of(
+        cls, family: Family, parents: Index, mean: Array, spread: Diffuse, *, first: int = 0
+    ) -> Expected:
         """The beliefs at a family's rows, from those over all slices, `mean` and `spread`.
 
-        `parents` are the places of the CPD's hidden parents in a slice.
+        `parents` are the places of the CPD's hidden parents in a slice; the first slice is that of
+        step `first`.
         """
-        at, own = mean[family.step][..., parents], spread.at(family.step).of(parents)
+        rows = family.step - first
+        at, own = mean[rows][..., parents], spread.at(rows).of(parents)
         value = family.value(slice(None), at)
         return cls(family.step, value, own.measured(family.matrix, family.noise))
 
@@ -149,20 +153,23 @@ def _of_sightings(sensor: Sensor, mean: Array, spread: Diffuse, *, anew: bool) -
     return found._replace(mean=_on_branch(sensor, found.mean))
 
 
-def unweighed(sensor: Sensor, mean: Array, spread: Diffuse) -> Family:
+def unweighed(sensor: Sensor, mean: Array, spread: Diffuse, *, first: int = 0) -> Family:
     """A sensor's family with the covariance of its CPD's noise, linearised at beliefs over slices.
 
-    No weight of robust noise is in it.
+    No weight of robust noise is in it. The first slice is that of step `first`.
     """
     family = sensor.family.unweighed()
-    _linearise(family, sensor.parents, mean, spread)
+    _linearise(family, sensor.parents, mean, spread, first)
     return family
 
 
-def _linearise(family: Family, parents: Index, mean: Array, spread: Diffuse) -> None:
+def _linearise(
+    family: Family, parents: Index, mean: Array, spread: Diffuse, first: int = 0
+) -> None:
     """Linearise a CPD at all rows, unless it is affine, at the beliefs over their slices."""
     if not family.exact:
-        at, own = mean[family.step][..., parents], spread.at(family.step).of(parents)
+        rows = family.step - first
+        at, own = mean[rows][..., parents], spread.at(rows).of(parents)
         family.linearise(slice(None), at, own.shown)
 
 

@@ -1,4 +1,4 @@
-"""The last update of a belief of an online filter: where it began, and what it took in.
+"""Where a belief of an online filter comes from: whose it is, and what its last update took in.
 
 From these the innovations are found when they are asked for, by making the update again. What was
 taken in is copied, since the user's arrays may change.
@@ -23,24 +23,22 @@ if TYPE_CHECKING:
 Pair = tuple["MomentBelief", Mapping[Variable, Any]]
 
 
-class Taken:
-    """An update by a filter's `steps`, of which `pair` makes the belief before, and the readings.
+class Origin:
+    """The filter's `steps` that made a belief, and the belief and readings of its last update.
 
-    It is None where a sliding window has both.
+    `pair` makes these two. It is None of a prediction, and where a sliding window has both.
     """
 
-    def __init__(self, steps: MomentSteps, pair: Callable[[], Pair] | None) -> None:
+    def __init__(self, steps: MomentSteps, pair: Callable[[], Pair] | None = None) -> None:
         self.steps, self._pair = steps, pair
 
     @cached_property
-    def pair(self) -> Pair:
-        """The belief before the update, and its readings."""
-        assert self._pair is not None
-        return self._pair()
+    def pair(self) -> Pair | None:
+        """The belief before the update, and its readings; None as of `Origin`."""
+        return None if self._pair is None else self._pair()
 
     def __getstate__(self) -> dict[str, Any]:
-        pair = {} if self._pair is None else {"pair": self.pair}
-        return {"steps": self.steps, "_pair": None} | pair
+        return {"steps": self.steps, "pair": self.pair}
 
 
 def kept(values: Mapping[Variable, Any]) -> dict[Variable, Any]:
