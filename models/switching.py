@@ -32,24 +32,6 @@ push = pgm.Variable("push", components=("east", "north"))
 range_to = pgm.Variable("range")
 
 
-def known_turn(dt: float, rate: float) -> Array:
-    """The transition matrix of a turn at a known rate ω [rad/s], anticlockwise, (4, 4).
-
-    At ω = 0 it is that of constant velocity.
-
-    Notes
-    -----
-    Bar-Shalom, Li and Kirubarajan (2001), section 11.7.
-    """
-    turned = rate * dt
-    along = np.sinc(turned / np.pi) * dt
-    across = 0.5 * turned * np.sinc(0.5 * turned / np.pi) ** 2 * dt
-    cos, sin = np.cos(turned), np.sin(turned)
-    return np.array(
-        [[1, 0, along, -across], [0, 1, across, along], [0, 0, cos, -sin], [0, 0, sin, cos]]
-    )
-
-
 def manoeuvring(
     dt: float = 1.0, rate: float = 0.12, densities: Mapping[str, float] | None = None
 ) -> pgm.DynamicBayesianNetwork:
@@ -85,7 +67,7 @@ def manoeuvring(
                 cases={
                     name: pgm.LinearGaussianCPD(
                         target,
-                        given={target.previous: known_turn(dt, turn)},
+                        given={target.previous: tracking.known_turn(dt, turn)},
                         cov=tracking.white_acceleration(dt, noise[name]),
                     )
                     for name, turn in rates.items()

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 import pgm
-from models import switching, tracking
+from models import tracking
 from models.networks import fix, target
 
 Array = npt.NDArray[np.float64]
@@ -63,7 +63,7 @@ class Manoeuvres:
 def draw(modes: int, steps: int, runs: int = 1, seed: int = 0) -> Manoeuvres:
     """A target whose modes turn at rates from −`FASTEST` to `FASTEST`, evenly apart."""
     rates = np.linspace(-FASTEST, FASTEST, modes)
-    motions = np.stack([switching.known_turn(1.0, rate) for rate in rates])
+    motions = np.stack([tracking.known_turn(1.0, rate) for rate in rates])
     noises = np.stack([tracking.white_acceleration(1.0, 0.01 + abs(rate)) for rate in rates])
     table = np.full((modes, modes), (1.0 - STAY) / (modes - 1))
     np.fill_diagonal(table, STAY)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 
 import pgm
 from models import tracking
@@ -13,7 +14,7 @@ from models.networks.variables import fix, target, turning_target
 
 
 def constant_velocity(
-    dt: float,
+    dt: npt.ArrayLike,
     *,
     start: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
     start_std: Sequence[float] = (1.0, 1.0, 1.0, 1.0),
@@ -24,8 +25,8 @@ def constant_velocity(
 
     Parameters
     ----------
-    dt : float
-        Seconds a step.
+    dt : float or array, shape (T,)
+        Seconds a step, of each of T steps where they differ.
     start, start_std : sequence of float
         Mean and standard deviations of the first state [m, m, m/s, m/s].
     acceleration_density : float
@@ -35,7 +36,8 @@ def constant_velocity(
 
     Notes
     -----
-    Without controls the number of steps is not told by evidence of sightings: say ``steps=``.
+    Without controls the number of steps is not told by evidence of sightings: say ``steps=``, or
+    give durations, which tell it.
     """
     return pgm.DynamicBayesianNetwork(
         prior=[pgm.GaussianCPD(target, mean=start, cov=diagonal(start_std))],

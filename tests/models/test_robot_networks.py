@@ -150,6 +150,16 @@ def test_constant_velocity_reaches_its_steady_state():
     assert_allclose(belief.cov[-1], steady, rtol=1e-8, atol=1e-12)
 
 
+def test_durations_by_step_equal_those_of_a_clock():
+    rng = np.random.default_rng(5)
+    dt, fixes = rng.uniform(0.1, 3.0, 9), rng.normal(size=(9, 2))
+    timed = pgm.smooth(n.constant_velocity(dt), {n.fix: fixes})
+    clocked = pgm.smooth(n.uneven_constant_velocity(), {n.fix: fixes, n.clock: dt[:, None]})
+    assert_allclose(timed[n.target].mean, clocked[n.target].mean, atol=1e-11)
+    assert_allclose(timed[n.target].cov, clocked[n.target].cov, atol=1e-11)
+    assert timed.log_evidence == pytest.approx(float(clocked.log_evidence), abs=1e-11)
+
+
 @pytest.mark.parametrize("density", [0.0, 0.1])
 def test_constant_velocity_is_consistent(density):
     """300 runs: mean NEES inside the 99 % band at the end, exact motion included."""

@@ -13,9 +13,9 @@ def test_a_known_turn_is_the_exponential_of_its_motion(rate):
     generator = np.zeros((4, 4))
     generator[0, 2] = generator[1, 3] = 1.0
     generator[2, 3], generator[3, 2] = -rate, rate
-    assert_allclose(switching.known_turn(0.7, rate), expm(0.7 * generator), atol=1e-14)
+    assert_allclose(tracking.known_turn(0.7, rate), expm(0.7 * generator), atol=1e-14)
     if not rate:
-        assert_array_equal(switching.known_turn(0.7, 0.0), tracking.constant_velocity(0.7))
+        assert_array_equal(tracking.known_turn(0.7, 0.0), tracking.constant_velocity(0.7))
 
 
 def test_two_blips_a_step_of_both_targets():
