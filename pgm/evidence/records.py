@@ -55,7 +55,7 @@ def records(
         since a column with NaN is. Not observed in this record is None, NaN, pandas' NA, a masked
         cell, −1, or an empty text that is no state's name. Categorical columns are the quickest.
         Cells of a continuous variable are numbers, (records,) of a scalar, (records, d) of a
-        vector; NaN is a component not observed, of a variable on which no other depends.
+        vector; NaN, None or pandas' NA is a component not observed in this record.
     network : BayesianNetwork, MarkovNetwork or iterable of Variable
         Whose variables the columns are; a copy at a step is written like ``x[3]``.
     columns : iterable of str, optional

@@ -15,7 +15,6 @@ from pgm.evidence.rows import (
     as_log_weights,
     as_rows,
     no_evidence_for,
-    require_finite,
     taken_readings,
 )
 from pgm.evidence.values import Constant, Evidence, Sightings, Soft
@@ -26,6 +25,10 @@ from pgm.kernels.arrays import Array, Integers, Mask, frozen, is_finite
 from pgm.variables import Discrete, Variable
 
 NOT_OBSERVED = "leave a variable that was not observed out of the evidence, in all runs alike"
+
+
+class Incomplete(EvidenceError):
+    """Evidence with gaps where the same variables are to be observed in all runs of a call."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +84,7 @@ def bind_values(
     """Check the evidence of a continuous network without time.
 
     evidence: (..., d); leading axes are runs. NaN is a component that was not observed, of a
-        variable on which no other depends: it integrates out.
+        variable on which no other depends: it integrates out. Of others it is `Incomplete`.
     lead: Leading axes that the runs have at least.
     needed: Variables that must have evidence: inputs, and what the noise of a CPD depends on.
     roles: The roles of variables in the CPDs, where they are known already.
@@ -91,6 +94,7 @@ def bind_values(
     arrays: dict[Variable, Array] = {}
     masks: dict[Variable, Mask] = {}
     complete = complete_rows(evidence)
+    incomplete: Variable | None = None
     for variable, value in evidence.items():
         if variable not in known:
             raise no_evidence_for(variable, known)
@@ -108,16 +112,19 @@ def bind_values(
             if taken is not None:
                 masks[variable] = taken[..., 0, :]
                 row = np.where(masks[variable], row, 0.0)
-        else:
-            advice = NOT_OBSERVED
-            if variable in dependent:
-                advice = f"{dependent[variable]!r} depends on it; {NOT_OBSERVED}"
-            require_finite(variable, row[..., None, :], advice=advice)
+        elif taken_readings(variable, row[..., None, :]) is not None:
+            incomplete = variable if incomplete is None else incomplete
         arrays[variable] = row
     for variable in needed:
         if variable not in arrays and variable not in complete:
             _refuse_missing(variable, cpds)
     shape = common_runs([*((v, a.shape[:-1]) for v, a in arrays.items()), ("the model", lead)])
+    if incomplete is not None:
+        why = f"{dependent[incomplete]!r} depends on it; " if incomplete in dependent else ""
+        raise Incomplete(
+            f"evidence for {incomplete!r} has entries that are NaN or masked; {why}{NOT_OBSERVED}",
+            variable=incomplete,
+        )
     return BoundValues(
         shape,
         complete | {v: flat(a, shape, 1) for v, a in arrays.items()},

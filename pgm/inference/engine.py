@@ -16,6 +16,7 @@ from pgm.compile import DynamicGraph
 from pgm.display import titled
 from pgm.errors import EvidenceError, GraphError, ModelError
 from pgm.evidence import Evidence
+from pgm.inference import gaps
 from pgm.inference.families import answered, family_of
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.posteriors.outcome import B
@@ -65,8 +66,9 @@ def infer(
         For a dynamic network arrays (..., T, d), `constant` or `sightings`, by variable. For
         others values (..., d) of continuous variables; of discrete ones the name or index of a
         state, an array of indices with −1 for "not observed in this run", or `soft` weights.
-        Leading axes are runs. NaN is a component that was not observed, of a sensor's measurement
-        or of a variable on which no other depends. `records` makes such a mapping of a table.
+        Leading axes are runs. NaN is a component that was not observed: of a sensor's measurement
+        over time, else of any variable but an input, which then has a belief, and in runs that
+        observe it its value with covariance zero. `records` makes such a mapping of a table.
     schedule : Schedule, optional
         `Filtering`, `FixedLag` or `Smoothing` for a dynamic network, `Smoothing()` if not given;
         `Calibration()` for a tree; `Flooding`, `Sequential` or `Residual`, which a graph with loops
@@ -199,7 +201,7 @@ def send(
     if asked and schedule is not None:
         require(asked, graph, Scheduled(schedule))
     with reporting(progress):
-        return Posterior(family.infer_static(graph, evidence, call))
+        return Posterior(*gaps.run(family, graph, evidence, call))
 
 
 def _require_static(graph: ClusterGraph, schedule: Schedule | None) -> None:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from pgm.factors import CanonicalForm, Table
     from pgm.posteriors.associations import Found
     from pgm.posteriors.belief_kind import Kind
+    from pgm.posteriors.entered import Entered
     from pgm.posteriors.innovations import Innovations
     from pgm.posteriors.lost import Lost
     from pgm.posteriors.outcome import OverTime
@@ -102,6 +103,7 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
     """
 
     _outcome: Outcome[B]
+    _entered: Entered | None = None
 
     _arrays: ClassVar[str] = ".mean and .cov by variable, posterior[x].mean"
 
@@ -156,7 +158,17 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
         ModelError
             If it stands after the last step of a grid or particles.
         """
-        return self._outcome[variable]
+        return self._about((variable,))[variable]
+
+    def _about(self, variables: Iterable[object]) -> Outcome[B]:
+        """The outcome that has beliefs of some variables: of all patterns of gaps where it has to.
+
+        Of a network without time whose evidence has gaps that the schedule's outcome leaves out.
+        """
+        entered = self._entered
+        if entered is not None and any(map(entered.leaves_out, variables)):
+            return entered.by_pattern
+        return self._outcome
 
     def means(self, variables: Iterable[Variable]) -> Array:
         """The means of several variables, stacked.
@@ -184,11 +196,13 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
         >>> posterior.means([a, b]).shape, posterior.covs([a, b]).shape
         ((2, 1), (2, 1, 1))
         """
-        return self._outcome._stacked(alike(variables))[0]
+        found = alike(variables)
+        return self._about(found)._stacked(found)[0]
 
     def covs(self, variables: Iterable[Variable]) -> Array:
         """The covariances of several variables, each by itself: (*runs, k, d, d); see `means`."""
-        return self._outcome._stacked(alike(variables))[1]
+        found = alike(variables)
+        return self._about(found)._stacked(found)[1]
 
     def stds(self, variables: Iterable[Variable]) -> Array:
         """The standard deviations of several variables: (*runs, k, d); see `means`."""
@@ -236,7 +250,7 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
                 "column of a frame has one unit",
                 variable=odd,
             )
-        mean, cov = self._outcome._stacked(found)
+        mean, cov = self._about(found)._stacked(found)
         steps = getattr(self[found[0]], "steps", None)
         lead = mean.shape[:-2]
         levels: list[Any] = [*map(range, lead), [repr(v) for v in found]]
@@ -276,7 +290,7 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
         NumericalError
             If windows of an iterated fixed lag were solved in twice the digits.
         """
-        found: B = self._ask("joint")(*variables)
+        found: B = self._ask("joint", self._about(variables))(*variables)
         return found
 
     @public
@@ -334,7 +348,9 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
         Probabilistic Graphical Models, 2009, section 12.1.
         """
         shape = as_lengths(size, "of each run")
-        found = self._ask("sample")(math.prod(shape), as_generator(rng))
+        left_out = self._entered is not None and self._entered.left_out
+        outcome = self._entered.by_pattern if self._entered and left_out else self._outcome
+        found = self._ask("sample", outcome)(math.prod(shape), as_generator(rng))
         return {v: values.reshape((*shape, *values.shape[1:])) for v, values in found.items()}
 
     def message(self, source: int | Cluster, target: int | Cluster) -> CanonicalForm | Table:
@@ -543,14 +559,15 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
         more = (n for n in dir(self._outcome) if not n.startswith("_") and n not in _INSIDE)
         return sorted({*super().__dir__(), *more})
 
-    def _ask(self, question: str) -> Any:
+    def _ask(self, question: str, outcome: Outcome[B] | None = None) -> Any:
         """The outcome's answer to one of `QUESTIONS`, or its refusal."""
-        if not hasattr(type(self._outcome), question) and question not in vars(self._outcome):
-            raise self._outcome.refusal(question)
-        return getattr(self._outcome, question)
+        outcome = self._outcome if outcome is None else outcome
+        if not hasattr(type(outcome), question) and question not in vars(outcome):
+            raise outcome.refusal(question)
+        return getattr(outcome, question)
 
     def _moments(self, variable: Variable) -> Any:
-        return self._outcome._moments(variable)
+        return self._about((variable,))._moments(variable)
 
     @property
     def _hidden(self) -> Scope:

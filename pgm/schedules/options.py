@@ -31,6 +31,7 @@ class Call(NamedTuple):
 
     schedule: None for the graph's own.
     compiled: Whether machine code was asked for when the graph was compiled; None if it was not.
+    tells: Whether few digits are told of by a warning; a part of the runs leaves that to the whole.
     """
 
     schedule: Schedule | None = None
@@ -41,6 +42,7 @@ class Call(NamedTuple):
     memory: float | None = None
     impossible: str = RAISE
     compiled: Any = None
+    tells: bool = True
 
     def asked(self, graph: Any) -> dict[str, Any]:
         """The options that are not left at their defaults, those of the schedule among them.

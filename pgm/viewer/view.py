@@ -17,13 +17,14 @@ from pgm.compile import DynamicGraph
 from pgm.display import Shown
 from pgm.errors import GraphError
 from pgm.inference import GrowingMap, Posterior
-from pgm.posteriors.outcome import CHAIN, MARGINALS, MIXTURES, SLICES, SWITCHING
+from pgm.posteriors.outcome import BY_PATTERN, CHAIN, MARGINALS, MIXTURES, SLICES, SWITCHING
 from pgm.viewer import chain, graph, growing
 from pgm.viewer.numbers import CELL, FILE, Limits, Numbers, Run, chosen_runs, chosen_steps
 from pgm.viewer.scripts import script
 
 # The forms of beliefs that a page shows step by step, and not cluster by cluster.
 _OVER_TIME = (CHAIN, SLICES, MARGINALS, SWITCHING)
+_NO_CLUSTERS = (MIXTURES, BY_PATTERN)
 
 
 @public
@@ -83,7 +84,7 @@ def view(
 @public
 def html(posterior: Posterior[Any] | GrowingMap) -> str:
     """The page of a posterior or map in a frame, for notebooks: small, and cut where it says so."""
-    if isinstance(posterior, Posterior) and posterior._outcome.form == MIXTURES:
+    if isinstance(posterior, Posterior) and posterior._outcome.form in _NO_CLUSTERS:
         return Shown._repr_html_(posterior)
     whole = assembled(*_content(posterior, None, None, CELL))
     return (
@@ -108,6 +109,12 @@ def _content(
         raise GraphError(
             f"view shows beliefs of clusters, and {posterior._title} has mixtures over the "
             "configurations of its discrete variables: print it, or plot its beliefs"
+        )
+    if outcome.form == BY_PATTERN:
+        raise GraphError(
+            f"view shows beliefs of clusters, which are over other variables in runs with other "
+            f"gaps, and {posterior._title} has several patterns of these: give runs of one to a "
+            "call, print it, or plot its beliefs"
         )
     lead = np.asarray(posterior.log_evidence).shape
     runs, few = chosen_runs(run, lead, limits)

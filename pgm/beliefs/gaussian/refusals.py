@@ -11,7 +11,7 @@ from pgm.beliefs.gaussian.model import Model
 from pgm.cpds import CPD
 from pgm.errors import NumericalError
 from pgm.factors.scope import components, names
-from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.rows import NEGLIGIBLE
 
 # Components up to which an open direction is looked for, and the most that are shown of one.
@@ -19,9 +19,12 @@ MOST, SHOWN = 1500, 6
 
 
 class Contradiction(NumericalError):
-    """Measurements that contradict CPDs without noise, in the runs `lost`, as far as was found."""
+    """Measurements that contradict CPDs without noise.
 
-    lost: Integers
+    `lost`, (runs,), marks the runs where that was found; others may contradict them elsewhere.
+    """
+
+    lost: Mask
 
 
 def contradiction(model: Model, cluster: int, runs: Sequence[Integers]) -> Contradiction:
@@ -31,9 +34,9 @@ def contradiction(model: Model, cluster: int, runs: Sequence[Integers]) -> Contr
     runs that differ in their matrices and once by that of those that share them, zero in the other.
     Without axes of runs none is named.
     """
-    lost = np.unique(np.maximum(*runs))
-    found = _contradiction(model, cluster, int(lost[0]))
-    found.lost = lost
+    numbers = np.unique(np.maximum(*runs))
+    found = _contradiction(model, cluster, int(numbers[0]))
+    found.lost = np.isin(np.arange(model.runs), numbers)
     return found
 
 
@@ -47,6 +50,7 @@ def _contradiction(model: Model, cluster: int, run: int) -> Contradiction:
         "CPDs without noise determine a value in two ways that differ; give one of them, or "
         "the prior, some noise",
         cluster=cluster,
+        run=run if model.lead else None,
     )
 
 

@@ -20,6 +20,7 @@ class Mixed(BeliefFamily[Any]):
     takes: ClassVar[frozenset[str]] = frozenset({"lineariser", "start", "iterations", "damping"})
     beliefs: ClassVar[str] = "mixtures of a mixed network"
     spare: ClassVar[str] = "is not for networks of discrete and continuous variables"
+    by_pattern: ClassVar[bool] = True
 
     def infer_static(self, graph: ClusterGraph, evidence: Evidence, call: Call) -> Outcome[Any]:
         """The tables and mixtures of a network without time."""

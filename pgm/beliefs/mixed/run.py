@@ -89,7 +89,8 @@ def _inferred(graph: ClusterGraph, split: Split, evidence: Evidence, call: Call)
         split.lost,
     )
     _require_near(outcome, found)
-    outcome.status._warn()
+    if call.tells:
+        outcome.status._warn()
     return outcome
 
 

@@ -19,7 +19,6 @@ from pgm.beliefs.discrete.run import run as run_tables
 from pgm.beliefs.mixed.parts import Part
 from pgm.clustergraph import ClusterGraph
 from pgm.compile.methods import JunctionTree
-from pgm.errors import EvidenceError
 from pgm.evidence.rows import as_log_weights
 from pgm.evidence.values import Soft, soft
 from pgm.factors import Table
@@ -102,7 +101,7 @@ class Tabled:
         try:
             found = run_tables(self.graph, known, None)
         except ImpossibleEvidence as error:
-            raise _impossible(error, bool(self.lead)) from None
+            raise _impossible(error, self.lead) from None
         return found, total + np.ravel(found.log_evidence)
 
     def levelled(self) -> Tabled:
@@ -123,10 +122,11 @@ def _name(name: str, taken: set[str]) -> str:
     return name
 
 
-def _impossible(error: ImpossibleEvidence, several: bool) -> EvidenceError:
-    where = f", in run {error.run}" if several else ""
-    return EvidenceError(
+def _impossible(error: ImpossibleEvidence, lead: tuple[int, ...]) -> ImpossibleEvidence:
+    where = f", in run {error.run}" if lead else ""
+    return ImpossibleEvidence(
         f"the evidence has probability zero{where}: each configuration of the discrete variables "
         "is impossible by the tables, or contradicted by what continuous variables are known to be",
-        run=error.run,
+        error.lost,
+        lead,
     )

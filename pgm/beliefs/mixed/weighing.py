@@ -122,14 +122,13 @@ def weighed(part: Part, configurations: Integers, asked: Asked) -> Weighed:
         return Weighed(part, configurations, log, _certain(part, cases, asked, log), ())
     log = np.full((len(configurations), asked.runs), -np.inf)
     beliefs: list[tuple[Integers, Integers, GaussianOutcome]] = []
-    refused: Contradiction | None = None
     waiting = [(which, np.arange(asked.runs)) for which in cases.alike(asked.runs)]
     while waiting:
         which, runs = waiting.pop()
         try:
             found = _solved(cases, which, runs, asked)
         except Contradiction as error:
-            refused, left = error, np.delete(runs, error.lost)
+            left = runs[~np.broadcast_to(error.lost, runs.shape)]
             assert which.size == 1  # as are all beside CPDs without noise
             if left.size:
                 waiting.append((which, left))
@@ -140,8 +139,7 @@ def weighed(part: Part, configurations: Integers, asked: Asked) -> Weighed:
         value = np.broadcast_to(found.log_evidence.ravel(), (math.prod(shape),))
         log[np.ix_(which, runs)] = value.reshape(shape)
         beliefs.append((which, runs, found))
-    if refused is not None and not np.isfinite(log).any(axis=0).all():
-        raise refused  # whatever the discrete variables are
+    _require_possible(part, log, asked)
     return Weighed(part, configurations, log, _certain(part, cases, asked, log), beliefs)
 
 
@@ -156,15 +154,27 @@ def _likelihoods(cases: Cases, asked: Asked) -> Array:
     for cpd in cases.cpds(np.zeros(1, dtype=np.intp), asked.lead, switched=False):
         known = {v: states[v] if v in states else asked.values[v] for v in cpd.parents}
         log += cpd.log_density(asked.values[cpd.child], known)
-    impossible = ~np.isfinite(log).any(axis=0)
-    if impossible.any():
-        which = f" in run {int(impossible.argmax())}" if asked.lead else ""
-        raise Contradiction(
-            f"evidence contradicts an exact model: {list(part.cpds)} determine a value that is not "
-            f"the evidence's{which}, whatever the discrete variables are; give one of them some "
-            "noise"
-        )
+    _require_possible(part, log, asked)
     return log
+
+
+def _require_possible(part: Part, log: Array, asked: Asked) -> None:
+    """Refuse evidence that contradicts each configuration of a part, in some runs.
+
+    `log` (configurations, runs) are the log-densities of the evidence.
+    """
+    lost = ~np.asarray(np.isfinite(log).any(axis=0))
+    if not lost.any():
+        return
+    run = int(lost.argmax())
+    error = Contradiction(
+        f"evidence contradicts an exact model: {list(part.cpds)} determine a value that is not "
+        f"the evidence's{f' in run {run}' if asked.lead else ''}, whatever the discrete variables "
+        "are; give one of them some noise",
+        run=run if asked.lead else None,
+    )
+    error.lost = lost
+    raise error
 
 
 def _solved(cases: Cases, which: Integers, runs: Integers, asked: Asked) -> GaussianOutcome:

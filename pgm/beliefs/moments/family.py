@@ -32,6 +32,7 @@ class Moments(BeliefFamily[Gaussian]):
     )
     beliefs: ClassVar[str] = "Gaussian beliefs"
     spare: ClassVar[str] = "is not for Gaussian beliefs"
+    by_pattern: ClassVar[bool] = True
 
     # The moments of all slices, or of the variables to keep.
     infer = staticmethod(run)
@@ -48,7 +49,8 @@ class Moments(BeliefFamily[Gaussian]):
         self, graph: ClusterGraph, evidence: Evidence, call: Call
     ) -> Outcome[Gaussian]:
         """The moments of a network without time."""
-        return gaussian.run_factors(graph, evidence, call.schedule, call.lineariser, call.start)
+        options = call.schedule, call.lineariser, call.start
+        return gaussian.run_factors(graph, evidence, *options, warn=call.tells)
 
     def online(self, model: DynamicBayesianNetwork, options: dict[str, Any]) -> MomentSteps:
         """The steps of a Kalman filter, in machine code where that was asked for."""

@@ -83,6 +83,8 @@ class BeliefFamily(ByAttributes, Generic[B]):
     takes: ClassVar[frozenset[str]] = frozenset()
     spare: ClassVar[str] = "is for beliefs that are Gaussian, and not for a family of your own"
     more: ClassVar[Mapping[str, str]] = {}
+    # Whether networks without time are solved by pattern of gaps where runs differ in these.
+    by_pattern: ClassVar[bool] = False
 
     def __init_subclass__(cls, **settings: Any) -> None:
         super().__init_subclass__(**settings)

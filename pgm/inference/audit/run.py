@@ -18,6 +18,7 @@ from pgm.inference.audit.switching import SwitchingDraws
 from pgm.inference.audit.tree import TreeDraws
 from pgm.posteriors.outcome import (
     BALANCED,
+    BY_PATTERN,
     CHAIN,
     MIXTURES,
     NETWORK,
@@ -174,6 +175,11 @@ def _advice(posterior: Any) -> str:
         return f"{posterior._title} is of a discrete network; of a tree its log-evidence is exact"
     if isinstance(posterior, Posterior) and posterior._outcome.form == MIXTURES:
         return f"{posterior._title} is of a mixed network, which no audit draws from"
+    if isinstance(posterior, Posterior) and posterior._outcome.form == BY_PATTERN:
+        return (
+            f"{posterior._title} is of runs with different gaps; an audit draws from one network: "
+            "give runs of one pattern of gaps to a call"
+        )
     if isinstance(posterior, Posterior) and posterior.log_evidence_kind in ("modes", "draws"):
         return (
             f"{posterior._title} has several modes, which no audit draws from: draws= of "

@@ -54,7 +54,6 @@ EVIDENCE = [
     evidence_row(
         "weights of states", {a: pgm.soft([0.5, 0.5])}, "a", "discrete variables", variable=a
     ),
-    evidence_row("nothing", {a: None}, "a", variable=a),
     evidence_row("complex", {a: 1j}, "a", "numbers", variable=a),
     evidence_row("ragged", {p: [[1.0], [1.0, 2.0]]}, "p", "numbers", variable=p),
     evidence_row("a number for a vector", {p: 1.0}, "p", "()", "(..., 2)", variable=p),
@@ -62,11 +61,8 @@ EVIDENCE = [
         "three for two", {p: [1.0, 2.0, 3.0]}, "p", "(3,)", "('east', 'north')", variable=p
     ),
     evidence_row("runs of a scalar", {a: [1.0, 2.0]}, "a", "(2,)", "value[..., None]", variable=a),
-    evidence_row("NaN", {b: np.nan}, "b", "NaN", "c depends on it", variable=b),
-    evidence_row("NaN in a run", {b: [[np.nan], [0]]}, "b", "in all runs alike", variable=b),
     evidence_row("infinity", {a: np.inf}, "a", "infinite", variable=a),
     evidence_row("infinity in a part", {p: [np.nan, np.inf]}, "p", "infinite", variable=p),
-    evidence_row("a constant of NaN", {a: pgm.constant(np.nan)}, "a", "NaN", variable=a),
     evidence_row(
         "sightings", {a: pgm.sightings([[1.0]], step=[0])}, "a", "dynamic networks", variable=a
     ),

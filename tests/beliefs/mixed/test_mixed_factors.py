@@ -200,10 +200,9 @@ def test_a_state_that_leaves_a_direction_open():
     loose = pgm.CanonicalForm(X, [[0.0]], [0.0], 2.0)
     assert_allclose(inferred([PAIR, loose], {X: 3.0}).log_evidence, np.log(7.0) + 2.0)
     for factors in ([PAIR, loose], [pgm.GaussianCPD(Y, 0.0, 1.0), loose]):
-        with pytest.raises(pgm.EvidenceError, match=r"CanonicalForm\(x\) depends on it"):
-            inferred(factors, {X: np.nan})
-        with pytest.raises(pgm.NumericalError, match="the direction 1 x open"):
-            inferred(factors, {})
+        for nothing in ({}, {X: np.nan}):
+            with pytest.raises(pgm.NumericalError, match="the direction 1 x open"):
+                inferred(factors, nothing)
 
 
 def test_robust_residuals_weigh_states():
