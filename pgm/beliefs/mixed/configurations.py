@@ -157,3 +157,12 @@ def _is_exact(case: CPD) -> bool:
     if not np.isfinite(case.cov).all():  # a flat prior
         return False
     return bool(roots.determined(roots.root(case.cov)).any())
+
+
+def is_noisy(case: CPD) -> bool:
+    """Whether a Gaussian CPD has noise in all directions, of finite variance."""
+    if not isinstance(case, ConditionalGaussian):
+        return False
+    if isinstance(case.cov, Noise):  # of which one that is zero somewhere is refused
+        return True
+    return bool(np.isfinite(case.cov).all()) and not _is_exact(case)

@@ -26,6 +26,7 @@ from pgm.evidence.values import Soft, soft
 from pgm.factors.arrays import common_runs, flat
 from pgm.factors.axes import sizes
 from pgm.kernels.arrays import Array, Mask
+from pgm.schedules.impossible import ImpossibleEvidence
 from pgm.schedules.options import Call
 from pgm.schedules.starting_points import Start, require_hidden
 from pgm.variables import Discrete, Variable
@@ -56,7 +57,10 @@ def _inferred(graph: ClusterGraph, split: Split, evidence: Evidence, call: Call)
     fixed: dict[Variable, int] = {
         v: state for v, state in states.states.items() if isinstance(state, int)
     }
-    tables = run_tables(split.graph, {**_in_some_run(states), **fixed}, None)
+    try:
+        tables = run_tables(split.graph, {**_in_some_run(states), **fixed}, None)
+    except ImpossibleEvidence:  # in all runs: the first is told below
+        tables = run_tables(split.graph, fixed, None)
     # What was measured nowhere is as barren as what was not observed.
     values = _with_gaps(bound)
     told = {v for v, value in values.items() if not np.isnan(value).all()}

@@ -17,7 +17,7 @@ import numpy as np
 from pgm.beliefs.gaussian.outcome import GaussianOutcome
 from pgm.beliefs.gaussian.refusals import Contradiction
 from pgm.beliefs.gaussian.run import run
-from pgm.beliefs.mixed.configurations import Cases
+from pgm.beliefs.mixed.configurations import Cases, is_noisy
 from pgm.beliefs.mixed.parts import Part
 from pgm.compile.methods import JunctionTree
 from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, Noise
@@ -301,12 +301,17 @@ def _spread(cpds: Sequence[CPD], seen: Sequence[Variable]) -> Array:
     """Rows A of some variables over the sources of noise, of the rank of their covariance."""
     blocks: dict[Variable, Array] = {}
     width, column = sum(cpd.child.dimension for cpd in cpds), 0
+    parents = {v for cpd in cpds for v in cpd.parents}
     for cpd in cpds:
+        if cpd.child not in parents and is_noisy(cpd):  # by noise that no other variable has
+            blocks[cpd.child] = np.eye(cpd.child.dimension, width, column)
+            column += cpd.child.dimension
+            continue
         if not isinstance(cpd, AffineCPD) or not isinstance(cpd.cov, np.ndarray):
             raise NumericalError(
                 f"{cpd!r} stands beside CPDs without noise, among which discrete variables choose; "
-                "how a value that is certain weighs against a density is known where all are "
-                "linear: give each some noise",
+                "how a value that is certain weighs against a density is known where all on which "
+                "others depend are linear: give each some noise",
                 variable=cpd.child,
             )
         size = cpd.child.dimension
