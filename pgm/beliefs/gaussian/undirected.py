@@ -39,7 +39,7 @@ from pgm.cpds.plates import plate
 from pgm.cpds.residual import NonlinearGaussianFactor
 from pgm.errors import ModelError
 from pgm.factors import CanonicalForm
-from pgm.factors.scope import names
+from pgm.factors.scope import dimension, names
 from pgm.kernels import canonical
 from pgm.kernels.arrays import LOG_2PI, Array
 from pgm.networks import BayesianNetwork, checks
@@ -109,9 +109,9 @@ class Directed:
     levels: Array
 
 
-def flat_level(variable: Variable) -> float:
-    """The level of a variable's flat prior."""
-    return 0.5 * LOG_2PI * variable.dimension
+def flat_level(variables: Iterable[Variable]) -> float:
+    """The level of the flat priors of some variables."""
+    return 0.5 * LOG_2PI * dimension(variables)
 
 
 def directed(graph: ClusterGraph) -> Directed:
@@ -132,7 +132,7 @@ def directed(graph: ClusterGraph) -> Directed:
         for variable in made.flat:
             home = homes[network._places[variable]]
             children[home].append(variable)
-            levels[home] += flat_level(variable)
+            levels[home] += flat_level((variable,))
         return Directed(_widened(graph, BayesianNetwork._made(made.cpds), children), made, levels)
 
 

@@ -72,7 +72,7 @@ class Split:
         The flat prior of a variable that is known is the number that its level takes away.
         """
         known = self.flat.intersection(observed)
-        level = self.level + sum(flat_level(v) for v in self.flat - known)
+        level = self.level + flat_level(self.flat - known)
         return [cpd for cpd in self.continuous if cpd.child not in known], level
 
     def in_scales(self, robust: Collection[CPD]) -> Split:
