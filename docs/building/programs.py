@@ -48,6 +48,7 @@ class Block:
     def missing(self) -> list[str]:
         """The packages that the block needs and that are not installed."""
         found = {"llvmlite"} if "compiled=True" in self.code else set()
+        found |= {"pymap3d"} if "latitude" in self.code or "datum" in self.code else set()
         for node in ast.walk(ast.parse(self.code)):
             if isinstance(node, ast.Import):
                 found |= {alias.name.partition(".")[0] for alias in node.names}

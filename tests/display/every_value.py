@@ -339,6 +339,8 @@ def logs():
         "recording": pgm.Recording(odometry=wheels, sightings={"radio": heard}, truth=poses),
         "hostile recording": drive,
         "stream": heard,
+        "datum": pgm.recordings.Datum(48.1, -11.5, name=HOSTILE),
+        "drive on the earth": pgm.Recording(fixes=heard, datum=(48.1, 11.5)),
         "scans": pgm.recordings.Scans(stamps, np.ones((200, 180)), np.arange(180.0), 8.0),
         "pose graph": graph,
         "edges": graph.edges,

@@ -1,12 +1,14 @@
 """Bags of ROS 1 and ROS 2, written here by rosbags: what was put in comes out, in metres."""
 
+from importlib.util import find_spec
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from pgm.errors import EvidenceError, FileError
 from pgm.recordings import read_bag
-from pgm.recordings.drives.earth import local
+from pgm.recordings.readers.messages import CORRELATED
 
 rosbags = pytest.importorskip("rosbags")
 from rosbags.rosbag1 import Writer as Writer1  # noqa: E402
@@ -15,6 +17,7 @@ from rosbags.typesys import Stores, get_typestore  # noqa: E402
 
 TYPES = {1: get_typestore(Stores.ROS1_NOETIC), 2: get_typestore(Stores.ROS2_HUMBLE)}
 BEGIN = 1_700_000_000
+geo = pytest.mark.skipif(find_spec("pymap3d") is None, reason="pip install 'sepset[geo]'")
 
 
 class Maker:
@@ -171,6 +174,7 @@ def bag(request, tmp_path):
     return write(path, request.param, drive(request.param))
 
 
+@geo
 def test_each_message_is_read(bag):
     found = read_bag(bag)
     assert_allclose(found.truth.stamps, BEGIN + 0.1 + 0.5 * np.arange(4))
@@ -191,7 +195,8 @@ def test_each_message_is_read(bag):
     assert_allclose(found.fixes["north"], [0.0, 1.11192, 3.33577], rtol=2e-5)
     assert_array_equal(found.fixes.variances[0], [1.0, 4.0, 9.0])
     told = {each.stream: each.fate for each in found.dropped}
-    assert told == {"fixes": "without a fix", "/chat": "of std_msgs/msg/String"}
+    due = {"fixes": "without a fix", "/chat": "of std_msgs/msg/String", "/amcl": CORRELATED}
+    assert told == due
 
 
 def test_topics_are_the_parts_that_are_asked_for(bag):
@@ -227,6 +232,7 @@ def test_what_is_no_bag(tmp_path):
         assert caught.value.path == str(path)
 
 
+@geo
 def test_mangled_bags_are_read_or_refused(bag):
     file = bag if bag.is_file() else next(bag.glob("*.db3"))
     whole, rng, refused = file.read_bytes(), np.random.default_rng(0), 0
@@ -256,21 +262,7 @@ def test_messages_that_are_no_measurements(tmp_path):
     assert found.dropped[0].rows.tolist() == [1]
 
 
-def test_metres_of_latitudes_and_longitudes():
-    here = np.radians([[48.0, 9.0], [48.0, 9.001], [48.001, 9.0], [-89.9, 0.0]])
-    heights = np.array([500.0, 500.0, 510.0, 0.0])
-    found = local(here, heights, np.append(here[0], heights[0]))
-    # Radii of curvature in the prime vertical and the meridian.
-    a, e2, sin = 6378137.0, 6.69437999014e-3, np.sin(here[0, 0])
-    prime = a / np.sqrt(1 - e2 * sin**2)
-    meridian = prime * (1 - e2) / (1 - e2 * sin**2)
-    step = np.radians(0.001)
-    assert_allclose(found[1, 0], (prime + 500) * np.cos(here[0, 0]) * step, rtol=1e-8)
-    assert_allclose(found[2, 1], (meridian + 510) * step, rtol=3e-6)
-    assert_allclose(found[:3, 2], [0.0, 0.0, 10.0], atol=2e-3)
-    assert np.isfinite(found).all()
-
-
+@geo
 def test_fixes_at_null_and_beyond_a_pole(tmp_path):
     make = Maker(2)
     places = [(0.0, 0.0), (48.0, 11.0), (0.0, 0.0), (48.00001, 11.0)]
@@ -290,6 +282,7 @@ def test_fixes_at_null_and_beyond_a_pole(tmp_path):
     assert read_bag(bag).fixes is None
 
 
+@geo
 def test_two_receivers_are_on_one_plane(tmp_path):
     make = Maker(2)
     rows = [("/left", make.fix(0.0, 48.0, 11.0)), ("/right", make.fix(0.1, 48.001, 11.0))]
@@ -299,8 +292,34 @@ def test_two_receivers_are_on_one_plane(tmp_path):
     assert_allclose(found.sightings["/right"]["north"], 111.2, rtol=1e-3)
 
 
+@geo
 def test_variances_that_are_all_zero_are_none(tmp_path):
     make = Maker(2)
     fix = make.fix(0.0, 48.0, 11.0)
     fix.position_covariance = np.zeros(9)
     assert read_bag(write(tmp_path / "a", 2, [("/gps", fix)])).fixes.variances is None
+
+
+@geo
+def test_covariances_of_fixes_are_those_of_each_row(tmp_path):
+    make = Maker(2)
+    fixes = [make.fix(k, 48.0, 11.0 + 1e-5 * k) for k in range(3)]
+    fixes[1].position_covariance_type = 0  # its covariance is unknown
+    fixes[2].position_covariance = np.array([1.0, 0.5, 0.0, 0.5, 4.0, 0.0, 0.0, 0.0, 9.0])
+    drive = read_bag(write(tmp_path / "a", 2, [("/gps", each) for each in fixes]))
+    assert_array_equal(drive.fixes.variances[[0, 2]], [[1.0, 4.0, 9.0]] * 2)
+    assert np.isnan(drive.fixes.variances[1]).all()
+    told = [(each.fate, each.rows.tolist(), each.kept) for each in drive.dropped]
+    assert told == [
+        ("of a fix without a covariance, whose variances are NaN", [1], True),
+        (CORRELATED, [2], True),
+    ]
+
+
+@geo
+def test_a_bags_datum_may_be_given(tmp_path):
+    make = Maker(1)
+    bag = write(tmp_path / "a.bag", 1, [("/gps", make.fix(0.0, 48.001, 11.0))])
+    found = read_bag(bag, datum=(48.0, 11.0, 50.0))
+    assert_allclose(found.fixes["north"], 111.2, rtol=1e-3)
+    assert found.datum.latitude == 48.0

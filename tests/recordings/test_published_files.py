@@ -5,6 +5,7 @@ import gzip
 import io
 import os
 import re
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -235,10 +236,12 @@ def test_names_in_a_comment(stamp, above):
         table(EUROC, {"truth": {**columns, "east": "x"}})
 
 
+geo = pytest.mark.skipif(find_spec("pymap3d") is None, reason="pip install 'sepset[geo]'")
 LOG = "time,lat,lon,alt\n0,48.1371,11.5754,500\n1,0,0,0\n2,48.1372,11.5754,501\n3,,,\n"
 WORLD = {"t": "time", "latitude": ("lat", "deg"), "longitude": ("lon", "deg"), "up": "alt"}
 
 
+@geo
 def test_latitudes_and_longitudes_become_metres():
     drive = table(LOG, {"fixes": WORLD})
     assert drive.fixes.components == ("east", "north", "up")
@@ -253,6 +256,7 @@ def test_latitudes_and_longitudes_become_metres():
     assert "0°, 0°" in null.fate
 
 
+@geo
 def test_streams_of_a_file_are_on_one_plane():
     text = "t,lat,lon,la,lo,s\n0,48.0,11.0,48.001,11.0,4\n1,48.0,11.0,48.001,11.0,9\n"
     columns = {
@@ -290,6 +294,7 @@ def test_longitudes_that_are_refused(rows, told):
         table(text, {"fixes": FIXES})
 
 
+@geo
 def test_longitudes_are_read_up_to_half_a_turn():
     """Either way to write the antimeridian, in degrees and in radians."""
     text = f"t,lat,lon,rad\n0,10,180,{np.pi!r}\n1,10,-180,{-np.pi!r}\n"

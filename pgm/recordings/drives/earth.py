@@ -9,6 +9,7 @@ import numpy as np
 from pgm.errors import EvidenceError
 from pgm.io.dropped import Dropped
 from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.recordings.drives.datum import Datum
 from pgm.recordings.drives.quantities import LATITUDE, LONGITUDE, WORLD
 from pgm.recordings.drives.stream import Stream
 
@@ -16,21 +17,24 @@ from pgm.recordings.drives.stream import Stream
 HEIGHTS = ("up", "altitude", "height")
 EAST, NORTH, UP = "east", "north", "up"
 NULL = "0°, 0°, as receivers say that have no fix"
-# Semi-major axis [m] and flattening of WGS 84.
-RADIUS, FLATTENING = 6_378_137.0, 1.0 / 298.257223563
-_SQUARED = FLATTENING * (2.0 - FLATTENING)  # of the eccentricity
+# Farther than this from the datum [m] a plane is told to be no earth, and then refused.
+_FAR, _NO_PLANE = 1e5, 5e6
+RADIUS = 6_371_000.0
 # Bounds of latitudes and longitudes [°], and a whole turn, up to the rounding of radians.
 _POLE, _HALF, _TURN = (bound * (1.0 + 1e-12) for bound in (90.0, 180.0, 360.0))
+_BOUNDS = np.array([90.0, 180.0])
 
 
-def on_plane(streams: Mapping[str, Stream]) -> tuple[dict[str, Stream], list[Dropped]]:
-    """Streams whose latitudes and longitudes [rad] have become metres on one plane.
+def on_plane(
+    streams: Mapping[str, Stream], datum: Datum | None = None
+) -> tuple[dict[str, Stream], list[Dropped], Datum | None]:
+    """Streams whose latitudes and longitudes [rad] have become metres on one plane, and its datum.
 
-    The plane touches the ellipsoid at the first fix of the first of these streams. Variances of
-    latitude and longitude are those north and east [m²]. Rows at 0°, 0° are none, and told.
+    Without a datum the plane touches the ellipsoid at the first fix of the first of these streams.
+    Variances of latitude and longitude are those north and east [m²]. Rows at 0°, 0° are none, and
+    told; so are rows that are far from the datum.
     """
     found, told = dict(streams), []
-    origin: Array | None = None
     for name, stream in streams.items():
         if not set(WORLD) & set(stream.components):
             continue
@@ -39,15 +43,39 @@ def on_plane(streams: Mapping[str, Stream]) -> tuple[dict[str, Stream], list[Dro
         if null.any():
             told.append(Dropped(name, NULL, np.flatnonzero(null)))
             stream = stream.take(~null)
-        _require_degrees(name, stream, np.flatnonzero(~null))
-        world = np.column_stack([stream[one] for one in WORLD])
-        height = _height(stream)
+        rows = np.flatnonzero(~null)
+        _require_degrees(name, stream, rows)
+        world = np.column_stack([np.degrees(stream[one]) for one in WORLD])
+        world = world.clip(-_BOUNDS, _BOUNDS)  # of radians that were rounded
         fixed = np.isfinite(world).all(axis=1)
-        if origin is None and fixed.any():
-            row = int(fixed.argmax())
-            origin = np.append(world[row], height[row])
-        found[name] = _flat(stream, world, height, np.zeros(3) if origin is None else origin)
-    return found, told
+        if datum is None and fixed.any():
+            first = int(fixed.argmax())
+            height = float(_height(stream, 0.0)[first])
+            north, east = world[first].tolist()
+            datum = Datum(north, east, height, f"the first of {name}")
+        plane = datum or Datum(0.0, 0.0)  # of rows of which nothing is known
+        metres = plane.to_plane(np.column_stack([world, _height(stream, plane.height)]))
+        told += _far(name, metres, rows, plane)
+        found[name] = _flat(stream, metres)
+    return found, told, datum
+
+
+def _far(name: str, metres: Array, rows: Integers, datum: Datum) -> list[Dropped]:
+    """Rows that are far from the datum; on the other side of the earth they are refused."""
+    away = np.linalg.norm(metres, axis=1)
+    far = np.flatnonzero(away > _FAR)
+    if not far.size:
+        return []
+    most = int(np.nanargmax(away))
+    where = f"{away[most] / 1e3:,.0f} km from the datum, {datum.text}"
+    if away[most] > _NO_PLANE:
+        raise EvidenceError(
+            f"{name}, row {rows[most]}: {where}, where no plane is; leave out the rows that are no "
+            "fixes, or give datum=(latitude, longitude)"
+        )
+    short = away[most] ** 2 / (6.0 * RADIUS**2)
+    fate = f"up to {where}: distances on the plane are up to {100.0 * short:.2g} % short there"
+    return [Dropped(name, fate, rows[far], kept=True)]
 
 
 def is_null(world: Array) -> Mask:
@@ -56,9 +84,9 @@ def is_null(world: Array) -> Mask:
     return null
 
 
-def _flat(stream: Stream, world: Array, height: Array, origin: Array) -> Stream:
-    """A stream with metres east, north and up for latitude, longitude and height."""
-    metres = dict(zip((EAST, NORTH, UP), local(world, height, origin).T, strict=True))
+def _flat(stream: Stream, place: Array) -> Stream:
+    """A stream with metres east, north and up, (n, 3), for latitude, longitude and height."""
+    metres = dict(zip((EAST, NORTH, UP), place.T, strict=True))
     named = {LATITUDE: NORTH, LONGITUDE: EAST} | dict.fromkeys(HEIGHTS, UP)
     order = {EAST: LONGITUDE, NORTH: LATITUDE}
     order |= {named.get(each, each): each for each in stream.components if each not in WORLD}
@@ -68,18 +96,19 @@ def _flat(stream: Stream, world: Array, height: Array, origin: Array) -> Stream:
     return stream.replace(
         values=values,
         components=tuple(order),
+        units=["m" if n in metres else stream.units[k] for n, k in zip(order, places, strict=True)],
         variances=None if stream.variances is None else stream.variances[:, places],
     )
 
 
-def _height(stream: Stream) -> Array:
-    """Heights [m]; missing ones are set to the first known height."""
+def _height(stream: Stream, without: float) -> Array:
+    """Heights [m]; missing ones are set to the first known height, or a height without any."""
     name = next((each for each in HEIGHTS if each in stream.components), None)
     if name is None:
-        return np.zeros(len(stream))
+        return np.full(len(stream), without)
     height = stream[name].copy()
     known: Mask = np.isfinite(height)
-    height[~known] = height[known][0] if known.any() else 0.0
+    height[~known] = height[known][0] if known.any() else without
     return height
 
 
@@ -119,40 +148,3 @@ def _from_zero(longitude: Array) -> bool:
     """Whether all known longitudes (n,) [°] are within 0 and a whole turn, as some maps count."""
     known = longitude[np.isfinite(longitude)]
     return bool(((known >= 0.0) & (known <= _TURN)).all())
-
-
-def local(world: Array, height: Array, origin: Array) -> Array:
-    """East, north and up, (n, 3) [m], of latitudes and longitudes, (n, 2) [rad], and heights.
-
-    The axes are those of an origin (3,), latitude, longitude and height:
-
-        [east; north; up] = A (c − c_0),    the rows of A being the directions east, north, up,
-
-    of places c that turn with the earth.
-    """
-    away = _cartesian(np.sin(world), np.cos(world), height)
-    sin, cos = np.sin(origin[None, :2]), np.cos(origin[None, :2])
-    away -= _cartesian(sin, cos, origin[2:])
-    (sin_lat, sin_lon), (cos_lat, cos_lon) = sin[0], cos[0]
-    axes = np.array(
-        [
-            [-sin_lon, cos_lon, 0.0],
-            [-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat],
-            [cos_lat * cos_lon, cos_lat * sin_lon, sin_lat],
-        ]
-    )
-    found: Array = away @ axes.T
-    return found
-
-
-def _cartesian(sin: Array, cos: Array, height: Array) -> Array:
-    """Coordinates that turn with the earth, of sines and cosines of latitude and longitude.
-
-    With the radius of curvature N = a / √(1 − e² sin² φ),
-
-        c = [(N + h) cos φ cos λ; (N + h) cos φ sin λ; (N (1 − e²) + h) sin φ].
-    """
-    normal = RADIUS / np.sqrt(1.0 - _SQUARED * sin[:, 0] ** 2)
-    level = (normal + height) * cos[:, 0]
-    up = (normal * (1.0 - _SQUARED) + height) * sin[:, 0]
-    return np.column_stack([level * cos[:, 1], level * sin[:, 1], up])

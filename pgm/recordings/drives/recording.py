@@ -23,6 +23,7 @@ from pgm.io.timeline import Timeline, joined
 from pgm.kernels import twists
 from pgm.kernels.arrays import Array
 from pgm.recordings.drives import checks, handing, mending, motion, reference, summaries
+from pgm.recordings.drives.datum import Datum, as_datum
 from pgm.recordings.drives.scans import Scans
 from pgm.recordings.drives.stream import Stream
 from pgm.variables import Variable
@@ -30,7 +31,7 @@ from pgm.variables import Variable
 POSE, PLACE = ("east", "north", "heading"), ("east", "north")
 NO_PLACE = "of a subject without a place"
 _PARTS = ("name", "odometry", "velocities", "sightings", "landmarks", "landmark_cov", "truth")
-_MORE = ("imu", "fixes", "scans", "mounts", "dropped")
+_MORE = ("imu", "fixes", "scans", "mounts", "datum", "dropped")
 
 
 @public
@@ -59,13 +60,17 @@ class Recording(Shown, NoArray, Immutable):
         By laser.
     mounts : mapping of str to array_like, optional
         Where a sensor or laser sits on the robot: (forward [m], left [m], turn [rad]).
+    datum : Datum or sequence of float, optional
+        The place on the earth where east and north are zero: latitude and longitude [°], with the
+        height [m] or without. Readers of places on the earth set it.
     name : str, optional
     dropped : sequence of Dropped, optional
 
     Raises
     ------
     EvidenceError
-        If components are not those above, motion is NaN, or positions are not finite.
+        If components are not those above, motion is NaN, positions are not finite, or the datum is
+        no place.
 
     Examples
     --------
@@ -97,6 +102,7 @@ class Recording(Shown, NoArray, Immutable):
     fixes: Stream | None
     scans: Mapping[str, Scans]
     mounts: Mapping[str, Array]
+    datum: Datum | None
     dropped: tuple[Dropped, ...]
 
     _arrays: ClassVar[str] = "streams' .stamps and .values"
@@ -114,6 +120,7 @@ class Recording(Shown, NoArray, Immutable):
         fixes: Stream | None = None,
         scans: Mapping[str, Scans] | None = None,
         mounts: Mapping[str, npt.ArrayLike] | None = None,
+        datum: Datum | Sequence[float] | None = None,
         name: str = "",
         dropped: Sequence[Dropped] = (),
     ) -> None:
@@ -153,6 +160,7 @@ class Recording(Shown, NoArray, Immutable):
             mounts=MappingProxyType(checks.mounts(mounts, (*seen, *(scans or ())))),
             landmarks=MappingProxyType(places),
             landmark_cov=MappingProxyType(checks.covariances(landmark_cov, places)),
+            datum=as_datum(datum),
             dropped=tuple(told),
             **streams,
         )

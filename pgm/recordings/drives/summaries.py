@@ -50,6 +50,8 @@ def rows(recording: Recording) -> list[tuple[str, str]]:
     for name, mount in recording.mounts.items():
         where = ", ".join(f"{number:.4g}" for number in mount)
         found.append((name, f"mounted at forward, left, turn = {where}"))
+    if recording.datum is not None:
+        found.append(("datum", recording.datum.text))
     return found + [(each.stream, each.text) for each in recording.dropped]
 
 

@@ -16,6 +16,7 @@ from pgm.factors.scope import listed
 from pgm.io.dropped import Dropped
 from pgm.io.sources import Origin
 from pgm.recordings.drives import earth
+from pgm.recordings.drives.datum import Datum, as_datum
 from pgm.recordings.drives.recording import Recording
 from pgm.recordings.drives.scans import Scans
 from pgm.recordings.drives.stream import Stream
@@ -45,7 +46,10 @@ MANY = ("sightings", "scans")
 
 @public
 def read_bag(
-    path: str | os.PathLike[str], topics: Mapping[str, str] | Sequence[str] | None = None
+    path: str | os.PathLike[str],
+    topics: Mapping[str, str] | Sequence[str] | None = None,
+    *,
+    datum: Datum | Sequence[float] | None = None,
 ) -> Recording:
     """Read a bag of ROS 1, a file, or of ROS 2, a folder.
 
@@ -66,7 +70,11 @@ def read_bag(
         - ``sensor_msgs/Imu``: ``imu``, rates, accelerations and yaw;
         - ``sensor_msgs/LaserScan``: ``scans``, called like the topic, cut at the largest range;
         - ``sensor_msgs/NavSatFix``: ``fixes``, or ``sightings``, (east, north, up): metres in the
-          plane that touches the ellipsoid of WGS 84 at the first fix, of all receivers one.
+          plane that touches the ellipsoid of WGS 84 at the datum, of all receivers one.
+
+    datum : Datum or sequence of float, optional
+        Where that plane touches: latitude and longitude [°], with the height [m] or without; the
+        first fix, if none is given. The recording keeps it.
 
     Notes
     -----
@@ -76,9 +84,9 @@ def read_bag(
     Raises
     ------
     ImportError
-        Without rosbags, of the extra ``bags``.
+        Without rosbags, of the extra ``bags``, or pymap3d, of ``geo``, where it has fixes.
     EvidenceError
-        If a topic cannot be what it is asked to be.
+        If a topic cannot be what it is asked to be, or the datum is none.
     FileError
         If it is no bag, is damaged, has no such topic, or two topics for one part.
 
@@ -92,6 +100,7 @@ def read_bag(
     """
     if not isinstance(path, str | os.PathLike):
         raise EvidenceError(f"a bag's path was due, not {type(path).__name__}")
+    place = as_datum(datum)
     where = Path(os.fsdecode(path))
     origin = Origin(str(where), str(where))
     if not where.exists():
@@ -122,7 +131,7 @@ def read_bag(
         for topic in others
         if counts[topic]
     ]
-    return _recording(found, parts, told, origin, where)
+    return _recording(found, parts, told, origin, where, place)
 
 
 def _recording(
@@ -131,6 +140,7 @@ def _recording(
     told: list[Dropped],
     origin: Origin,
     where: Path,
+    datum: Datum | None,
 ) -> Recording:
     """A recording made of messages by topic."""
     streams: dict[str, Stream] = {}
@@ -145,13 +155,14 @@ def _recording(
             elif made is not None:
                 streams[topic if part in MANY else part] = made
         # Only now, so that two receivers are on one plane.
-        streams, fates = earth.on_plane(streams)
+        streams, fates, place = earth.on_plane(streams, datum)
         many = [topic for topic, part in parts.items() if part in MANY]
         sensors = {topic: streams.pop(topic) for topic in many if topic in streams}
         return Recording(
             **streams,  # type: ignore[arg-type]
             sightings=sensors,
             scans=scans,
+            datum=place,
             name=where.stem,
             dropped=[*told, *fates],
         )

@@ -11,7 +11,7 @@ from pgm.errors import EvidenceError
 from pgm.io.dropped import BACKWARDS, Dropped
 from pgm.io.sources import Origin
 from pgm.kernels import quaternions, twists
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, Mask
 from pgm.recordings.drives import earth, mending
 from pgm.recordings.drives.motion import PLANAR, PLANAR_SPEEDS
 from pgm.recordings.drives.quantities import WORLD
@@ -23,6 +23,7 @@ from pgm.recordings.drives.stream import Stream
 _PLANE = (0, 1, 5)
 _UNIT = 1e-3
 NO_FIX = "without a fix"
+CORRELATED = "with covariances between components, of which the variances alone are read"
 Read = tuple[Any, list[Dropped]]
 
 
@@ -42,12 +43,17 @@ def _poses(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
     stamps = _stamps(topic, rows)
     if part == "odometry":
         return _increments(stamps, poses)
-    spread = None
+    spread, told = None, []
     if rows and hasattr(rows[0].pose, "covariance"):
         cov = _table([m.pose.covariance for m in rows], 36).reshape(-1, 6, 6)
-        spread = np.diagonal(cov, axis1=1, axis2=2)[:, _PLANE]
-        spread = spread if spread.any() else None  # all zero: not told
-    return Stream(stamps, poses, POSE, variances=spread), []
+        cov = cov[:, _PLANE][:, :, _PLANE]
+        spread = np.diagonal(cov, axis1=1, axis2=2)
+        beside = cov[:, *np.triu_indices(3, 1)].any(axis=1)
+        if not spread.any():
+            spread = None  # all zero: not told
+        elif beside.any():
+            told = [Dropped(_name(topic, part), CORRELATED, np.flatnonzero(beside), kept=True)]
+    return Stream(stamps, poses, POSE, variances=spread), told
 
 
 def _increments(stamps: Array, poses: Array) -> Read:
@@ -107,16 +113,33 @@ def _fixes(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
     if not fixed.any():
         return None, told
     world[~np.isfinite(world[:, 2]), 2] = np.nan
-    # East, north, up: the longitude's variance comes first.
-    spread = _table([m.position_covariance for m in rows], 9)[:, [4, 0, 8]]
-    untold = not all(m.position_covariance_type for m in rows) or not spread.any()
+    spread, fates = _spread(_name(topic, part), rows, fixed)
     stream = Stream(
         _stamps(topic, rows)[fixed],
         world[fixed],
         (*WORLD, "altitude"),
-        variances=None if untold else spread[fixed],
+        variances=None if spread is None else spread[fixed],
     )
-    return stream, told
+    return stream, [*told, *fates]
+
+
+def _spread(name: str, rows: Sequence[Any], fixed: Mask) -> tuple[Array | None, list[Dropped]]:
+    """The variances of latitude, longitude and altitude, (n, 3), NaN where a fix has none."""
+    # East, north, up: the longitude's variance comes first.
+    cov = _table([m.position_covariance for m in rows], 9)
+    spread, beside = cov[:, [4, 0, 8]], cov[:, [1, 2, 5]]
+    known = np.array([m.position_covariance_type != 0 for m in rows], dtype=bool)
+    if not (spread[known & fixed]).any():
+        return None, []
+    told = [
+        Dropped(name, fate, np.flatnonzero(which), kept=True)
+        for fate, which in (
+            ("of a fix without a covariance, whose variances are NaN", fixed & ~known),
+            (CORRELATED, fixed & known & beside.any(axis=1)),
+        )
+        if which.any()
+    ]
+    return np.where(known[:, None], spread, np.nan), told
 
 
 def _name(topic: str, part: str) -> str:

@@ -21,6 +21,7 @@ from pgm.io.stamped import as_stamps
 from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import Array
 from pgm.recordings.drives import earth, motion
+from pgm.recordings.drives.datum import Datum, as_datum
 from pgm.recordings.drives.quantities import LATITUDE, LONGITUDE, STAMP, WORLD, quantity
 from pgm.recordings.drives.recording import Recording
 from pgm.recordings.drives.stream import Stream
@@ -74,6 +75,7 @@ def read_csv(
     wheelbase: float | None = None,
     delimiter: str = ",",
     decimal: str = ".",
+    datum: Datum | Sequence[float] | None = None,
 ) -> Recording:
     r"""Read streams from a table of comma-separated values.
 
@@ -88,7 +90,7 @@ def read_csv(
         its unit, ``("heading", "deg")``; numbered from 0 where there is no line of names. ``t`` is
         the stamp, ``subject`` the landmark, ``"variance of range"`` is in the square of the unit.
         Places on the earth are ``latitude`` and ``longitude``, ``("lat", "deg")``, with ``up`` or
-        without; they become metres east and north of the first, of all streams one.
+        without; they become metres east and north of the datum, of all streams one.
     landmarks : mapping, optional
         Positions by identity.
     begin : float, optional
@@ -97,6 +99,9 @@ def read_csv(
         Metres between two wheels, where odometry or velocities are (left, right).
     delimiter, decimal : str, optional
         Letters between cells, and before the decimals of a number.
+    datum : Datum or sequence of float, optional
+        The origin of east and north, latitude and longitude [°], with the height [m] or without;
+        the first place, if none is given. The recording keeps it, ``drive.datum``, for other files.
 
     Raises
     ------
@@ -107,6 +112,8 @@ def read_csv(
         If a column is not there, a cell is no number, a line has more cells than there are names,
         angles without a unit seem to be degrees, or a latitude is beyond ±90° or a longitude
         beyond ±180°; it has file and line.
+    ImportError
+        Of places on the earth, without pymap3d, of the extra ``geo``.
 
     Notes
     -----
@@ -124,6 +131,7 @@ def read_csv(
     >>> drive.velocities["omega"], drive.sightings["radio"]["range"]
     (array([1.57079633, 0.        ]), array([4.2]))
     """
+    where = as_datum(datum)
     asked = {part: _asked(part, given) for part, given in _mapping(columns, "columns").items()}
     if not (isinstance(delimiter, str) and len(delimiter) == 1):
         raise EvidenceError(f"delimiter= is one letter, not {delimiter!r}")
@@ -148,11 +156,12 @@ def read_csv(
         empty[filled] = False
     told = [Dropped("table", "of no stream", np.flatnonzero(empty))] if empty.any() else []
     with files.told_of(table.origin):
-        streams, fates = earth.on_plane(streams)
+        streams, fates, place = earth.on_plane(streams, where)
         return Recording(
             **{part: stream for part, stream in streams.items() if part in _STREAMS},  # type: ignore[arg-type]
             sightings={part: stream for part, stream in streams.items() if part not in _STREAMS},
             landmarks=landmarks,
+            datum=place,
             name=files.name(path),
             dropped=[*told, *fates],
         )

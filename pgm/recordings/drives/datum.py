@@ -1,0 +1,166 @@
+"""The place where a plane touches the earth, and places on either as those on the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.arguments import public
+from pgm.boundary import as_floats, as_tuple, is_number
+from pgm.display import InCode
+from pgm.errors import EvidenceError
+from pgm.kernels.arrays import Array
+from pgm.resources import optional
+
+EXTRA = "sepset[geo]"
+# Nearer to a pole than some 100 m [°], the direction east is another one a few steps away.
+_POLAR = 90.0 - 1e-3
+# Heights on the plane are solved for to this [m], in at most so many steps.
+_SETTLED, _STEPS = 1e-6, 50
+_TURNS = {"latitude": 90.0, "longitude": 180.0}
+
+
+@public
+@dataclass(frozen=True)
+class Datum(InCode):
+    """Where a plane touches the ellipsoid of WGS 84: the origin of east, north and up.
+
+    With the axes e, n, u of the directions east, north and up at the datum, a place c that turns
+    with the earth is, seen from the datum's place c₀,
+
+        (east, north, up) = (e·(c − c₀), n·(c − c₀), u·(c − c₀)).
+
+    Parameters
+    ----------
+    latitude, longitude : float
+        Degrees, −90 to 90 and −180 to 180.
+    height : float, optional
+        Above the ellipsoid, metres.
+    name : str, optional
+        Which place it is, in words.
+
+    Raises
+    ------
+    EvidenceError
+        If a number is none, or beyond its bounds; or at a pole, where no direction is east.
+    ImportError
+        Where pymap3d is missing, of the extra ``geo``, by `to_plane` and `to_earth`.
+
+    Notes
+    -----
+    Distances on the plane are short of those along the ground by about d²/6R² of them, 4 µm at
+    a kilometre, 4 m at 100 km, and the plane lies d²/2R above the ground. Heights of satellite
+    receivers in ROS are above the ellipsoid; those of GPX files are above the sea, some tens of
+    metres apart from these.
+
+    Examples
+    --------
+    >>> datum = pgm.recordings.Datum(48.1371, 11.5754, 519.0)
+    >>> datum.to_plane([[48.1372, 11.5754]]).round(2)  # doctest: +SKIP
+    array([[ 0.  , 11.12]])
+    >>> datum.to_earth([[0.0, 11.12]]).round(6)  # doctest: +SKIP
+    array([[48.1372, 11.5754]])
+    """
+
+    latitude: float
+    longitude: float
+    height: float = 0.0
+    name: str = field(default="", compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        for name in ("latitude", "longitude", "height"):
+            value = getattr(self, name)
+            bound = _TURNS.get(name, np.inf)
+            if not (is_number(value) and np.isfinite(value) and abs(value) <= bound):
+                due = f"a number of degrees, −{bound:.0f} to {bound:.0f}," if bound < 999 else ""
+                raise EvidenceError(f"datum: {due or 'metres'} were due for {name}, not {value!r}")
+            object.__setattr__(self, name, float(value))
+        if abs(self.latitude) > _POLAR:
+            raise EvidenceError(
+                f"datum: latitude {self.latitude:.9g}° is at a pole, where no direction is east; "
+                "give a datum beside it, datum=(latitude, longitude)"
+            )
+
+    @public
+    def to_plane(self, places: npt.ArrayLike) -> Array:
+        """Metres east and north, (n, 2), or east, north and up, (n, 3), of places on the earth.
+
+        Parameters
+        ----------
+        places : array_like
+            (n, 2): latitude and longitude [°], at the datum's height; (n, 3): height [m], too.
+        """
+        given = _table("places", places)
+        height = given[:, 2] if given.shape[1] == 3 else np.full(len(given), self.height)
+        found = self._local(given[:, 0], given[:, 1], height)
+        return found[:, : given.shape[1]]
+
+    @public
+    def to_earth(self, places: npt.ArrayLike) -> Array:
+        """Latitudes and longitudes [°], (n, 2), or heights, too, (n, 3), of places on the plane.
+
+        Parameters
+        ----------
+        places : array_like
+            (n, 2): east and north [m], of places at the datum's height; (n, 3): up, too.
+        """
+        given = _table("places", places)
+        if given.shape[1] == 3:
+            return self._world(given[:, 0], given[:, 1], given[:, 2])
+        up = np.zeros(len(given))
+        for _ in range(_STEPS):
+            found = self._world(given[:, 0], given[:, 1], up)
+            lower = found[:, 2] - self.height
+            up = up - lower
+            if not (np.abs(lower) > _SETTLED).any():
+                return found[:, :2]
+        row = int((np.abs(lower) > _SETTLED).argmax())
+        raise EvidenceError(
+            f"places, row {row}: {given[row].tolist()} m is on no place of the earth, which is "
+            "6,378 km large"
+        )
+
+    def _local(self, latitude: Array, longitude: Array, height: Array) -> Array:
+        """East, north and up, (n, 3)."""
+        pymap3d = optional("pymap3d", "a place on the earth", EXTRA)
+        found = pymap3d.geodetic2enu(latitude, longitude, height, *self._place)
+        return np.column_stack(found)
+
+    def _world(self, east: Array, north: Array, up: Array) -> Array:
+        """Latitude, longitude [°] and height, (n, 3)."""
+        pymap3d = optional("pymap3d", "a place on the earth", EXTRA)
+        found = pymap3d.enu2geodetic(east, north, up, *self._place)
+        return np.column_stack(found)
+
+    @property
+    def _place(self) -> tuple[float, float, float]:
+        return self.latitude, self.longitude, self.height
+
+    @property
+    def text(self) -> str:
+        """The place in words."""
+        north, east = "NS"[self.latitude < 0], "EW"[self.longitude < 0]
+        place = f"{abs(self.latitude):.9g}° {north}, {abs(self.longitude):.9g}° {east}"
+        return f"{place}, {self.height:.6g} m{', ' * bool(self.name)}{self.name}"
+
+
+def as_datum(value: Any) -> Datum | None:
+    """A datum, or one of (latitude, longitude) or (latitude, longitude, height)."""
+    if value is None or isinstance(value, Datum):
+        return value
+    numbers = as_tuple(value)
+    if numbers is None or len(numbers) not in (2, 3):
+        raise EvidenceError(
+            f"datum= is (latitude, longitude) or (latitude, longitude, height), not {value!r}"
+        )
+    return Datum(*numbers)
+
+
+def _table(what: str, value: Any) -> Array:
+    table = as_floats(value, what, EvidenceError, missing=True)
+    if table.ndim != 2 or table.shape[1] not in (2, 3):
+        raise EvidenceError(f"{what} have shape {table.shape}; (n, 2) or (n, 3) was due")
+    return table
