@@ -69,7 +69,7 @@ class OnlineFilter(InCode, Immutable):
     Raises
     ------
     ModelError
-        If an argument is of a wrong kind, two of them exclude each other, or a prior is improper.
+        If an argument is of a wrong kind, or two of them exclude each other.
     ImportError
         If steps are to be compiled where llvmlite is missing.
 

@@ -357,7 +357,6 @@ smoothed = partial(pgm.smooth, MODEL, {z: record()})
 PROPER = "has an infinite variance", "give it a finite one"
 ERRORS = [
     refusal("sampling", lambda: MODEL.sample({}, steps=3, rng=1), pgm.ModelError, *PROPER),
-    refusal("online", lambda: pgm.OnlineFilter(MODEL), pgm.ModelError, *PROPER),
     refusal("audit", lambda: pgm.audit(smoothed(), rng=1), pgm.ModelError, *PROPER),
     refusal(
         "sigma points",

@@ -26,7 +26,6 @@ import numpy as np
 
 from pgm.beliefs.moments.digits import compiled
 from pgm.beliefs.moments.digits.careful_belief import (
-    Belief,
     Move,
     predicted,
     rounded_belief,
@@ -120,32 +119,32 @@ def sweep(
     return Careful(out, steps, error), Status.of(record, converged, plan.lead)
 
 
-def predict(plan: ChainPlan, step: int, known: Belief) -> Belief:
+def predict(plan: ChainPlan, step: int, known: Begin) -> Begin:
     """The belief of an online filter predicted to `step`, by the only transition of the plan.
 
-    `known` is the belief after the measurements of the step before, without δ (q = 0); `step` is
-    the number in the chain, for the texts of errors. A belief that is indefinite or not finite is
-    refused with a NumericalError.
+    `known` is the belief after the measurements of the step before, and what these have told of δ;
+    `step` is the number in the chain, for the texts of errors. A belief that is indefinite or not
+    finite is refused with a NumericalError.
     """
-    found = predicted(known, moving(plan, 1, *known.moments))
+    mean, spread = known.rounded
+    found = predicted(known.belief, moving(plan, 1, mean, spread.shown))
     refusals.belief(plan, step, found[:2])
-    return found
+    return known._replace(belief=found)
 
 
 def update(
-    plan: ChainPlan, step: int, known: Belief, schedule: Filtering
-) -> tuple[Belief, IteratedUpdate[CarefulUpdate], Sequence[Reading]]:
+    plan: ChainPlan, step: int, known: Begin, schedule: Filtering
+) -> tuple[Begin, IteratedUpdate[CarefulUpdate], Sequence[Reading]]:
     """The belief of an online filter given the measurements of its step, the only ones of the plan.
 
-    `step` is the step's number in the chain, and `known` the belief predicted to that step, without
-    δ (q = 0). Returns the belief, the iterated update that led to it, and the readings as
-    linearised last. A NumericalError refuses beliefs that are indefinite or not finite, and
-    measurements that contradict a certain belief.
+    `step` is the step's number in the chain, and `known` the belief predicted to that step. Returns
+    the belief, the iterated update that led to it, and the readings as linearised last, which the
+    plan keeps. A NumericalError refuses beliefs that are indefinite or not finite, and measurements
+    that contradict a certain belief.
     """
-    nothing = Twofold.zeros((plan.runs, 1, 1))
-    mean, spread = rounded_belief(known, solved(nothing))
-    reading = CarefulReading.of(plan, 0, mean, spread, known, nothing, schedule)
+    reading = CarefulReading.of(plan, 0, *known.rounded, *known, schedule)
     taken = iterated(reading, schedule)
-    found = taken.solution.at(taken.mean).belief
-    refusals.belief(plan, step, found[:2])
-    return found, taken, reading.parts
+    reading.keep()
+    found = taken.solution.at(taken.mean)
+    refusals.belief(plan, step, found.belief[:2])
+    return Begin(found.belief, found.information), taken, reading.parts

@@ -9,6 +9,7 @@ of float64, `Twofold`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -85,11 +86,6 @@ class Belief(NamedTuple):
         return found._replace(drift=found.drift + diagonal(_STEPS**2 * np.abs(variances(cov))))
 
     @property
-    def moments(self) -> tuple[Array, Array]:
-        """Mean (runs, n) and covariance (runs, n, n) in float64; the belief must have q = 0."""
-        return moments(self, solved(Twofold.zeros((len(self.largest), 1, 1))))
-
-    @property
     def parts(self) -> Array:
         """The shares of the variances that may be rounding, (runs, n); 0 of a variance of zero."""
         variance = variances(self.cov.hi)
@@ -147,7 +143,8 @@ def over(value: Any, before: tuple[int, ...], after: tuple[int, ...]) -> Any:
     """
     if isinstance(value, np.ndarray):
         own = value.shape[1:]
-        return np.broadcast_to(value.reshape(*before, *own), (*after, *own)).reshape(-1, *own)
+        wide = np.broadcast_to(value.reshape(*before, *own), (*after, *own))
+        return wide.reshape(math.prod(after), *own)
     if isinstance(value, Twofold):
         return Twofold(over(value.hi, before, after), over(value.lo, before, after))
     return None if value is None else type(value)(*(over(part, before, after) for part in value))

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from pgm.beliefs.moments.digits.careful_belief import Belief, Move
+from pgm.beliefs.moments.digits.careful_belief import Belief, Move, rounded_belief, solved
 from pgm.beliefs.moments.digits.careful_update import CarefulUpdate
 from pgm.beliefs.moments.passes.forward import Forward
+from pgm.beliefs.moments.steps.diffuse import Diffuse
 from pgm.kernels.arrays import Array
 from pgm.kernels.extended import Twofold
 
@@ -50,3 +51,14 @@ class Begin(NamedTuple):
 
     belief: Belief
     information: Twofold
+
+    @classmethod
+    def known(cls, belief: Belief) -> Begin:
+        """A belief of which no measurement has told anything of δ yet, if it depends on any."""
+        columns = belief.columns
+        return cls(belief, Twofold.zeros((len(belief.largest), *columns.shape[-1:] * 2)))
+
+    @property
+    def rounded(self) -> tuple[Array, Diffuse]:
+        """The mean (runs, n) and the covariance in float64, at the estimate of δ."""
+        return rounded_belief(self.belief, solved(self.information))

@@ -29,6 +29,7 @@ import numpy as np
 
 from pgm.beliefs.moments.digits import certificate, close_points, last_places
 from pgm.beliefs.moments.digits.careful_belief import Belief, over
+from pgm.beliefs.moments.digits.careful_pass import Begin
 from pgm.beliefs.moments.online.judged import Decided
 from pgm.beliefs.moments.online.origin import Origin, Pair
 from pgm.beliefs.moments.online.records import Records
@@ -159,7 +160,8 @@ class _Kept:
 class MomentBelief(_Kept, OnlineBelief, Immutable):
     """The belief of an online filter at one step, as a mean and a covariance over the slice.
 
-    careful: The belief in twice the digits, where float64 has too few; else None.
+    careful: The belief in twice the digits, where float64 has too few; else None. Given a flat
+        prior it has what measurements have told of it, as long as that leaves directions unknown.
     behind: The steps kept behind it for a lag; None without.
     watch: The state of the test whether it is lost; None without.
     _origin: What made it, and its last update; None of a lagged one.
@@ -175,7 +177,7 @@ class MomentBelief(_Kept, OnlineBelief, Immutable):
     log_evidence: Array = _later()
     status: Status = _later()
     kind: Kind = _later()
-    careful: Belief | None = _later()
+    careful: Begin | None = _later()
     behind: Trail | Sliding | None = _later()
     associations: Found = NONE
     _gated: tuple[Decided, ...] = _later()
@@ -193,7 +195,7 @@ class MomentBelief(_Kept, OnlineBelief, Immutable):
         log_evidence: Array,
         status: Status,
         kind: Kind,
-        careful: Belief | None = None,
+        careful: Begin | None = None,
         behind: Trail | Sliding | None = None,
     ) -> None:
         set_writeable(mean, False)
@@ -420,7 +422,7 @@ def belief_of(
     status: Status,
     kind: Kind,
     behind: Trail | Sliding | None,
-    careful: Belief | None = None,
+    careful: Begin | None = None,
 ) -> MomentBelief:
     """A belief from moments `found`: mean (n, *batch) and covariance (n, n, *batch).
 
@@ -438,7 +440,7 @@ def belief_of(
 def careful_belief(
     plan: ChainPlan,
     step: int,
-    found: Belief,
+    found: Begin,
     log_evidence: Array,
     status: Status,
     kind: Kind,
@@ -448,13 +450,15 @@ def careful_belief(
 
     `found` has the moments, and `plan`, that of the step, tells the layout of the slice and the
     axes of runs. `log_evidence` is (*lead); `status` is that of the step, to which the digits are
-    added. Moments or a log-evidence that are not finite in float64 raise a `NumericalError`.
+    added. Moments or a log-evidence that are not finite in float64 raise a `NumericalError`, but
+    for variances along directions of which nothing is known yet, given a flat prior.
     """
-    mean, cov = found.moments
-    if not all(np.isfinite(part).all() for part in (mean, cov, log_evidence)):
+    (mean, spread), own = found.rounded, found.belief
+    cov = spread.shown
+    if not all(np.isfinite(part).all() for part in (mean, spread.cov, log_evidence)):
         refuse(step)
-    status = status._losing(found.error(), FAR_APART)
-    status = status._losing(last_places.of_beliefs(mean, cov, found.largest), LAST_PLACE)
+    status = status._losing(own.error(), FAR_APART)
+    status = status._losing(last_places.of_beliefs(mean, cov, own.largest), LAST_PLACE)
     status._warn()
     parts = Moments.of(plan, mean, cov), log_evidence, status, kind, behind, found
     return belief_of(plan, step, *parts)
@@ -470,14 +474,14 @@ def moments_of(belief: MomentBelief, plan: ChainPlan) -> Moments:
     return Moments.of(plan, _wide(belief.mean, plan, 1), _wide(belief.cov, plan, 2))
 
 
-def in_digits(belief: MomentBelief, plan: ChainPlan) -> Belief:
+def in_digits(belief: MomentBelief, plan: ChainPlan) -> Begin:
     """The moments of a belief in twice the digits, repeated for the runs of a plan.
 
     They are those that it has as `careful`, or are widened from float64.
     """
     if belief.careful is None:
-        return Belief.of(_wide(belief.mean, plan, 1), _wide(belief.cov, plan, 2))
-    found: Belief = over(belief.careful, belief.lead, plan.lead)
+        return Begin.known(Belief.of(_wide(belief.mean, plan, 1), _wide(belief.cov, plan, 2)))
+    found: Begin = over(belief.careful, belief.lead, plan.lead)
     return found
 
 

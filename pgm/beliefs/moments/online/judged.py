@@ -9,13 +9,15 @@ innovations. None in its place means that the filter does not watch.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from pgm.beliefs.moments.online.watch import Watch
 from pgm.beliefs.moments.outcomes.innovations import by_step
+from pgm.beliefs.moments.passes.forward import Forward
 from pgm.beliefs.moments.smoothers.fixed_lag import Window
+from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.readings import Moments, Reading
 from pgm.beliefs.moments.steps.vector import vector
 from pgm.kernels import gaussian, mahalanobis
@@ -29,17 +31,32 @@ Decided = tuple[Variable, GateRecord, Integers]
 
 
 def of_update(
-    watch: Watch | None, parts: Sequence[Reading], known: Moments
+    watch: Watch | None, parts: Sequence[Reading], squares: Callable[[], tuple[Array, Integers]]
 ) -> tuple[tuple[Decided, ...], Watch | None]:
     """The gates' decisions about the readings `parts` of an update, and the watch after it.
 
-    `known` are the moments before the update. The watch takes in the normalised innovation squared
-    νᵀS⁻¹ν: ν, at the mean of `known`, is stacked from all measured components that were taken in,
-    with the sensors as they were linearised last. Without a `watch` None is returned for it.
+    The watch takes in the normalised innovation squared νᵀS⁻¹ν and its degrees of freedom, (runs,),
+    which `squares` finds: ν is stacked from all measured components that were taken in, with the
+    sensors as they were linearised last. Without a `watch` None is returned for it.
     """
     gated = tuple(_decided(part) for part in parts if part.gated is not None)
     if watch is None or not parts:
         return gated, watch
+    nis, dof = squares()
+    records = iter(gated)
+    each = [None if part.gated is None else next(records)[1].judged for part in parts]
+    judged = [
+        found if part.weights is None else part.weights.judged(found)
+        for part, found in zip(parts, each, strict=True)
+    ]
+    return gated, watch.and_(_read(nis, dof, judged))
+
+
+def at_moments(parts: Sequence[Reading], known: Moments) -> tuple[Array, Integers]:
+    """νᵀS⁻¹ν of the readings of an update, and its degrees of freedom, (runs,).
+
+    `known` are the moments before the update.
+    """
     mean, cov = known
     matrix, residual, noise, missing = vector([part.seen for part in parts], mean)
     spread = gaussian.predict(cov, matrix, noise)
@@ -48,13 +65,17 @@ def of_update(
     dof = np.full(nis.shape, len(residual), dtype=np.intp)
     if missing is not None:
         dof -= np.asarray(missing, dtype=np.intp)
-    records = iter(gated)
-    each = [None if part.gated is None else next(records)[1].judged for part in parts]
-    judged = [
-        found if part.weights is None else part.weights.judged(found)
-        for part, found in zip(parts, each, strict=True)
-    ]
-    return gated, watch.and_(_read(nis, dof, judged))
+    return nis, dof
+
+
+def at_last(plan: ChainPlan, forward: Forward) -> tuple[Array, Integers]:
+    """νᵀS⁻¹ν of the readings of the last step, and its degrees of freedom, (runs,).
+
+    `forward` is the forward pass over the plan, which has its linearisations. Directions of which
+    nothing is known, given a flat prior, do not count.
+    """
+    nis, dof = by_step(plan, plan.read, forward)
+    return np.nan_to_num(nis[-1]), dof[-1]
 
 
 def of_window(watch: Watch | None, window: Window) -> tuple[tuple[Decided, ...], Watch | None]:
@@ -77,8 +98,7 @@ def of_window(watch: Watch | None, window: Window) -> tuple[tuple[Decided, ...],
     gated = tuple(found)
     if watch is None:
         return gated, None
-    nis, dof = by_step(plan, plan.read, window.ahead)
-    return gated, watch._replace(read=_read(np.nan_to_num(nis[-1]), dof[-1], judged))
+    return gated, watch._replace(read=_read(*at_last(plan, window.ahead), judged))
 
 
 def _read(nis: Array, dof: Integers, each: Sequence[tuple[Mask, Mask] | None]) -> Read:

@@ -8,13 +8,17 @@ are kept, too (`window`). A *plan* (`ChainPlan`) lays out CPDs and their evidenc
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cached_property
+from functools import cached_property, partial
 from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 
 from pgm.beliefs.moments.digits import careful, careful_chain
+from pgm.beliefs.moments.digits.careful_belief import over
+from pgm.beliefs.moments.digits.careful_chain import proper
+from pgm.beliefs.moments.digits.careful_pass import Begin
+from pgm.beliefs.moments.digits.certificate import is_flat
 from pgm.beliefs.moments.online.associating import associated, leaves_open
 from pgm.beliefs.moments.online.beliefs import (
     MomentBelief,
@@ -30,7 +34,7 @@ from pgm.beliefs.moments.online.beliefs import (
     told,
 )
 from pgm.beliefs.moments.online.compiled import CompiledSteps
-from pgm.beliefs.moments.online.judged import of_update, of_window
+from pgm.beliefs.moments.online.judged import at_last, at_moments, of_update, of_window
 from pgm.beliefs.moments.online.kind import Questions
 from pgm.beliefs.moments.online.origin import Origin, Pair, kept, opened
 from pgm.beliefs.moments.online.settings import require_settings, require_watch
@@ -51,11 +55,11 @@ from pgm.compile import SliceGraph
 from pgm.compile.machine import COMPILED, Choice, as_choice
 from pgm.cpds import AffineCPD, NonlinearGaussianCPD
 from pgm.display import InCode, titled
-from pgm.errors import ModelError, NumericalError
+from pgm.errors import EvidenceError, ModelError, NumericalError
 from pgm.evidence import BoundEvidence, Sightings
 from pgm.factors import Gaussian
 from pgm.immutable import Immutable
-from pgm.kernels.arrays import deviation
+from pgm.kernels.arrays import Array, deviation
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.posteriors.belief_kind import FILTERED, PREDICTED
@@ -226,10 +230,10 @@ class MomentSteps(InCode, Immutable):
         if isinstance(self._behind, Sliding):
             return slid(self._windows, 0, self._behind, np.zeros(lead))
         plan = self._plan(BoundEvidence(0, lead, (), ()), 0, prior=True)
-        found = MomentChain(plan, ONCE, keep=False).start()
         log_evidence, status = np.zeros(lead), nothing_to_iterate(lead)
-        carried = careful_chain.start(plan, linearise=True)
-        if is_moderate(found, found):
+        carried = Begin.known(careful_chain.start(plan, linearise=True))
+        found = None if is_flat(plan) else MomentChain(plan, ONCE, keep=False).start()
+        if found is not None and is_moderate(found, found):
             return belief_of(plan, 0, found, log_evidence, status, PREDICTED, self._behind, carried)
         return careful_belief(plan, 0, carried, log_evidence, status, PREDICTED, self._behind)
 
@@ -369,6 +373,13 @@ class MomentSteps(InCode, Immutable):
             readings = step_evidence.mapping(readings, "update", "sensors to measurements")
         if leaves_open(readings):
             gate = self.schedule.gate
+            if not np.isfinite(belief.cov).all():
+                raise EvidenceError(
+                    f"{titled(belief)} has an infinite variance still, given a flat prior, so that "
+                    "sightings without identity cannot be compared with candidates: read what "
+                    "tells it before, or give the prior a finite variance",
+                    step=belief.step,
+                )
             closed, seen = associated(self._graph, self.lineariser, belief, readings, gate)
             return self.update(belief, closed).told(seen, gate)
         behind = belief.behind
@@ -384,6 +395,7 @@ class MomentSteps(InCode, Immutable):
             if ordinary is not None:
                 return ordinary
         plan = self._seen(belief, readings)
+        prepare_gates(plan, self._filtering.gate)
         known = in_digits(belief, plan)
         found, taken, parts = careful.update(plan, belief.step, known, self._filtering)
         log_density = taken.solution.log_density.reshape(plan.lead)
@@ -392,7 +404,8 @@ class MomentSteps(InCode, Immutable):
         tell_online(status.converged, self._filtering)
         behind = None if behind is None else behind._replace(imprecise=True)
         made = careful_belief(plan, belief.step, found, log_evidence, status, FILTERED, behind)
-        made = made.judged(*of_update(belief.watch, parts, Moments.of(plan, *known.moments)))
+        squares = partial(at_last, plan, _careful_forward(plan, known, found))
+        made = made.judged(*of_update(belief.watch, parts, squares))
         return made.of(self._update(belief, readings))
 
     def _update(self, belief: MomentBelief, readings: Mapping[Variable, Any]) -> Origin:
@@ -439,7 +452,7 @@ class MomentSteps(InCode, Immutable):
         status = told(status, plan, known, found, belief)
         made = belief_of(plan, belief.step, found, log_evidence, status, FILTERED, belief.behind)
         if chain.gate is not None or belief.watch is not None:
-            made = made.judged(*of_update(belief.watch, parts, known))
+            made = made.judged(*of_update(belief.watch, parts, partial(at_moments, parts, known)))
         return made.of(self._update(belief, readings))
 
     @_quiet
@@ -481,14 +494,28 @@ class MomentSteps(InCode, Immutable):
         asked = {variable: nothing}
         plan = self._plan(step_evidence.readings(self.model, belief, asked), belief.step)
         (sensor,) = plan.sensors
-        mean, cov = (part[None] for part in moments_of(belief, plan).by_run)
-        ahead, first = Diffuse.known(cov), belief.step
+        mean, ahead = self._before(belief, plan)
+        proper(sensor.family, belief.step, ahead.shown)
+        first = belief.step
         family = unweighed(sensor, mean, ahead, first=first)
         found = Expected.of(family, sensor.parents, mean, ahead, first=first)
         mean, cov = found.mean.swapaxes(0, 1), found.spread.shown.swapaxes(0, 1)
         lead = plan.lead if alone else (*plan.lead, found.step.size)
         mean, cov = (part.reshape(*lead, *part.shape[2:]) for part in (mean, cov))
         return Gaussian._make((variable,), mean, cov)
+
+    def _before(self, belief: MomentBelief, plan: ChainPlan) -> tuple[Array, Diffuse]:
+        """The moments (1, runs, ...) of a predicted belief, and which directions are unknown."""
+        if isinstance(belief.behind, Sliding):
+            last = belief.behind.ahead(self._windows, belief.step).ahead.last
+            rows = last.predicted_mean[0], *(part[0] for part in last.ahead)
+            mean, *parts = (over(part, belief.lead, plan.lead)[None] for part in rows)
+            return mean, Diffuse(*parts)
+        if belief.careful is None:
+            mean, cov = moments_of(belief, plan).by_run
+            return mean[None], Diffuse.known(cov[None])
+        mean, spread = in_digits(belief, plan).rounded
+        return mean[None], Diffuse(*(part[None] for part in spread))
 
     def _update_again(
         self, before: MomentBelief, readings: Mapping[Variable, Any]
@@ -506,12 +533,9 @@ class MomentSteps(InCode, Immutable):
                 return plan, _forward(plan, known, found)
         plan = self._seen(before, readings)
         prepare_gates(plan, self._filtering.gate)
-        careful_known = in_digits(before, plan)
-        after, _, parts = careful.update(plan, before.step, careful_known, self._filtering)
-        for part in parts:
-            part.keep()
-        ends = (Moments.of(plan, *each.moments) for each in (careful_known, after))
-        return plan, _forward(plan, *ends)
+        before_it = in_digits(before, plan)
+        after, _, _ = careful.update(plan, before.step, before_it, self._filtering)
+        return plan, _careful_forward(plan, before_it, after)
 
     def _seen(self, belief: MomentBelief, readings: Mapping[Variable, Any]) -> ChainPlan:
         """The plan of one update at the step of a belief, with its `readings` bound."""
@@ -544,6 +568,14 @@ def _made(model: DynamicBayesianNetwork, options: Mapping[str, Any]) -> MomentSt
     return MomentSteps(model, **options)
 
 
+def _careful_forward(plan: ChainPlan, known: Begin, found: Begin) -> Forward:
+    """The forward pass of one step, from its beliefs in twice the digits before and after."""
+    (mean, spread), (after, later) = known.rounded, found.rounded
+    rows = mean[None], spread.shown[None], after[None], later.shown[None]
+    diffuse = Diffuse(*(part[None] for part in spread)) if spread.open.any() else None
+    return Forward(*rows, np.zeros((1, plan.runs)), diffuse=diffuse)
+
+
 def _forward(plan: ChainPlan, known: Moments, found: Moments) -> Forward:
     """The forward pass of one step, from its moments before and after measurements."""
     (mean, cov), (after, spread) = known.by_run, found.by_run
@@ -558,5 +590,6 @@ def _is_same(belief: MomentBelief, found: Moments) -> bool:
     )
     std = deviation(belief.cov)
     near = np.abs(mean - belief.mean) <= _SAME * std + 1e-12 * np.abs(belief.mean)
-    alike = np.abs(cov - belief.cov) <= _SAME * std[..., None] * std[..., None, :]
+    alike = cov == belief.cov  # as infinite ones are
+    alike |= np.abs(cov - belief.cov) <= _SAME * std[..., None] * std[..., None, :]
     return bool(near.all() and alike.all())

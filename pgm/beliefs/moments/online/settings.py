@@ -24,8 +24,8 @@ def require_settings(
 
     Without a schedule it is a `FixedLag` of the lag, or a `Filtering` if there is none, with the
     gate. A `ModelError` refuses settings of a wrong kind or that exclude each other, and models
-    with CPDs that are not Gaussian, robust noise in the transition, or an infinite variance in the
-    prior. An `EvidenceError` refuses a gate for a variable that is no sensor.
+    with CPDs that are not Gaussian, or robust noise in the transition. An `EvidenceError` refuses a
+    gate for a variable that is no sensor.
     """
     if not isinstance(model, DynamicBayesianNetwork):
         raise ModelError(f"a dynamic network was due, not {titled(model)}")
@@ -34,8 +34,6 @@ def require_settings(
     require_gaussian((*model.prior, *model.transition, *model.observation), "Gaussian beliefs")
     require_plain(model.transition)
     require_sensors(model, chosen.gate)
-    for cpd in model.prior:
-        cpd.require_proper("an online filter begins at a belief, which has moments")
     return chosen
 
 

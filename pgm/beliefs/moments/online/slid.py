@@ -18,7 +18,8 @@ def slid(make: Make, step: int, behind: Sliding, log_evidence: Array) -> MomentB
 
     `behind` is the window; `make` makes the plan of some steps from their evidence. `step` is the
     number of the newest step, and `log_evidence` (*runs) that of all steps before, which is the
-    belief's if nothing was read. A belief or log-evidence that is not finite is a `NumericalError`.
+    belief's if nothing was read. A belief or log-evidence that is not finite is a `NumericalError`,
+    but for the variances of what is not known yet, given a flat prior.
     """
     lead, window = behind.lead, behind.window
     if window is None:
@@ -32,7 +33,8 @@ def slid(make: Make, step: int, behind: Sliding, log_evidence: Array) -> MomentB
         error = None if window.careful is None else window.careful.error
         status, kind = Status.of(window.residuals, window.converged, lead), FILTERED
         log_evidence = behind.log_evidence.reshape(lead)
-    if not all(np.isfinite(part).all() for part in (mean, cov, log_evidence)):
+    known = cov if ahead.diffuse is None else np.where(cov == np.inf, 0.0, cov)
+    if not all(np.isfinite(part).all() for part in (mean, known, log_evidence)):
         refuse(step)
     careful = error is not None
     if error is not None:
