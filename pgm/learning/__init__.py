@@ -1,6 +1,25 @@
 """Learning: parameters of a dynamic network, by expectation-maximisation."""
 
 from pgm.learning.fitting import fit
-from pgm.learning.values import Coefficients, Covariance, Fit, FitStatus, Offset, Parameter, Table
+from pgm.learning.values import (
+    Coefficients,
+    Covariance,
+    DegreesOfFreedom,
+    Fit,
+    FitStatus,
+    Offset,
+    Parameter,
+    Table,
+)
 
-__all__ = ["Coefficients", "Covariance", "Fit", "FitStatus", "Offset", "Parameter", "Table", "fit"]
+__all__ = [
+    "Coefficients",
+    "Covariance",
+    "DegreesOfFreedom",
+    "Fit",
+    "FitStatus",
+    "Offset",
+    "Parameter",
+    "Table",
+    "fit",
+]

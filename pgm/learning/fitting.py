@@ -18,7 +18,7 @@ from pgm.inference import Smoothing
 from pgm.kernels.arrays import Array
 from pgm.learning.model import Expected, Learner, Point
 from pgm.learning.values import Fit, FitStatus, Learn
-from pgm.linearisers import TAYLOR, Lineariser
+from pgm.linearisers import TAYLOR, Lineariser, Taylor
 from pgm.networks import DynamicBayesianNetwork
 from pgm.progress import Progress, counted, reporting
 from pgm.schedules.argument_checks import require_lineariser
@@ -92,8 +92,9 @@ class QuasiNewton:
 
 # How often a step is halved: a quasi-Newton one, by a quarter, before a plain one is taken.
 _HALVINGS, _QUARTERS = 5, 1
-# The part of an objective that may be rounding, and of a coordinate that is no move.
-_ROUNDING, _STILL = 1e-13, 1e-3
+# The part of an objective that may be rounding, and of a coordinate that is no move; at a fixed
+# point that has no objective it is smaller.
+_ROUNDING, _STILL, _FIXED = 1e-13, 1e-3, 1e-4
 # The part of what the gradient promises that a quasi-Newton step has to gain.
 _PROMISE = 1e-4
 # Nats that a step gains although a noise has vanished, where there is no end to it.
@@ -129,6 +130,13 @@ class Search:
             before = here
             image, gradient = learner.improved(here)
             x, y = learner.vector(here.point), learner.vector(image)
+            if learner.by_equations:
+                here = self._expected(image)
+                trace.append(here.log_evidence)
+                if (np.abs(y - x) / (1.0 + np.abs(x))).max(initial=0.0) <= _FIXED:
+                    converged, self.stopped = True, _EQUATIONS
+                    break
+                continue
             there = self._accelerated(here, x, gradient, y - x) or self._plain(here, image, x, y)
             if there is None:
                 converged = self.stopped in (_ROUNDED, _WITHIN)
@@ -228,10 +236,14 @@ class Search:
         return None
 
 
+_EQUATIONS = "parameters and weights are at a fixed point, of which there is no likelihood"
 _ROUNDED, _WITHIN = "rounding alone was left", "a step was within the tolerance"
 
 
-_ONCE = Smoothing()
+# Smoothers of each E step: weights of robust noise are found by iterations.
+_ONCE, _WEIGHED = Smoothing(), Smoothing(iterations=100)
+# Its weights raise the bound of the evidence, as parameters do.
+_EXPECTED = Taylor(expected=True)
 
 
 @public
@@ -241,7 +253,7 @@ def fit(
     *,
     learn: Learn,
     lineariser: Lineariser = TAYLOR,
-    schedule: Smoothing = _ONCE,
+    schedule: Smoothing | None = None,
     belief: BeliefFamily[Any] | None = None,
     steps: int | Sequence[int | None] | None = None,
     iterations: int = 200,
@@ -262,6 +274,11 @@ def fit(
     that does not, as of nonlinear models it may, is halved five times, and then refused. Where a
     noise vanishes and the log-evidence rises without end the search stops, and its status says so.
 
+    Measurements of robust noise count with their weights in both steps, at which log-evidence is a
+    lower bound that neither lowers. The weights are those of expected squares: without a
+    lineariser, `Taylor(expected=True)`. Truncated noise and gates have no likelihood: steps go on
+    until parameters stay, what is cut off being made up for as of Gaussian residuals.
+
     Where discrete variables choose among CPDs (`SwitchingCPD`), each row enters the expectations of
     a case by the probability that this holds there. Where mixtures of Gaussians are merged, the
     log-evidence and its gradient are approximate, as of nonlinear models.
@@ -276,11 +293,13 @@ def fit(
     learn : mapping of Variable
         The parts that are learnt, all else being fixed: by ``x.at(0)`` of the prior of a state, by
         ``x`` of its transition, by ``z`` of a sensor, a part of `pgm.learning` or a tuple of them,
-        ``{x: (Coefficients(), Covariance("diagonal")), z: Covariance()}``; by an input its
-        `Parameter`. Of a `SwitchingCPD` that is learnt of every case; or, by state, of some:
-        ``{z: {"working": Covariance()}}``.
+        ``{x: (Coefficients(), Covariance("diagonal")), z: Covariance()}``, of Student-t noise also
+        its `DegreesOfFreedom`; by an input its `Parameter`. Of a `SwitchingCPD` that is learnt of
+        every case; or, by state, of some: ``{z: {"working": Covariance()}}``.
     lineariser, schedule : optional
-        Settings of the smoother, without a gate; ``Smoothing(iterations=...)`` linearises again.
+        Settings of the smoother; ``Smoothing(iterations=...)`` linearises again. Without, it
+        linearises once; where noise is robust up to 100 times, weighing measurements each time.
+        With a gate each E step decides anew which measurements are taken in.
     belief : BeliefFamily, optional
         How many Gaussians mixtures of a model with discrete and continuous variables have:
         ``pgm.Gaussians(8)``.
@@ -316,7 +335,9 @@ def fit(
     ----------
     Shumway & Stoffer, An approach to time series smoothing and forecasting using the EM algorithm,
     1982. Jamshidian & Jennrich, Acceleration of the EM algorithm by using quasi-Newton methods,
-    1997, method QN2. Kokkala, Solin & Särkkä, Sigma-point filtering and smoothing based parameter
+    1997, method QN2. Lange, Little & Taylor, Robust statistical modeling using the t distribution,
+    1989. Liu & Rubin, ML estimation of the t distribution using EM and its extensions, ECM and
+    ECME, 1995. Kokkala, Solin & Särkkä, Sigma-point filtering and smoothing based parameter
     estimation in nonlinear dynamic systems, 2015.
 
     Examples
@@ -344,15 +365,13 @@ def fit(
         raise ModelError(f"tolerance= is a number, 0 or more, not {tolerance!r}")
     if not isinstance(accelerate, bool):
         raise ModelError(f"accelerate= is True or False, not {accelerate!r}")
+    if schedule is None:
+        schedule = _WEIGHED if _is_weighed(model) else _ONCE
     if not isinstance(schedule, Smoothing):
         raise ModelError(f"schedule= is pgm.Smoothing(...), not {titled(schedule)}")
-    if schedule.gate is not None:
-        raise ModelError(
-            f"schedule= is {schedule!r}: what a gate rejects would change with the parameters, and "
-            "with it what the log-evidence is of; smooth with the gate, and fit evidence that is "
-            "NaN where posterior.innovations[z].rejected"
-        )
     require_lineariser(lineariser)
+    if lineariser == TAYLOR and _is_weighed(model):
+        lineariser = _EXPECTED
     if belief is not None:
         require_family(belief, model)
     learner = Learner(model, recordings, learn, lineariser, schedule, belief, every, single=single)
@@ -366,6 +385,12 @@ def fit(
         smoothed=search.smoothed or schedule.tolerance == 0.0,
     )
     return found
+
+
+def _is_weighed(model: DynamicBayesianNetwork) -> bool:
+    """Whether measurements are weighed by robust noise, as they are where beliefs are Gaussian."""
+    gaussian = not (model.discrete or model.mixed)
+    return gaussian and any(getattr(cpd, "noise", None) is not None for cpd in model.observation)
 
 
 def _tell(found: Fit, *, searched: bool, smoothed: bool) -> None:

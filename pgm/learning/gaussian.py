@@ -14,8 +14,9 @@ from pgm.factors.scope import Scope, labels, listed, namesake
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, Mask, deviation, transpose
 from pgm.learning.residuals import Known, Residuals, residuals
+from pgm.learning.robust import DegreesOfFreedomStep, reweighed, with_noise
 from pgm.learning.steps import CovarianceStep
-from pgm.learning.values import Coefficients, Covariance, Offset
+from pgm.learning.values import Coefficients, Covariance, DegreesOfFreedom, Offset
 from pgm.posteriors.expectations import FamilyBelief
 
 # Coordinate ascent over coefficients and noise, where neither alone has a closed form.
@@ -78,6 +79,7 @@ class GaussianStep:
 
     def __init__(self, cpd: ConditionalGaussian, hidden: Scope, parts: Sequence[Any]) -> None:
         self.hidden, self.noise = hidden, None
+        self.dof: DegreesOfFreedomStep | None = None
         order = (*hidden, *(p for p in cpd.given if p not in hidden))
         self.order = order
         starts = np.cumsum([0, *(p.dimension for p in order)])
@@ -88,6 +90,8 @@ class GaussianStep:
                 self.noise = CovarianceStep(cpd, part)
             elif isinstance(part, Coefficients):
                 self._free_matrices(cpd, part)
+            elif isinstance(part, DegreesOfFreedom):
+                self.dof = DegreesOfFreedomStep(cpd, part)
             else:
                 self._free_offset(cpd, part)
         self._require_noise(cpd)
@@ -160,6 +164,24 @@ class GaussianStep:
                 cpd=cpd,
             )
 
+    def improved(
+        self, beliefs: list[FamilyBelief], known: Known, improved: Known
+    ) -> tuple[ConditionalGaussian, Array]:
+        """The M step, and the gradient of the expected log-density before it.
+
+        Parameters that functions take are `known` before the step, and `improved` by it.
+        """
+        cpd: Any = beliefs[0].family.cpd
+        sums = self.expected(beliefs, known)
+        slopes, noise = self.gradient(sums), cpd.noise
+        if self.dof is not None:
+            slopes = np.append(slopes, self.dof.gradient(cpd, beliefs))
+            noise = self.dof.likeliest(cpd, beliefs)
+            beliefs = reweighed(beliefs, noise)
+        if self.dof is not None or any(variable in cpd.given for variable in improved):
+            sums = self.expected(beliefs, improved)
+        return with_noise(self.maximised(sums), noise), slopes
+
     def expected(self, beliefs: Sequence[FamilyBelief], known: Known) -> Expected:
         """The sums over all recordings that M step and gradient need."""
         cpd: Any = beliefs[0].family.cpd
@@ -169,12 +191,13 @@ class GaussianStep:
         if isinstance(cpd.cov, Noise):
             return self._by_row(cpd, every, count, reference)
         if count and self.free[:, -1].all() and self.free[:, :-1].any():
-            reference = sum(each.weighted(each.regressors).sum(axis=0) for each in every) / count
+            reference = sum(each.weighted(each.regressors).sum(axis=0) for each in every)
+            reference = reference / reference[-1]
             reference[-1] = 0.0
         sums = zip(*(each.sums(reference) for each in every), strict=True)
         own, cross, gram = (np.sum(parts, axis=0) for parts in sums)
         # A regressor that differs from its mean by rounding alone tells nothing.
-        still = np.diagonal(gram) <= count * (_STILL * reference) ** 2
+        still = np.diagonal(gram) <= gram[-1, -1] * (_STILL * reference) ** 2
         still[-1] = False
         cross, gram = np.where(still, 0.0, cross), np.where(still | still[:, None], 0.0, gram)
         return Expected(cpd, own, cross, gram, count, reference)
@@ -188,7 +211,7 @@ class GaussianStep:
             own, cross, gram = each.rows()
             weight = np.broadcast_to(np.linalg.pinv(each.noise, hermitian=True), own.shape)
             rank = np.linalg.matrix_rank(each.noise, hermitian=True)
-            ranks += float(each.weighted(np.broadcast_to(rank, len(own))).sum())
+            ranks += float(each.counted(np.broadcast_to(rank, len(own))).sum())
             moments.append((own, cross, gram, weight))
             for k, (i, a) in enumerate(zip(rows, columns, strict=True)):
                 normal[k] += np.sum(weight[:, i, rows] * gram[:, a, columns], axis=0)
@@ -285,7 +308,7 @@ class GaussianStep:
         if isinstance(cpd, LinearGaussianCPD):
             matrices = {p: cpd.matrices[p] + change[:, self.places[p]] for p in cpd.given}
             offset = cpd.offset + np.where(self.free[:, -1], change[:, -1], 0.0)
-            return LinearGaussianCPD(cpd.child, matrices, cov=cov, offset=offset)
+            return LinearGaussianCPD(cpd.child, matrices, cov=cov, offset=offset, noise=cpd.noise)
         changed: ConditionalGaussian = cpd._with_cov(cov)
         return changed
 
@@ -296,6 +319,8 @@ class GaussianStep:
             parts.append(self._coefficients(cpd)[self.free])
         if self.noise is not None:
             parts.append(self.noise.vector(cpd))
+        if self.dof is not None:
+            parts.append(self.dof.vector(cpd))
         return np.concatenate(parts)
 
     def _coefficients(self, cpd: Any) -> Array:
@@ -310,8 +335,11 @@ class GaussianStep:
         change = np.zeros(self.free.shape)
         if count:
             change[self.free] = vector[:count] - self.vector(cpd)[:count]
+        noise = cpd.noise
+        if self.dof is not None:
+            vector, noise = vector[:-1], self.dof.at(vector[-1:])
         cov = cpd.cov if self.noise is None else self.noise.at(vector[count:])
-        return self._changed(cpd, change, cov)
+        return with_noise(self._changed(cpd, change, cov), noise)
 
 
 def _mask(cpd: Any, what: str, value: Any, due: tuple[int, ...]) -> Mask:

@@ -24,6 +24,7 @@ from pgm.learning.values import (
     PARTS,
     Coefficients,
     Covariance,
+    DegreesOfFreedom,
     Fit,
     FitStatus,
     Learn,
@@ -118,6 +119,19 @@ class Learner:
                 )
 
     @property
+    def by_equations(self) -> bool:
+        """Whether parameters are at a fixed point of steps, since no likelihood is to be raised.
+
+        So it is with a gate, which takes in other measurements at other parameters, and of the
+        noise of a loss whose density has no finite integral.
+        """
+        return self.schedule.gate is not None or any(
+            cpd.noise is not None and not cpd.noise.is_proper(cpd.child.dimension)
+            for block, cpd in zip(self.blocks, self._cpds(self.start), strict=True)
+            if isinstance(block, GaussianStep) and block.noise is not None
+        )
+
+    @property
     def _sensors(self) -> set[Variable]:
         """The sensors of which something is learnt."""
         used = {part.cpd.child for part in self._learnable(self.start)}
@@ -150,13 +164,8 @@ class Learner:
                 + f"; {_AS_CASES}" * isinstance(cpd, MixtureCPD),
                 cpd=cpd,
             )
-        self._require(cpd, kinds, (Covariance, Coefficients, Offset))
-        if cpd.noise is not None:
-            raise ModelError(
-                f"{cpd!r} has robust noise, {cpd.noise!r}, of which nothing is learnt; learn it "
-                "with Gaussian noise, noise=None",
-                cpd=cpd,
-            )
+        self._require(cpd, kinds, (Covariance, Coefficients, Offset, DegreesOfFreedom))
+        _require_density(cpd, kinds)
         hidden = tuple(p for p in cpd.given if p.template in {*model.states, *model.controls})
         return GaussianStep(cpd, hidden, parts)
 
@@ -256,11 +265,16 @@ class Learner:
                 new.append(block.maximised(cpd, counts))
                 continue
             beliefs = [each.families[part] for each in every if part in each.families]
-            sums = block.expected(beliefs, point.parameters)
-            slopes.append(block.gradient(sums))
-            if any(variable in cpd.given for variable in known):
-                sums = block.expected(beliefs, known)
-            new.append(block.maximised(sums))
+            if cpd.noise is not None and any(belief.robust is None for belief in beliefs):
+                raise ModelError(
+                    f"{cpd!r} has robust noise, {cpd.noise!r}, of which nothing is learnt beside "
+                    "discrete variables and where mixtures are the beliefs; learn it with Gaussian "
+                    "noise, noise=None, or name it not in learn=",
+                    cpd=cpd,
+                )
+            image, slope = block.improved(beliefs, point.parameters, known)
+            slopes.append(slope)
+            new.append(image)
         return self._with(point, new, known), np.concatenate(slopes)
 
     def _of_parameters(self, model: DynamicBayesianNetwork) -> Iterator[Learnable]:
@@ -315,6 +329,19 @@ class Learner:
             child = part.cpd.child
             named[child.at(0) if place.role == PRIOR else child] = part.cpd
         return named
+
+
+def _require_density(cpd: ConditionalGaussian, kinds: list[type]) -> None:
+    """Refuse the covariance of a loss that is neither a density nor truncated."""
+    noise, size = cpd.noise, cpd.child.dimension
+    if noise is None or Covariance not in kinds or noise.graduated or noise.is_proper(size):
+        return
+    raise ModelError(
+        f"{cpd!r}: {noise!r} of {size} components has no density, since its integral is infinite, "
+        "so that readings have no likeliest covariance; learn that of pgm.StudentT(dof), of "
+        "pgm.Huber(threshold), or of a pgm.Cauchy whose scale is above the root of that number",
+        cpd=cpd,
+    )
 
 
 def _parts(variable: Any, learnt: Any) -> Sequence[Any]:

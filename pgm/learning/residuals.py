@@ -8,8 +8,9 @@ error ε has the covariance Ω. The sums over rows of
     E[r rᵀ] = e eᵀ + A C Aᵀ + Ω,    E[r gᵀ] = e ḡᵀ + A C G,    E[g gᵀ] = ḡ ḡᵀ + Gᵀ C G,
 
 g being the parents and a one, are all that M steps need. Rows have weights where a belief is of
-several Gaussians, or a CPD may not hold. Of a measurement with missing components these are
-expected too, given those that are there.
+several Gaussians, or a CPD may not hold. Moments of a measurement with robust noise, which counts
+with the covariance R / w, enter with its weight w. Of a measurement with missing components these
+are expected too, given those that are there.
 
 Kokkala, Solin & Särkkä (2015) have expectations over the joint, which are equal where integrals are
 exact: these are over the parents alone (Stein's lemma).
@@ -19,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,8 +29,9 @@ from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, Mask, apply, components_last, quiet, symmetric, transpose
 from pgm.kernels.moments import predict
 from pgm.kernels.solving import regression
+from pgm.learning.robust import counts, is_proper
 from pgm.linearisation.family import Family
-from pgm.posteriors.expectations import FamilyBelief
+from pgm.posteriors.expectations import FamilyBelief, RobustWeights
 from pgm.variables import Variable
 
 Known = Mapping[Variable, Array]
@@ -41,8 +43,9 @@ class Residuals:
 
     The mean e (N, d), the line A (1 or N, d, n), the covariance C (N, n, n), the error Ω with what
     missing components add (1 or N, d, d), the regressors ḡ (N, k), of which the components of
-    `hidden` parents stand first, and the CPD's own noise (1 or N, d, d). The `weight` (N,) is the
-    probability that a row is of the CPD; None where all are one.
+    `hidden` parents stand first, and the CPD's own noise (1 or N, d, d). The `weight` (N,) is what
+    a row counts for, the probability that it is of the CPD; its moments enter with the
+    `factor` (N,), which is also of the weight of robust noise. None where all are one.
     """
 
     mean: Array
@@ -53,6 +56,7 @@ class Residuals:
     noise: Array
     hidden: int
     weight: Array | None = None
+    factor: Array | None = None
 
     @property
     def count(self) -> float:
@@ -60,11 +64,12 @@ class Residuals:
         return len(self.mean) if self.weight is None else float(self.weight.sum())
 
     def weighted(self, values: Array) -> Array:
+        """Values (N, ...), or (1, ...), of rows times their factors."""
+        return _times(self.factor, values)
+
+    def counted(self, values: Array) -> Array:
         """Values (N, ...), or (1, ...), of rows times their weights."""
-        if self.weight is None:
-            return values
-        found: Array = self.weight.reshape(-1, *(1,) * (values.ndim - 1)) * values
-        return found
+        return _times(self.weight, values)
 
     def rows(self) -> tuple[Array, Array, Array]:
         """The moments E[r rᵀ], E[r gᵀ] and E[g gᵀ] of each row."""
@@ -92,12 +97,21 @@ class Residuals:
             around = np.einsum("rin,rjn->ij", every, self.line)
             spread = cov[:, :hidden, :hidden].sum(axis=0)
         one = len(self.error) == 1
-        error = self.count * self.error[0] if one else self.weighted(self.error).sum(axis=0)
+        total = len(self.mean) if self.factor is None else float(self.factor.sum())
+        error = total * self.error[0] if one else self.weighted(self.error).sum(axis=0)
         own = mean.T @ self.mean + around + error
         cross, gram = mean.T @ g, self.weighted(g).T @ g
         cross[:, :hidden] += across[:, :hidden]
         gram[:hidden, :hidden] += spread[:hidden, :hidden]
         return symmetric(own), cross, symmetric(gram)
+
+
+def _times(factor: Array | None, values: Array) -> Array:
+    """Values (N, ...), or (1, ...), times a factor (N,) of each row, None for one."""
+    if factor is None:
+        return values
+    found: Array = factor.reshape(-1, *(1,) * (values.ndim - 1)) * values
+    return found
 
 
 def at_values(family: Family, known: Known) -> Family:
@@ -149,8 +163,11 @@ def residuals(belief: FamilyBelief, known: Known) -> Residuals:
     inputs = [family.inputs[p] for p in family.cpd.given if p not in family.hidden]
     seen = [np.broadcast_to(v, (rows, runs, v.shape[-1])) for v in inputs]
     flat = rows * runs
+    if belief.cut is not None:
+        error = belief.cut if error is None else error + belief.cut
     g = np.concatenate([belief.mean[..., :hidden], *seen, np.ones((rows, runs, 1))], axis=-1)
     zero = np.zeros((1, height, height))
+    shares = None if belief.weights is None else belief.weights.reshape(flat)
     found = Residuals(
         mean.reshape(flat, height),
         _flat(line, rows, runs),
@@ -159,12 +176,31 @@ def residuals(belief: FamilyBelief, known: Known) -> Residuals:
         g.reshape(flat, -1),
         _flat(family.own_noise, rows, runs),
         hidden,
-        None if belief.weights is None else belief.weights.reshape(flat),
+        shares,
+        shares,
     )
+    if belief.robust is not None:
+        found = _robust(found, belief)
     if belief.taken is None:
         return found
     taken = np.broadcast_to(belief.taken, (rows, runs, height)).reshape(flat, height)
-    return _expected(found, taken)
+    return _expected(found, taken, belief.robust)
+
+
+def _robust(found: Residuals, belief: FamilyBelief) -> Residuals:
+    """The residuals of robust noise, whose moments are weighed."""
+    noise, robust = belief.family.cpd.noise, belief.robust
+    assert noise is not None
+    assert robust is not None
+    weight = robust.weight.reshape(-1)
+    counted, shares = found.weight, found.weight
+    if not is_proper(noise, robust.components):
+        spread = predict(found.cov, found.line, found.error)
+        share = np.trace(regression(spread, found.noise), axis1=-2, axis2=-1)
+        share = np.clip(share / spread.shape[-1], 0.0, 1.0).reshape(robust.weight.shape)
+        kept = counts(noise, robust, share).reshape(-1)
+        counted = kept if counted is None else counted * kept
+    return replace(found, weight=counted, factor=weight if shares is None else shares * weight)
 
 
 def _flat(array: Array, rows: int, runs: int) -> Array:
@@ -179,15 +215,18 @@ def _flat(array: Array, rows: int, runs: int) -> Array:
     return found
 
 
-def _expected(found: Residuals, taken: Mask) -> Residuals:
+def _expected(found: Residuals, taken: Mask, robust: RobustWeights | None) -> Residuals:
     """The residuals of measurements of which some components are missing.
 
-    A missing one is, given those there, K r + n, K = R_mo R_oo⁻¹, n of covariance R_mm − K R_om.
+    A missing one is, given those there, K r + n, K = R_mo R_oo⁻¹, n of covariance R_mm − K R_om,
+    divided by its weight where noise is robust.
     """
+    weight = None if robust is None else robust.weight.reshape(-1)
     there: Mask = np.asarray(taken.any(axis=-1))
     if not there.all():
         found = _at(found, there)
         taken = taken[there]
+        weight = None if weight is None else weight[there]
     if taken.all():
         return found
     count, height = found.mean.shape
@@ -208,6 +247,8 @@ def _expected(found: Residuals, taken: Mask) -> Residuals:
             own[:, lost[:, None], lost] - gain @ own[:, seen[:, None], lost]
         )
         added[rows] = symmetric(rest)
+    if weight is not None:
+        added /= weight[:, None, None]
     return Residuals(
         (change @ found.mean[..., None])[..., 0],
         change @ found.line,
@@ -217,6 +258,7 @@ def _expected(found: Residuals, taken: Mask) -> Residuals:
         found.noise,
         found.hidden,
         found.weight,
+        found.factor,
     )
 
 
@@ -233,4 +275,5 @@ def _at(found: Residuals, rows: Mask) -> Residuals:
         part(found.noise),
         found.hidden,
         None if found.weight is None else found.weight[rows],
+        None if found.factor is None else found.factor[rows],
     )

@@ -159,7 +159,34 @@ class Table(InCode):
             raise ModelError(f"{self!r}: counts are finite, and 0 or more")
 
 
-PARTS = (Covariance, Coefficients, Offset, Parameter, Table)
+@public
+@dataclass(frozen=True)
+class DegreesOfFreedom(InCode):
+    """The degrees of freedom of a sensor's `StudentT` noise.
+
+    Parameters
+    ----------
+    lower, upper : float
+        Bounds, 0 < lower < upper. Of noise that is Gaussian as far as readings tell, they end at
+        the upper one.
+
+    Examples
+    --------
+    >>> pgm.learning.DegreesOfFreedom(upper=30.0)
+    DegreesOfFreedom(lower=1.0, upper=30.0)
+    """
+
+    lower: float = 1.0
+    upper: float = 100.0
+
+    def __post_init__(self) -> None:
+        if not (is_number(self.lower) and is_number(self.upper)) or not (
+            0.0 < self.lower < self.upper < math.inf
+        ):
+            raise ModelError(f"{self!r}: lower and upper are numbers, 0 < lower < upper")
+
+
+PARTS = (Covariance, Coefficients, Offset, DegreesOfFreedom, Parameter, Table)
 Learn = Mapping[Variable, Any]
 
 

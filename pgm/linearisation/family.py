@@ -275,10 +275,10 @@ class Family(Rows):
     def expects(self) -> bool:
         """Whether robust noise finds a measurement's weight from E[rᵀ R⁻¹ r] of its residual r.
 
-        The expectation is under the belief. The result is False with `Taylor`: the weight is then
+        The expectation is under the belief. The result is False with `Taylor()`: the weight is then
         found from rᵀ R⁻¹ r of the residual at the belief's mean.
         """
-        return not isinstance(self.lineariser, Taylor)
+        return not isinstance(self.lineariser, Taylor) or self.lineariser.expected
 
     @property
     def settled(self) -> bool:

@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 
+from pgm.errors import ModelError
 from pgm.kernels.arrays import Array, components_first, components_last
 from pgm.kernels.gaussian import lengths
 from pgm.linearisers.function import BoundFunction
@@ -23,6 +24,14 @@ class Taylor(ArrayLineariser):
     Kalman filter, with smoothing the extended RTS smoother, and iterated smoothing is Gauss–Newton
     on the posterior.
 
+    Parameters
+    ----------
+    expected : bool
+        Whether robust noise weighs a measurement by the square of its residual that the belief
+        expects, rᵀR⁻¹r + tr R⁻¹HPHᵀ, as the other rules do; else by that of the mean, rᵀR⁻¹r. With
+        the first, weights raise the lower bound of the evidence, by which `fit` learns; with the
+        second they find the most probable states.
+
     Examples
     --------
     >>> from pgm.examples import square, y
@@ -30,6 +39,15 @@ class Taylor(ArrayLineariser):
     >>> pgm.infer(graph, {}, lineariser=pgm.Taylor())[y].mean.round(2)
     array([9.])
     """
+
+    expected: bool = False
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.expected, bool):
+            raise ModelError(f"Taylor: expected= is True or False, not {self.expected!r}")
+
+    def __repr__(self) -> str:
+        return "Taylor(expected=True)" if self.expected else "Taylor()"
 
     def prepare(self, template: FunctionTemplate) -> Prepared:
         """The formula, with the deviations that set the steps of differences where it takes any.

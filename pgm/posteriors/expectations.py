@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from pgm.cpds import CPD, SwitchingCPD
 from pgm.cpds.switching import Case
-from pgm.kernels.arrays import Array, Mask
+from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.linearisation.family import Family
 
 PRIOR, TRANSITION, OBSERVATION = ROLES = "prior", "transition", "observation"
@@ -36,6 +36,18 @@ class Learnable(NamedTuple):
         return self.cpd.cases[self.case]
 
 
+class RobustWeights(NamedTuple):
+    """The weights of a sensor's measurements with robust noise, and where they were found.
+
+    `weight` w (rows, runs); the `square` s (rows, runs) of the residual at which it was found; and
+    the number of `components` (rows or 1, runs or 1) that were measured.
+    """
+
+    weight: Array
+    square: Array
+    components: Integers
+
+
 class FamilyBelief(NamedTuple):
     """The joint belief (rows, runs, n) of a CPD's hidden parents and, if hidden, its child.
 
@@ -44,7 +56,10 @@ class FamilyBelief(NamedTuple):
     `values` (rows, runs or 1, d) are the measurements of a sensor, None for another CPD; `taken`, a
     mask of the same shape, marks the components that were measured, None if all were.
     `weights` (rows, runs) are the probabilities that the CPD holds there: of a mixture's Gaussians,
-    which are runs, or of the states that choose it. None are ones.
+    which are runs, or of the states that choose it. None are ones. `robust` are the
+    weights of measurements with robust noise, each of which counts with the covariance R / w; None
+    for Gaussian noise. `cut` (rows, runs, d, d) is what a gate has cut off from the expected second
+    moments of residuals, by the innovations that it rejects; None without a gate.
     """
 
     family: Family
@@ -53,6 +68,8 @@ class FamilyBelief(NamedTuple):
     values: Array | None
     taken: Mask | None
     weights: Array | None = None
+    robust: RobustWeights | None = None
+    cut: Array | None = None
 
 
 class Expectations(NamedTuple):

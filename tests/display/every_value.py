@@ -395,7 +395,7 @@ def small():
     learn = {A.at(0): pgm.learning.Offset(), scale: pgm.learning.Parameter(1.0)}
     learn[B] = pgm.learning.Covariance()
     learnt = pgm.fit(calibrated, {B: [[1.0], [2.0], [4.0]]}, learn=learn, iterations=3)
-    rest += [learnt, learnt.status, pgm.learning.Table()]
+    rest += [learnt, learnt.status, pgm.learning.Table(), pgm.learning.DegreesOfFreedom()]
     every = [*rules, *schedules, *methods, *orders, *rest]
     return {f"{type(value).__name__} {k}": value for k, value in enumerate(every)}
 

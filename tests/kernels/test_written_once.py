@@ -413,7 +413,11 @@ SOLUTIONS = listed(
     # Learning, recorded information, and pictures.
     {"learning/gaussian.py": "_by_row _least _regressed _require_noise gradient"},
     {"learning/steps.py": "__init__ _lower _require_rank at gradient likeliest maximised"},
-    {"learning/residuals.py": "_expected", "recordings/drives/pose_graph.py": "covariances"},
+    {
+        "learning/residuals.py": "_expected _robust",
+        "recordings/drives/pose_graph.py": "covariances",
+    },
+    {"beliefs/moments/outcomes/families.py": "_cut"},
     {"plot/diagrams/layering.py": "along", "viewer/placing.py": "_stressed"},
     # A step of a control, whose function has the name `solve`.
     {"kernels/machine/sweeps/control.py": "step"},

@@ -159,20 +159,9 @@ def test_parts(made):
         made()
 
 
-def test_robust_noise():
-    sight = pgm.LinearGaussianCPD(Z, {X: 1.0}, cov=1.0, noise=pgm.StudentT(4.0))
-    with pytest.raises(pgm.ModelError, match="has robust noise"):
-        pgm.fit(model().replace(observation=[sight]), READINGS, learn={Z: Covariance()})
-
-
 def test_beliefs_without_expectations():
     with pytest.raises(pgm.ModelError, match="no expectations to learn by"):
         pgm.fit(model(), READINGS, learn={Z: Covariance()}, belief=pgm.Particles(10))
-
-
-def test_gates():
-    with pytest.raises(pgm.ModelError, match="what a gate rejects would change"):
-        pgm.fit(model(), READINGS, learn={Z: Covariance()}, schedule=pgm.Smoothing(gate=0.99))
 
 
 @pytest.mark.parametrize("kind", ["full", "scaled"])

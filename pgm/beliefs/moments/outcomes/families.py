@@ -13,7 +13,10 @@ from pgm.beliefs.moments.digits.adjoint import CarefulSmoothed
 from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
 from pgm.beliefs.moments.passes import backward
 from pgm.beliefs.moments.passes.backward import Beliefs
-from pgm.kernels.arrays import Index, block, quiet
+from pgm.beliefs.moments.steps.sensor import Sensor
+from pgm.kernels.arrays import Array, Index, block, independent, quiet
+from pgm.kernels.mahalanobis import square_within
+from pgm.kernels.solving import regression
 from pgm.linearisation.family import Family
 from pgm.posteriors.expectations import (
     OBSERVATION,
@@ -22,6 +25,7 @@ from pgm.posteriors.expectations import (
     Expectations,
     FamilyBelief,
     Learnable,
+    RobustWeights,
 )
 
 
@@ -48,9 +52,44 @@ def family_beliefs(posterior: ChainOutcome) -> Expectations:
         at = Beliefs(beliefs.mean[rows], beliefs.cov[rows])
         own = _belief(sensor.family, at, everywhere[sensor.parents])
         found[Learnable(sensor.family.cpd, OBSERVATION)] = own._replace(
-            values=sensor.values, taken=sensor.taken
+            values=sensor.values,
+            taken=sensor.taken,
+            robust=_robust(sensor) if sensor.robust else None,
+            cut=None if sensor.gated is None else _cut(posterior, sensor),
         )
     return Expectations({}, found)
+
+
+def _robust(sensor: Sensor) -> RobustWeights:
+    """The weights that a smoother found for a sensor's measurements."""
+    weights = sensor.weights
+    return RobustWeights(weights.weight, weights.square, weights.count)
+
+
+def _cut(posterior: ChainOutcome, sensor: Sensor) -> Array:
+    """The parts of E[r rᵀ] of residuals that a sensor's gate has cut off, (M, runs, d, d).
+
+    Innovations within a gate, νᵀS⁻¹ν ≤ q, have the covariance κ S, with κ = P(χ²_{d+2} ≤ q) over
+    P(χ²_d ≤ q), and the second moments of residuals that they tell are less by (1 − κ) R S⁻¹ R.
+    """
+    from scipy.special import chdtr  # here, since it is slow to import
+
+    assert sensor.gated is not None
+    assert sensor.taken is not None
+    innovations = posterior.innovations[sensor.variable]
+    rows, runs, height, _ = sensor.family.shape
+    shape = runs, rows, height, height
+    cov = innovations.cov.reshape(shape).swapaxes(0, 1)[sensor.order]
+    taken = sensor.taken & np.isfinite(np.diagonal(cov, axis1=-2, axis2=-1))
+    both = taken[..., :, None] & taken[..., None, :]
+    noise = np.where(both, sensor.family.own_noise, 0.0)
+    whole = independent(np.where(both, cov, 0.0), taken)
+    count = taken.sum(axis=-1)
+    limit = square_within(sensor.gated.gate, count)
+    kept = chdtr(count + 2.0, limit) / sensor.gated.gate
+    share = np.where(count > 0, 1.0 - kept, 0.0)
+    cut: Array = share[..., None, None] * (regression(noise, whole) @ noise)
+    return cut
 
 
 def _belief(family: Family, moments: Beliefs, chosen: Index) -> FamilyBelief:

@@ -1,0 +1,205 @@
+"""Robust noise and gates as parts of E and M steps."""
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+import pgm
+from pgm.learning import Coefficients, Covariance, DegreesOfFreedom, Offset
+from pgm.learning.model import Learner
+
+X = pgm.Variable("x", ("a", "b"))
+Z = pgm.Variable("z", ("p", "q"))
+S, Y = pgm.variables("s y")
+SETTLED = pgm.Smoothing(iterations=500, tolerance=1e-11)
+
+
+def walk(cov, noise, spread=0.3):
+    return pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(S, 0.0, 1.0)],
+        [pgm.LinearGaussianCPD(S, {S.previous: 0.9}, cov=spread)],
+        [pgm.LinearGaussianCPD(Y, {S: 1.0}, cov=cov, noise=noise)],
+    )
+
+
+def dense(weight, cov, readings, spread=0.3):
+    """Mean and variance of the walk's states at 1..T, and ln p, of noise R / w."""
+    steps = len(readings)
+    lower = np.tril(0.9 ** np.abs(np.subtract.outer(np.arange(steps), np.arange(steps))))
+    prior = spread * lower @ lower.T + np.outer(0.9 ** np.arange(1, steps + 1), lower[:, 0] * 0.9)
+    total = prior + np.diag(cov / weight)
+    gain = np.linalg.solve(total, prior).T
+    log_p = -0.5 * (
+        readings @ np.linalg.solve(total, readings) + np.linalg.slogdet(2 * np.pi * total)[1]
+    )
+    return gain @ readings, np.diagonal(prior - gain @ prior), log_p
+
+
+def bound(cov, noise, readings):
+    """The largest lower bound of the evidence, over the weights, of a dense twin."""
+    weight = np.ones_like(readings)
+    for _ in range(500):
+        mean, var, log_p = dense(weight, cov, readings)
+        square = ((readings - mean) ** 2 + var) / cov
+        surplus = noise.surplus(square, np.ones(square.shape, int), weight).sum()
+        before, weight = weight, noise.weight(square, np.ones(square.shape, int))
+        if np.abs(weight - before).max() < 1e-12:
+            break
+    return log_p + surplus
+
+
+def test_variance_and_degrees_of_freedom_maximise_the_bound_of_a_dense_twin():
+    model = walk(1.0, pgm.StudentT(1.5))
+    evidence = model.sample(steps=40, rng=3).evidence
+    readings = np.ravel(evidence[Y])
+    start = walk(2.0, pgm.StudentT(6.0))
+    learn = {Y: (Covariance(), DegreesOfFreedom())}
+    found = pgm.fit(start, evidence, learn=learn, schedule=SETTLED, tolerance=1e-10)
+    sensor = found.model.observation[0]
+    best = minimize(
+        lambda p: -bound(np.exp(p[0]), pgm.StudentT(float(np.exp(p[1]))), readings),
+        [np.log(2.0), np.log(6.0)],
+        method="Nelder-Mead",
+        options={"xatol": 1e-7, "fatol": 1e-11},
+    )
+    assert found.log_evidence[-1] == pytest.approx(-best.fun, abs=1e-7)
+    assert [sensor.cov[0, 0], sensor.noise.dof] == pytest.approx(np.exp(best.x), rel=1e-3)
+    assert (np.diff(found.log_evidence) > 0.0).all()
+
+
+@pytest.mark.filterwarnings("ignore::pgm.ConvergenceWarning")
+@pytest.mark.parametrize(
+    "noise", [pgm.StudentT(3.0), pgm.Huber(1.0), pgm.Cauchy(2.0)], ids=lambda n: type(n).__name__
+)
+def test_plain_steps_never_lower_the_bound(noise):
+    """Of everything at once, with readings and components of readings missing."""
+    rng = np.random.default_rng(4)
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(X, [0, 0], 1.0)],
+        [pgm.LinearGaussianCPD(X, {X.previous: [[0.9, 0.2], [0, 0.8]]}, cov=0.3)],
+        [pgm.LinearGaussianCPD(Z, {X: [[1, 0], [0.5, 1]]}, cov=[[1, 0.3], [0.3, 1]], noise=noise)],
+    )
+    readings = np.array(model.sample(steps=60, rng=rng).evidence[Z])
+    readings[rng.random(60) < 0.1] += 15.0
+    readings[rng.random(readings.shape) < 0.1] = np.nan
+    every = (Coefficients(), Offset(), Covariance())
+    found = pgm.fit(
+        model,
+        {Z: readings},
+        learn={X: every, Z: every},
+        schedule=pgm.Smoothing(iterations=300, tolerance=1e-9),
+        iterations=5,
+        accelerate=False,
+    )
+    assert (np.diff(found.log_evidence) > 0.0).all()
+    assert found.status.halved == 0
+    assert found.model.observation[0].noise == noise
+
+
+def test_the_gradient_is_that_of_the_bound():
+    rng = np.random.default_rng(5)
+    model = walk(1.5, pgm.StudentT(4.0))
+    readings = np.array(model.sample(steps=25, rng=rng).evidence[Y])
+    readings[7] = np.nan
+    learn = {Y: (Coefficients(), Offset(), Covariance(), DegreesOfFreedom())}
+    rule = pgm.Taylor(expected=True)
+    learner = Learner(model, [{Y: readings}], learn, rule, SETTLED, None, [None], single=True)
+    _, gradient = learner.improved(learner.expected(learner.start))
+    point, h = learner.vector(learner.start), 1e-4
+
+    def log_evidence(vector):
+        return learner.expected(learner.at(learner.start, vector)).log_evidence
+
+    slopes = [
+        (log_evidence(point + h * e) - log_evidence(point - h * e)) / (2 * h)
+        for e in np.eye(point.size)
+    ]
+    np.testing.assert_allclose(gradient, slopes, rtol=1e-5, atol=1e-5)
+
+
+def test_outliers_do_not_raise_the_noise_of_what_moves():
+    """Gaussian learning takes wrong readings for noise of both; robust learning for what they are.
+
+    The likeliest noise of the readings without the wrong ones is the reference.
+    """
+    rng = np.random.default_rng(6)
+    clean = np.array(walk(1.0, None).sample(steps=120, rng=rng).evidence[Y])
+    wrong = rng.random(len(clean)) < 0.1
+    dirty = clean + 30.0 * (wrong * rng.choice([-1, 1], len(wrong)))[:, None]
+    right = np.where(wrong[:, None], np.nan, clean)
+
+    def learnt(noise, readings, **settings):
+        start = walk(2.0, noise)
+        learn = {Y: Covariance()}
+        found = pgm.fit(start, {Y: readings}, learn=learn, tolerance=1e-3, **settings)
+        return found.model.observation[0].cov[0, 0]
+
+    due = learnt(None, right)
+    assert learnt(None, dirty) > 50.0
+    assert 0.3 * due < learnt(pgm.StudentT(1.0), dirty) < 1.1 * due
+    gated = learnt(None, dirty, schedule=pgm.Smoothing(gate=0.99))
+    assert gated == pytest.approx(due, rel=0.1)
+
+
+def test_truncated_noise_is_that_of_gaussian_readings():
+    """As many are cut off as of a Gaussian; the plain fit of the same readings is the reference."""
+    model = walk(1.0, None)
+    readings = np.array(model.sample(steps=120, rng=7).evidence[Y])
+    learn = {Y: Covariance()}
+    due = pgm.fit(walk(3.0, None), {Y: readings}, learn=learn).model.observation[0].cov
+    readings[::10] += 20.0
+    start = walk(3.0, pgm.TruncatedLeastSquares(2.5))
+    found = pgm.fit(start, {Y: readings}, learn=learn)
+    assert "fixed point" in found.status.stopped
+    np.testing.assert_allclose(found.model.observation[0].cov, due, rtol=0.15)
+
+
+def test_a_gate_takes_from_a_vector_what_it_takes_from_its_components():
+    """Of static components that know nothing of each other, one of them missing at times."""
+    rng = np.random.default_rng(8)
+    both = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(X, [0, 0], 1.0)],
+        [pgm.LinearGaussianCPD(X, {X.previous: 1.0}, cov=0.3)],
+        [pgm.LinearGaussianCPD(Z, {X: 1.0}, cov=2.0)],
+    )
+    lone = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(S, 0.0, 1.0)],
+        [pgm.LinearGaussianCPD(S, {S.previous: 1.0}, cov=0.3)],
+        [pgm.LinearGaussianCPD(Y, {S: 1.0}, cov=2.0)],
+    )
+    readings = np.array(lone.sample(steps=200, rng=rng).evidence[Y])
+    schedule = pgm.Smoothing(gate=0.9)
+    due = pgm.fit(lone, {Y: readings}, learn={Y: Covariance()}, schedule=schedule)
+    wide = np.concatenate([readings, np.full_like(readings, np.nan)], axis=1)
+    found = pgm.fit(both, {Z: wide}, learn={Z: Covariance("diagonal")}, schedule=schedule)
+    np.testing.assert_allclose(found.model.observation[0].cov[0, 0], due.model.observation[0].cov)
+
+
+def test_what_cannot_be_learnt_of_robust_noise():
+    readings = {Y: np.ones((3, 1))}
+
+    def refused(model, learn, told, **settings):
+        with pytest.raises(pgm.ModelError, match=told):
+            pgm.fit(model, readings, learn=learn, **settings)
+
+    refused(walk(1.0, pgm.Cauchy(1.0)), {Y: Covariance()}, "has no density")
+    refused(walk(1.0, None), {Y: DegreesOfFreedom()}, "has Gaussian noise; degrees of freedom")
+    refused(walk(1.0, pgm.Huber(1.0)), {Y: DegreesOfFreedom()}, "are learnt of noise=pgm.StudentT")
+    refused(walk(1.0, pgm.StudentT(0.5)), {Y: DegreesOfFreedom()}, "not within 1 to 100")
+    for bounds in ((0.0, 1.0), (3.0, 2.0)):
+        with pytest.raises(pgm.ModelError, match="0 < lower < upper"):
+            DegreesOfFreedom(*bounds)
+    mode = pgm.Discrete("mode", ("calm", "wild"))
+    stays = [[0.9, 0.1], [0.1, 0.9]]
+    moves = pgm.LinearGaussianCPD(S, {S.previous: 1.0}, cov=1.0)
+    switching = pgm.DynamicBayesianNetwork(
+        [pgm.TableCPD(mode, table=[0.5, 0.5]), pgm.GaussianCPD(S, 0.0, 1.0)],
+        [
+            pgm.TableCPD(mode, mode.previous, table=stays),
+            pgm.SwitchingCPD(S, mode, cases=dict.fromkeys(mode.states, moves)),
+        ],
+        [pgm.LinearGaussianCPD(Y, {S: 1.0}, cov=1.0, noise=pgm.StudentT(4.0))],
+    )
+    refused(switching, {Y: Covariance()}, "of which nothing is learnt beside discrete variables")
+    with pytest.raises(pgm.ModelError, match="expected="):
+        pgm.Taylor(expected=1)
