@@ -3,6 +3,7 @@
 from pgm.plot.beliefs.bands import bands
 from pgm.plot.beliefs.cells import belief_map, grid_map, occupancy_map
 from pgm.plot.beliefs.cloud import particles
+from pgm.plot.beliefs.fan import forecast
 from pgm.plot.beliefs.plane import ellipses, trajectory
 from pgm.plot.beliefs.stacks import beliefs_over_time
 from pgm.plot.diagrams.clusters import cluster_graph
@@ -30,6 +31,7 @@ __all__ = [
     "ellipses",
     "errors",
     "factor_graph",
+    "forecast",
     "grid_map",
     "kl",
     "markov_network",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -10,7 +11,7 @@ import numpy as np
 from pgm.compile import SliceLayout
 from pgm.errors import EvidenceError
 from pgm.evidence import Reading
-from pgm.kernels.arrays import Integers, Mask
+from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Variable
 
 
@@ -75,6 +76,23 @@ def require_unread(variable: Variable, step: Integers, taken: Mask) -> None:
         variable=variable,
         step=variable.step,
     )
+
+
+def as_read(
+    step: Integers, order: Integers, values: Array, lead: tuple[int, ...]
+) -> tuple[Integers, Array]:
+    """Readings (M, runs or 1, d) sorted by step in the order of the evidence, (*lead, M, d).
+
+    Row k came from row order[k] of the evidence.
+    """
+    rows = np.argsort(order)
+    wide = np.broadcast_to(values, (len(step), math.prod(lead), values.shape[-1]))[rows]
+    return step[rows], np.moveaxis(wide, 0, 1).reshape(*lead, *wide.shape[::2])
+
+
+def no_readings(variable: Variable, lead: tuple[int, ...]) -> tuple[Integers, Array]:
+    """The steps and values of the readings of a sensor without evidence, as of `as_read`."""
+    return np.empty(0, dtype=np.intp), np.empty((*lead, 0, variable.dimension))
 
 
 def untold(layout: SliceLayout, variable: Variable) -> EvidenceError:

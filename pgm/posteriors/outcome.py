@@ -13,7 +13,7 @@ from pgm.display import Shown
 from pgm.errors import EvidenceError, GraphError, PgmError, Unanswered
 from pgm.evidence import Reading
 from pgm.factors.scope import Scope
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, Integers
 from pgm.posteriors.belief_kind import Kind
 from pgm.posteriors.shown_slices import Room, ShownMarginals, ShownSlices
 from pgm.posteriors.status import Status
@@ -135,6 +135,13 @@ class Outcome(Shown, ABC, Generic[B]):
         beliefs = [self._moments(variable) for variable in variables]
         means, covs = ([getattr(each, name) for each in beliefs] for name in ("mean", "cov"))
         return np.stack(means, axis=-2), np.stack(covs, axis=-3)
+
+    def _readings_of(self, variable: Variable) -> tuple[Integers, Array]:
+        """The readings of a sensor as a picture shows them: their steps, and values (*runs, M, d).
+
+        NaN was not read. Of a sensor without evidence there are none.
+        """
+        raise self.refusal("predicted")
 
     @property
     @abstractmethod

@@ -16,7 +16,7 @@ from pgm.display import NoArray, Shown, Summary, Viewed
 from pgm.errors import EvidenceError
 from pgm.factors.listing import moments_frame, run_names
 from pgm.factors.scope import Scope, as_scope, listed
-from pgm.kernels.arrays import Array, deviation
+from pgm.kernels.arrays import Array, Integers, deviation
 from pgm.posteriors.labelled import Labelled
 from pgm.posteriors.outcome import QUESTIONS, B, Outcome
 from pgm.variables import Discrete, Variable
@@ -568,6 +568,9 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
 
     def _moments(self, variable: Variable) -> Any:
         return self._about((variable,))._moments(variable)
+
+    def _readings_of(self, variable: Variable) -> tuple[Integers, Array]:
+        return self._outcome._readings_of(variable)
 
     @property
     def _hidden(self) -> Scope:

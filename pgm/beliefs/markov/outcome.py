@@ -35,6 +35,7 @@ from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.posteriors.belief_kind import FILTERED, PREDICTED, SMOOTHED, Kind, require_smoothed
 from pgm.posteriors.hidden import measured, require_at_steps
 from pgm.posteriors.left_out import LeftOut, require_all
+from pgm.posteriors.measurements import as_read, no_readings
 from pgm.posteriors.outcome import SLICES, Outcome
 from pgm.posteriors.shown_slices import Room
 from pgm.posteriors.status import Status
@@ -119,6 +120,14 @@ class StateOutcome(Outcome[Table]):
         if measured(self.graph.layout, variable) is not None:
             return unread(self._plan, self._slices.bound, variable, self._beliefs)
         return self._marginals(self._beliefs, self.kind)[variable]
+
+    def _readings_of(self, variable: Variable) -> tuple[Integers, Array]:
+        bound = self._slices.bound
+        reading = next((each for each in bound.readings if each.cpd.child == variable), None)
+        if reading is None:
+            return no_readings(variable, bound.lead)
+        marked = np.where(reading.taken, reading.values, np.nan)
+        return as_read(reading.step, reading.order, marked, bound.lead)
 
     def _marginals(self, beliefs: Beliefs, kind: Kind) -> StateMarginals:
         return StateMarginals(self._plan, beliefs, self._lead, kind)

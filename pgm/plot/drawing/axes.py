@@ -1,6 +1,6 @@
 """Axes of plots of numbers: named, with legends that hide nothing, and with curves over time."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -40,6 +40,28 @@ def given_or_new(ax: Axes | None) -> Axes:
     if ax is None:
         return plt.subplots(layout="constrained")[1]
     return check_axes(ax)
+
+
+def columns_of(axes: Axes | Iterable[Axes] | None, count: int) -> tuple[Axes, ...]:
+    """The given axes, one a component, or a column of new ones."""
+    if axes is None:
+        made = plt.subplots(
+            count,
+            sharex=True,
+            squeeze=False,
+            figsize=(6.4, 1.0 + 1.6 * count),
+            layout="constrained",
+        )[1]
+        return tuple(made[:, 0])
+    if isinstance(axes, Axes):
+        axes = (axes,)
+    found = tuple(check_axes(ax) for ax in np.ravel(np.array(list(axes), dtype=object)))
+    if len(found) != count:
+        raise ModelError(
+            f"{len(found)} axes for {count} components; give one a component, or name the "
+            "components to draw"
+        )
+    return found
 
 
 def plain(name: str) -> str:

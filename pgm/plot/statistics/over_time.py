@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Sequence
 
-import matplotlib.pyplot as plt
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
@@ -18,7 +17,7 @@ from pgm.plot.drawing.axes import (
     Unit,
     along,
     band,
-    check_axes,
+    columns_of,
     given_or_new,
     line,
     name_time,
@@ -107,7 +106,7 @@ def errors(
         steps = (belief.scope[0].step or 0) + np.arange(len(mean))
     across, name = along(steps, times)
 
-    columns = _axes(axes, len(places))
+    columns = columns_of(axes, len(places))
     look = look_of(columns[0], colour)
     own = dict(zip(labels(belief.scope), belief.units, strict=True))
     marker = "o" if len(mean) == 1 else None
@@ -139,27 +138,6 @@ def errors(
         name_time(ax, name if ax is columns[-1] else "", with_unit(f"{chosen[k]} error", of))
     useful_legend(columns[0], above=True)
     return columns
-
-
-def _axes(axes: Axes | Iterable[Axes] | None, count: int) -> tuple[Axes, ...]:
-    if axes is None:
-        made = plt.subplots(
-            count,
-            sharex=True,
-            squeeze=False,
-            figsize=(6.4, 1.0 + 1.6 * count),
-            layout="constrained",
-        )[1]
-        return tuple(made[:, 0])
-    if isinstance(axes, Axes):
-        axes = (axes,)
-    found = tuple(check_axes(ax) for ax in np.ravel(np.array(list(axes), dtype=object)))
-    if len(found) != count:
-        raise ModelError(
-            f"{len(found)} axes for {count} components; give one a component, or name the "
-            "components to draw"
-        )
-    return found
 
 
 @public

@@ -47,11 +47,12 @@ from pgm.errors import GraphError, NumericalError
 from pgm.factors import CanonicalForm, Gaussian
 from pgm.factors.scope import Scope, names
 from pgm.kernels import canonical
-from pgm.kernels.arrays import Array, block, quiet
+from pgm.kernels.arrays import Array, Integers, block, quiet
 from pgm.posteriors.associations import Found
 from pgm.posteriors.belief_kind import FILTERED, PREDICTED, SMOOTHED, Kind, require_smoothed
 from pgm.posteriors.hidden import measured, require_at_steps
 from pgm.posteriors.left_out import LeftOut, require_all
+from pgm.posteriors.measurements import as_read, no_readings
 from pgm.posteriors.outcome import CHAIN, Outcome
 from pgm.posteriors.shown_slices import Room
 from pgm.posteriors.status import Status
@@ -137,6 +138,14 @@ class ChainOutcome(Innovated, Outcome[Gaussian]):
     def _unread(self, variable: Variable) -> Gaussian:
         """The belief of a measurement that was not taken, given all that the beliefs know."""
         return unread(self._plan, variable, self._beliefs.mean, self._spread)
+
+    def _readings_of(self, variable: Variable) -> tuple[Integers, Array]:
+        plan = self._planned
+        sensor = next((each for each in plan.sensors if each.variable == variable), None)
+        if sensor is None:
+            return no_readings(variable, plan.lead)
+        marked = sensor.marked if sensor.gated is None else sensor.given_marked
+        return as_read(sensor.family.step, sensor.order, marked, plan.lead)
 
     @property
     def _spread(self) -> Diffuse:
