@@ -31,7 +31,7 @@ from pgm.factors.scope import names, parted
 from pgm.immutable import Immutable
 from pgm.kernels import tables as kernel
 from pgm.kernels.arrays import Array, Integers, frozen, unravelled
-from pgm.kernels.semirings import Semiring
+from pgm.kernels.semirings import Semiring, log_sum
 from pgm.variables import Discrete, Variable
 
 ZERO = frozen(np.zeros(()))
@@ -318,17 +318,17 @@ class Table(FramedTable, Shown, NoArray, Immutable):
         """
         left = parted(self.scope, variables)
         logs = self.rearrange((*variables, *left))._log_probabilities
-        one, other = (self.marginal(*part)._log_probabilities for part in (variables, left))
-        one = one.reshape(*one.shape, *(1,) * len(left))
-        lead, shape = self.log_scale.shape, other.shape[self.log_scale.ndim :]
-        other = other.reshape(*lead, *(1,) * len(variables), *shape)
+        lead, end = self.log_scale.ndim, self.log_scale.ndim + len(variables)
+        own, rest = tuple(range(lead, end)), tuple(range(end, logs.ndim))
+        # Of logarithms, since numbers of a marginal may be too small beside its largest.
+        one, other = (np.expand_dims(log_sum(logs, axes), axes) for axes in (rest, own))
         return kernel.divergence(logs, one + other, len(self.scope))
 
     @property
     def _log_probabilities(self) -> Array:
         self._positive()
         total = self.log_total
-        found: Array = self.log_values - total.reshape(*total.shape, *(1,) * len(self.scope))
+        found: Array = self.log_values - total.reshape((*total.shape, *(1,) * len(self.scope)))
         return found
 
     def argmax(self) -> dict[Discrete, str] | dict[Discrete, Integers]:

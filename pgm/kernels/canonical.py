@@ -11,6 +11,7 @@ most 10⁻¹³ A_jj is rounding and counts as zero, and so does its column of L:
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from pgm.kernels.arrays import (
     LOG_2PI,
     Array,
     Index,
+    Integers,
     Mask,
     apply,
     block,
@@ -214,7 +216,9 @@ def squares(precision: Array, h: Array) -> Squares | None:
 
     Eigenvalues are those of K in units in which its diagonal is one, so that what is known in
     micrometres counts as what is known in kilometres. They are known to n roundings: one within
-    8 n of these, or no further above zero than another is below, is zero.
+    8 n of these, or no further above zero than another is below, is zero. Where some are, components
+    that K does not join are looked at apart: rounding would bring the h of one part, which may be
+    large, into the flat directions of another.
     """
     size, diagonal = len(precision), np.diagonal(precision)
     absent = diagonal == 0.0
@@ -227,6 +231,8 @@ def squares(precision: Array, h: Array) -> Squares | None:
     if below > roots.INDEFINITE:
         return None
     some = values > max(8.0 * rounding, below)
+    if not some.all() and len(parts := _joined(precision)) > 1:
+        return _side_by_side(precision, h, parts)
     root = np.sqrt(values[some])
     scaled = h / unit
     along = axes[:, ~some]
@@ -238,6 +244,36 @@ def squares(precision: Array, h: Array) -> Squares | None:
         (along @ slope) * unit,
         max(rounding, below) / float(values[some].min(initial=np.inf)),
     )
+
+
+def _joined(precision: Array) -> list[Integers]:
+    """The components of a form in parts, between which K (n, n) has no entries."""
+    linked = precision != 0.0
+    np.fill_diagonal(linked, True)
+    found, left = list[Integers](), np.ones(len(precision), dtype=bool)
+    while left.any():
+        part = linked[left.argmax()]
+        while (wider := linked[part].any(axis=0)).sum() > part.sum():
+            part = wider
+        found.append(np.flatnonzero(part))
+        left &= ~part
+    return found
+
+
+def _side_by_side(precision: Array, h: Array, parts: Sequence[Integers]) -> Squares | None:
+    """The square of a form, of those of its parts; None where one is indefinite."""
+    rows, target, slope, lost = list[Array](), list[Array](), np.zeros(len(h)), 0.0
+    for part in parts:
+        own = squares(precision[np.ix_(part, part)], h[part])
+        if own is None:
+            return None
+        wide = np.zeros((len(own.rows), len(h)))
+        wide[:, part] = own.rows
+        rows.append(wide)
+        target.append(own.target)
+        slope[part] = own.slope
+        lost = max(lost, own.lost)
+    return Squares(np.concatenate(rows), np.concatenate(target), slope, lost)
 
 
 def determined_moments(precision: Array, h: Array) -> tuple[Array, Array, Mask]:

@@ -227,7 +227,7 @@ def mutual_information(cov: Array, cross: Array, other_cov: Array) -> Array:
     left = np.maximum(1.0 - correlations**2, 0.0)
     certain = (left < roots.NEGLIGIBLE).any(axis=-1)
     with np.errstate(divide="ignore"):
-        found = -0.5 * np.log1p(-(np.minimum(correlations, 1.0) ** 2)).sum(axis=-1)
+        found = 0.5 * (-np.log1p(-(np.minimum(correlations, 1.0) ** 2))).sum(axis=-1)
     return np.where(improper[..., 0, 0], np.nan, np.where(certain, np.inf, found))
 
 

@@ -198,6 +198,7 @@ def divergence(logs: Array, others: Array, axes: int) -> Array:
         far = np.exp(logs) * (apart - 1.0) + np.exp(others)
         terms = np.where(apart > -1.0, near, far)
     terms = np.where(logs == -np.inf, np.exp(others), terms)
+    terms = np.where((others == -np.inf) & (logs > -np.inf), np.inf, terms)
     found: Array = _over(terms, axes)
     return found
 

@@ -56,6 +56,19 @@ def test_small_entries_and_nearly_independent_parts():
     assert stacked.mutual_information(DAY).shape == (3,)
 
 
+def test_entries_further_apart_than_numbers():
+    """Marginals of 1e-500 beside one, and a probability of e^-1435 where the other has none."""
+    table = pgm.Table((RAIN, DAY), [[1e300, 1e-300], [1e-300, 1e-200]])
+    assert table.mutual_information(RAIN) == 0.0
+    least = pgm.Table(RAIN, [1e300, 5e-324])
+    assert least.kl(pgm.Table(RAIN, [1.0, 0.0])) == np.inf
+    assert least.kl(pgm.Table(RAIN, [1.0, 1.0])) == pytest.approx(np.log(2.0))
+
+
+def test_tables_over_nothing():
+    assert pgm.Table((), 2.0).kl(pgm.Table((), 3.0)) == pgm.Table((), 2.0).entropy() == 0.0
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_gaussians(seed):
     rng = np.random.default_rng(seed)

@@ -329,6 +329,24 @@ def test_slopes_are_not_dropped():
         infer([form, pgm.GaussianCPD(A, 0.0, 1.0)])
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_large_numbers_beside_a_flat_direction_are_no_slope(seed):
+    """A component that the form does not have, and a difference of two beside a far third."""
+    rng = np.random.default_rng(seed)
+    a, b = rng.normal(size=2)
+    far = pgm.CanonicalForm(C, 4.0, 2e6)
+    apart = pgm.CanonicalForm((A, B), [[a * a, -a * b], [-a * b, b * b]], [a * 0.3, -b * 0.3])
+    pair = pgm.CanonicalForm((A, B), np.array([[2.0, 1.0], [1.0, 2.0 + a * a]]), [a, 1e6 * b])
+    for form in (apart * far, pair.extend((A, D, B)), (apart * far).extend((C, A, D, B))):
+        held = [pgm.CanonicalForm(v, 1.0, 0.5) for v in (A, D)]
+        found = pgm.infer(pgm.compile(pgm.MarkovNetwork([form, *held])), {})
+        whole = form
+        for each in held:
+            whole = whole * each
+        for v in form.scope:
+            assert_allclose(found[v].mean, whole.gaussian().marginal(v).mean, rtol=1e-8)
+
+
 def test_integrals_beyond_numbers():
     with pytest.warns(pgm.PrecisionWarning), np.errstate(over="ignore"):
         found = infer([pgm.CanonicalForm(A, [[1.0]], [1e160])])
