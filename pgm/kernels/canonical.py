@@ -216,9 +216,9 @@ def squares(precision: Array, h: Array) -> Squares | None:
 
     Eigenvalues are those of K in units in which its diagonal is one, so that what is known in
     micrometres counts as what is known in kilometres. They are known to n roundings: one within
-    8 n of these, or no further above zero than another is below, is zero. Where some are, components
-    that K does not join are looked at apart: rounding would bring the h of one part, which may be
-    large, into the flat directions of another.
+    8 n of these, or no further above zero than another is below, is zero. Where some are, parts
+    that K does not join are taken apart: rounding would bring the h of one, which may be large,
+    into the flat directions of another.
     """
     size, diagonal = len(precision), np.diagonal(precision)
     absent = diagonal == 0.0

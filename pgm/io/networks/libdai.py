@@ -10,8 +10,9 @@ import numpy as np
 from pgm.arguments import public
 from pgm.cpds import TableCPD
 from pgm.factors import Table
+from pgm.factors.axes import AXES
 from pgm.io import sources
-from pgm.io.networks.assembly import AXES, ENTRY
+from pgm.io.networks.assembly import ENTRY
 from pgm.io.networks.uai import Words
 from pgm.io.networks.uai_writers import entries, numbered
 from pgm.io.sources import LIMIT, Source

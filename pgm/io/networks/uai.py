@@ -14,8 +14,9 @@ import numpy as np
 from pgm.arguments import public
 from pgm.errors import FileError
 from pgm.factors import Table
+from pgm.factors.axes import AXES
 from pgm.io import sources
-from pgm.io.networks.assembly import AXES, Assembly
+from pgm.io.networks.assembly import Assembly
 from pgm.io.networks.cursor import ITEM, numbers, shown
 from pgm.io.networks.formats import UAI, refuse_others
 from pgm.io.networks.uai_writers import numbered
@@ -30,6 +31,10 @@ Scope = tuple[list[int], int]
 # The largest count or index.
 MOST = 2**31 - 1
 COMMENT = re.compile("#[^\r\n]*+")
+# Words that may stand for a number too small for float64: by an exponent, or by many zeros. Each
+# run of digits is gone through once.
+FAINT = re.compile(r"(?<![\d.])(?:[\d.]++[eE]-\d{3,}+|\d*+\.0{300,}+\d*+(?:[eE][-+]?\d++)?)")
+SOME = re.compile("[1-9]")
 
 
 @public
@@ -94,10 +99,12 @@ def read_uai(source: Source, *, normalise: bool = False, limit: int = LIMIT) -> 
         start = words.at
         scope = [words.count("an index") for _ in range(words.count("the number of variables"))]
         least = 1 if directed else 0
-        if not least <= len(scope) <= AXES or max(scope, default=-1) >= len(sizes):
+        if not least <= len(scope) <= AXES:
+            words.fail(f"a table of {len(scope)} variables; it is of {least} to {AXES}", start)
+        if max(scope, default=-1) >= len(sizes):
             words.fail(
-                f"a table of {len(scope)} variables, of {len(sizes)} in all; it is of {least} to "
-                f"{AXES}, which count from 0 to {len(sizes) - 1}",
+                f"a table of the variable {max(scope)}, and variables count from 0 to "
+                f"{len(sizes) - 1}",
                 start,
             )
         scopes.append((scope, start))
@@ -299,6 +306,14 @@ class Words:
         if end < len(self._text):
             found = shown(self._text[end : end + 100].split()[0])
             raise self._error(f"{found} stands where a number is due; correct or remove it", end)
+        for word in FAINT.finditer(self._text, self._start):
+            mantissa = re.split("[eE]", word[0])[0]
+            if float(word[0]) < np.finfo(np.float64).tiny and SOME.search(mantissa):
+                raise self._error(
+                    f"{shown(word[0])} is too small for a number with all digits of float64; "
+                    "multiply its table by a constant, or write 0",
+                    word.start(),
+                )
 
     @property
     def left(self) -> int:

@@ -14,6 +14,7 @@ from pgm.display import titled
 from pgm.errors import EvidenceError, ModelError
 from pgm.factors import Table
 from pgm.factors.scope import names
+from pgm.inference.query.asked import require_mapping
 from pgm.inference.query.assignments import MostProbable
 from pgm.io import sources
 from pgm.io.sources import Source
@@ -116,6 +117,7 @@ def write_uai_evidence(
     '1 0 1\n'
     """
     order = numbered(network, "write_uai_evidence")
+    require_mapping(evidence)
     index = {variable: k for k, variable in enumerate(order)}
     words = [len(evidence)]
     for variable, state in evidence.items():
@@ -288,8 +290,9 @@ def _no_answer(task: str, call: str, answer: Any) -> ModelError:
 
 
 def _require_known(variables: Iterable[Variable], order: Sequence[Discrete]) -> None:
+    known = set(order)
     for variable in variables:
-        if variable not in order:
+        if variable not in known:
             raise ModelError(
                 f"write_uai_result: the answer has {variable!r}, and the network has not; give "
                 "the network of the answer",

@@ -94,6 +94,9 @@ def test_variables_without_a_table_and_numbers_that_are_factors():
         ("MARKOV\n1\n2\n1\n1 0\n3\n1 1 1", 6, "3 entries of the table over"),
         ("MARKOV\n0\n\n0", None, "declares no variable"),
         ("MARKOV\n1\n2\n1\n1 0\n2\n1 1 5", 7, "1 numbers follow"),
+        ("MARKOV\n1\n2\n1\n1 0\n2\n1\n2.1e-308", 8, "'2.1e-308' is too small"),
+        (f"MARKOV\n1\n2\n1\n1 0\n2\n1\n0.{'0' * 350}1", 8, "is too small for a number"),
+        (f"MARKOV\n61\n{'1 ' * 61}\n1\n61 {' '.join(map(str, range(61)))}\n1 1", 5, "of 0 to 60"),
     ],
 )
 def test_errors_of_markov_files_name_the_line(text, line, words):
@@ -191,9 +194,16 @@ def test_answers_of_other_kinds():
         pgm.write_uai_result("MAR", over, rainy, io.StringIO())
     with pytest.raises(pgm.ModelError, match="the answer has rain, and the network has not"):
         pgm.write_uai_result("MAR", posterior, coin, io.StringIO())
+    with pytest.raises(pgm.EvidenceError, match="evidence maps variables to states"):
+        pgm.write_uai_evidence([(wet, 1)], rainy, io.StringIO())
 
 
 def test_numbers_below_the_smallest_are_refused():
+    for text in ("0e-400", "0.0e-999", "2.3e-308", "1e-0300", f"0.{'0' * 400}"):
+        network = pgm.read_uai(io.StringIO(f"MARKOV 1  2  1  1 0  2 1 {text}"))
+        assert network.factors[0].values[1] == float(text)
+    with pytest.raises(pgm.FileError, match="'1e-400' is too small"):
+        pgm.read_fg(io.StringIO("1  1  0  2  2  0 1.0  1 1e-400"))
     own = pgm.Discrete("own", 2)
     net = pgm.MarkovNetwork([pgm.Table(own, [1.0, 1.4], -743.9)])
     with pytest.raises(pgm.ModelError, match="that are no numbers of float64"):

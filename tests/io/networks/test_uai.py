@@ -69,7 +69,7 @@ def test_tables_in_any_order_and_several_parents():
         (TEXT.replace("2 2 3", "2 0 3"), 3, "the variable 1 has no states"),
         (TEXT.replace("\n3\n1 0", "\n2\n1 0"), 4, "2 tables of 3 variables"),
         (TEXT.replace("1 0\n", "0\n"), 5, "a table of 0 variables"),
-        (TEXT.replace("2 1 2", "2 1 3"), 7, "a table of 2 variables, of 3 in all; .* 0 to 2"),
+        (TEXT.replace("2 1 2", "2 1 3"), 7, "a table of the variable 3, .* 0 to 2"),
         (TEXT.replace("2 0 1", "2 1 0"), 2, "no table has the variable 1 as its child"),
         (TEXT.replace("2 1 2", "2 2 2"), 14, r"6 entries of the table over \[2, 2\] where 9"),
         (TEXT.replace("\n4\n", "\n3\n"), 11, r"3 entries of the table over \[0, 1\] where 4"),
