@@ -273,6 +273,18 @@ def test_noise_that_a_function_makes_zero_is_refused():
         inferred(cpds, {Z: 5.0, X: 5.0})
 
 
+def test_functions_that_are_zero_and_readings_that_contradict_them():
+    """Which relations are exact is known only when they are solved, all states in one call."""
+    prior = switched(X, pgm.GaussianCPD(X, 0, 1), pgm.GaussianCPD(X, 1, 1))
+    others = pgm.variables("one other")
+    u = pgm.Variable("u")
+    noise = [pgm.noise(lambda u: 0 * u[..., None], given=u) for _ in others]
+    read = [pgm.LinearGaussianCPD(v, {X: 1.0}, n) for v, n in zip(others, noise, strict=True)]
+    for second, words in ((2.0, "contradicts an exact model"), (1.0, "zero in some direction")):
+        with pytest.raises(pgm.NumericalError, match=words):
+            inferred([FAIR, prior, *read], {others[0]: 1.0, others[1]: second, u: 1.0})
+
+
 def test_a_wide_prior_is_not_certain():
     a, b, w = pgm.variables("a b w")
     read = pgm.LinearGaussianCPD(a, {X: 1.0}, 1.0)
