@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -21,9 +23,9 @@ from pgm.recordings.drives.recording import Recording
 from pgm.recordings.drives.scans import Scans
 from pgm.recordings.drives.stream import Stream
 from pgm.recordings.readers import files, messages
+from pgm.recordings.readers.unclosed import EXTRA, closed
 from pgm.resources import optional
 
-EXTRA = "sepset[bags]"
 # The part of a recording that messages of a type are, unless told otherwise.
 PARTS = {
     "nav_msgs/msg/Odometry": "odometry",
@@ -51,7 +53,7 @@ def read_bag(
     *,
     datum: Datum | Sequence[float] | None = None,
 ) -> Recording:
-    """Read a bag of ROS 1, a file, or of ROS 2, a folder.
+    """Read a bag of ROS 1, a file, or of ROS 2, a folder or one of its files.
 
     Stamps are those of the messages' headers. Poses are seen from above: x, y and yaw.
 
@@ -79,7 +81,10 @@ def read_bag(
     Notes
     -----
     Messages without a fix, or with one at 0°, 0°, and topics of other types are left out;
-    `dropped` tells of these.
+    `dropped` tells of these. A bag whose recorder was killed is read as far as its records are
+    whole, from a copy in a temporary folder, and `dropped` tells of that: one of ROS 1 without an
+    index, ``.bag.active`` too; one of ROS 2 without ``metadata.yaml``, an end of its MCAP file, or
+    with transactions that its database has not taken.
 
     Raises
     ------
@@ -107,11 +112,18 @@ def read_bag(
         raise origin.fault("it cannot be read as a bag: there is nothing")
     highlevel = optional("rosbags.highlevel", "read_bag", EXTRA)
     typesys = optional("rosbags.typesys", "read_bag", EXTRA)
-    store = typesys.Stores.LATEST if where.is_dir() else typesys.Stores.ROS1_NOETIC
     found: dict[str, tuple[str, list[Any]]] = {}
     try:
-        typestore = typesys.get_typestore(store)
-        with highlevel.AnyReader([where], default_typestore=typestore) as reader:
+        with ExitStack() as stack:
+            scratch = Path(stack.enter_context(TemporaryDirectory()))
+            bag = closed(where, scratch)
+            store = typesys.Stores.LATEST if bag.second else typesys.Stores.ROS1_NOETIC
+            typestore = typesys.get_typestore(store)
+            reader = stack.enter_context(
+                highlevel.AnyReader(bag.paths, default_typestore=typestore)
+            )
+            if bag.mended and not reader.message_count:
+                raise origin.fault("its recorder was killed before it had written a message")
             kinds = {each.topic: each.msgtype for each in reader.connections}
             parts, others = _parts(kinds, topics, origin)
             wanted = [each for each in reader.connections if each.topic in parts]
@@ -131,6 +143,9 @@ def read_bag(
         for topic in others
         if counts[topic]
     ]
+    if bag.mended:
+        fate = f"of a bag that was not closed, read {bag.mended}"
+        told.insert(0, Dropped("bag", fate, np.arange(sum(counts.values())), kept=True))
     return _recording(found, parts, told, origin, where, place)
 
 
