@@ -5,7 +5,6 @@ The guide's page about recordings has the schema, and an example of each reader.
 
 from __future__ import annotations
 
-import dataclasses
 import re
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
@@ -19,11 +18,10 @@ import numpy as np
 import pgm
 from experiments.recordings.settings import KINDS, Sensor, Setting, Ways
 from experiments.recordings.toml_table import TomlTable, is_number
-from models import motion
 from pgm import recordings
 from pgm.cpds.robust import RobustNoise
 from pgm.errors import EvidenceError, FileError, ModelError
-from pgm.recordings import Recording, Stream
+from pgm.recordings import Dropped, Recording, Stream
 
 POSE = ("east", "north", "heading")
 ROBUST: dict[str, Callable[[float], RobustNoise]] = {
@@ -289,19 +287,15 @@ def trajectories(path: Path, truth: Path | None, readings: Path | None) -> Recor
         Poses that are readings of a sensor, ``poses``.
     """
     driven = pgm.read_tum(path)
-    poses = driven.planar
-    if len(poses) < 2:
-        raise EvidenceError(f"{path}: it has {len(poses)} poses, which is no motion; 2 were due")
-    steps = motion.relative(poses[:-1], poses[1:])
-    steps[:, 2] = (steps[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
-    seen, mended = {}, [dataclasses.replace(each, stream="odometry") for each in driven.dropped]
+    if len(driven.times) < 2:
+        raise EvidenceError(f"{path}: it has one pose, which is no motion; 2 were due")
+    seen, mended = {}, list[Dropped]()
     if readings is not None:
         told = pgm.read_tum(readings)
         seen["poses"] = Stream(told.times, told.planar, POSE)
         mended += told.dropped
-    names = ("forward", "left", "turn")
     return Recording(
-        odometry=Stream(driven.times[1:], steps, names, begin=driven.times[0]),
+        odometry=driven,
         truth=None if truth is None else pgm.read_tum(truth),
         sightings=seen,
         name=path.stem,

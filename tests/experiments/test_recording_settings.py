@@ -321,7 +321,7 @@ def test_clocks_that_differ_are_refused(tmp_path):
     with pytest.raises(pgm.EvidenceError, match="no time in common: are their clocks the same"):
         drives.laid("odometry", told.setting, drives.read(told.setting, told.path))
     tum(tmp_path / "odometry.txt", TIMES[:1], TRUE[:1])
-    with pytest.raises(pgm.errors.FileError, match="it has 1 poses, which is no motion"):
+    with pytest.raises(pgm.errors.FileError, match="it has one pose, which is no motion"):
         drives.read(told.setting, told.path)
     file.write_text('path = "odometry.txt"\n[reader]\ntruth = "moon.txt"\n' + NOISE)
     with pytest.raises(pgm.errors.FileError, match=r"reader.truth is 'moon.txt', where there is"):

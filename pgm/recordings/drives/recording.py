@@ -22,7 +22,7 @@ from pgm.io.stamped import SAME
 from pgm.io.timeline import Timeline, joined
 from pgm.kernels import twists
 from pgm.kernels.arrays import Array
-from pgm.recordings.drives import checks, handing, mending, motion, reference, summaries
+from pgm.recordings.drives import checks, handing, mending, motion, odometers, reference, summaries
 from pgm.recordings.drives.datum import Datum, as_datum
 from pgm.recordings.drives.scans import Scans
 from pgm.recordings.drives.stream import Stream
@@ -43,9 +43,10 @@ class Recording(Shown, NoArray, Immutable):
 
     Parameters
     ----------
-    odometry : Stream, optional
+    odometry : Stream or Poses, optional
         Increments since the stamp before: (distance, turn) along an arc, (forward, left, turn), or
-        (rot1, trans, rot2); metres and radians.
+        (rot1, trans, rot2); metres and radians. Of an odometer's poses, the motion between them;
+        where it begins at zero again, none is known, and told.
     velocities : Stream, optional
         Held until the next stamp: (v, omega), or (v_forward, v_left, omega); m/s and rad/s.
     sightings : mapping of str to Stream, optional
@@ -110,7 +111,7 @@ class Recording(Shown, NoArray, Immutable):
     def __init__(
         self,
         *,
-        odometry: Stream | None = None,
+        odometry: Stream | Poses | None = None,
         velocities: Stream | None = None,
         sightings: Mapping[str, Stream] | None = None,
         landmarks: Mapping[Any, npt.ArrayLike] | None = None,
@@ -128,6 +129,10 @@ class Recording(Shown, NoArray, Immutable):
         if isinstance(truth, Poses):
             told += [dataclasses.replace(each, stream="truth") for each in truth.dropped]
             truth = Stream(truth.times, truth.planar, POSE)
+        if isinstance(odometry, Poses):
+            told += [dataclasses.replace(each, stream="odometry") for each in odometry.dropped]
+            odometry, fates = odometers.increments("odometry", odometry)
+            told += fates
         streams: dict[str, Stream | None] = {}
         for key, given, mend in (
             ("odometry", odometry, mending.increments),

@@ -10,10 +10,10 @@ import numpy as np
 from pgm.errors import EvidenceError
 from pgm.io.dropped import BACKWARDS, Dropped
 from pgm.io.sources import Origin
-from pgm.kernels import quaternions, twists
+from pgm.kernels import quaternions
 from pgm.kernels.arrays import Array, Mask
-from pgm.recordings.drives import earth, mending
-from pgm.recordings.drives.motion import PLANAR, PLANAR_SPEEDS
+from pgm.recordings.drives import earth, odometers
+from pgm.recordings.drives.motion import PLANAR_SPEEDS
 from pgm.recordings.drives.quantities import WORLD
 from pgm.recordings.drives.recording import POSE
 from pgm.recordings.drives.scans import Scans
@@ -42,7 +42,7 @@ def _poses(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
     poses = np.column_stack([places, _yaw(topic, turns)])
     stamps = _stamps(topic, rows)
     if part == "odometry":
-        return _increments(stamps, poses)
+        return odometers.increments(part, Stream(stamps, poses, POSE)) if rows else (None, [])
     spread, told = None, []
     if rows and hasattr(rows[0].pose, "covariance"):
         cov = _table([m.pose.covariance for m in rows], 36).reshape(-1, 6, 6)
@@ -54,15 +54,6 @@ def _poses(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
         elif beside.any():
             told = [Dropped(_name(topic, part), CORRELATED, np.flatnonzero(beside), kept=True)]
     return Stream(stamps, poses, POSE, variances=spread), told
-
-
-def _increments(stamps: Array, poses: Array) -> Read:
-    """The motion between poses, put in order of their stamps first."""
-    if not len(stamps):
-        return None, []
-    stream, told = mending.ordered("odometry", Stream(stamps, poses, POSE))
-    found = twists.between(stream.values)
-    return Stream(stream.stamps[1:], found, PLANAR, begin=stream.stamps[0]), told
 
 
 def _twists(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:

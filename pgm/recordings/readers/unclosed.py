@@ -120,8 +120,7 @@ def _reindexed(file: Path, copy: Path) -> int:
     data = file.read_bytes()
     known: dict[int, Any] = {}
     with writer:
-        lost = len(data) - _records(data, len(_ROSBAG), writer, known)
-    return lost
+        return len(data) - _records(data, len(_ROSBAG), writer, known)
 
 
 def _records(data: bytes, at: int, writer: Any, known: dict[int, Any]) -> int:
