@@ -135,6 +135,7 @@ def cpds():
         "linear": pgm.LinearGaussianCPD(M, {X: np.ones((2, 3))}, cov=[[1.0, 0.5], [0.5, 1.0]]),
         "wide": pgm.LinearGaussianCPD(wide, {wide.previous: 1.0}, cov=np.eye(40)),
         "noisy": pgm.LinearGaussianCPD(B, {A: 1.0}, cov=pgm.noise(np.eye, given=C)),
+        "by step": pgm.LinearGaussianCPD(B, {A: 1.0}, cov=np.ones((3, 1, 1))),
         "nonlinear": robot()[0].transition[0],
         "derivatives": robot()[0].observation[0].derivatives,
         "robust": pgm.LinearGaussianCPD(B, {A: 1.0}, cov=1.0, noise=pgm.StudentT(4.0)),
@@ -382,6 +383,7 @@ def small():
     marks = maps.FeatureMap(np.zeros((300, 2)))
     rest = [X, X.previous, RAIN, pgm.Kronecker([np.eye(2), np.eye(3)]), marks]
     rest += [pgm.smooth(robot()[0], {U: robot()[1][U]}).kind, pgm.noise(np.eye, given=U)]
+    rest += [pgm.LinearGaussianCPD(B, {A: 1.0}, cov=np.ones((3, 1, 1))).cov]
     rest += [maps.OccupancyMap(np.zeros((50, 50), dtype=bool), 0.1)]
     rest += [pgm.StudentT(4.0), pgm.Huber(1.5), pgm.Cauchy(2.4), pgm.TruncatedLeastSquares(3.0)]
     cells = pgm.CellProposal(A, [[0.0], [1.0]], [1.0])
