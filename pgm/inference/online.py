@@ -15,7 +15,9 @@ from pgm.inference.families import family_of
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.posteriors.online_belief import OnlineBelief
+from pgm.schedules import step_evidence
 from pgm.schedules.gates import Gate
+from pgm.schedules.late import replayed, require_step
 from pgm.schedules.options import asked_online, require
 from pgm.schedules.schedule import Filtering, FixedLag
 from pgm.variables import Variable
@@ -47,7 +49,8 @@ class OnlineFilter(InCode, Immutable):
         each update linearises the last steps, its own included, until they settle, and takes all
         measurements of its step together, as `infer` does on recorded ones.
     lag : int, optional
-        In place of a schedule, as ``schedule=FixedLag(lag)``.
+        In place of a schedule, as ``schedule=FixedLag(lag)``. Readings may then come late by so
+        many steps: see `update`.
     gate : float or mapping of Variable to float, optional
         The gate of the schedule (see `Filtering`), if no schedule is given; for its decisions see
         ``belief.rejected[z]``.
@@ -191,8 +194,17 @@ class OnlineFilter(InCode, Immutable):
             return self._predict(belief, inputs)  # type: ignore[no-any-return]
         return found  # type: ignore[no-any-return]
 
-    def update(self, belief: OnlineBelief, readings: Mapping[Variable, Any]) -> OnlineBelief:
+    def update(
+        self,
+        belief: OnlineBelief,
+        readings: Mapping[Variable, Any],
+        *,
+        step: int | None = None,
+    ) -> OnlineBelief:
         """The belief given measurements of its step; a further update goes on from the first.
+
+        Measurements that come late are taken at their own step, as its last update, and the steps
+        since then are made again: the result is that of a filter that had them in time.
 
         Parameters
         ----------
@@ -201,15 +213,19 @@ class OnlineFilter(InCode, Immutable):
         readings : mapping of Variable
             For a sensor any number of measurements, ``pgm.sightings(values, given=...)`` without
             steps, or one measurement (..., d); for inputs that the sensors need, values (..., d).
+        step : int, optional
+            The step of the measurements, if they come late: at most so many steps before the
+            belief's as the filter's lag. The belief's own if left out.
 
         Returns
         -------
         OnlineBelief
+            At the step of `belief`, late measurements or not.
 
         Raises
         ------
         EvidenceError
-            If a measurement does not fit its sensor.
+            If a measurement does not fit its sensor, or comes too late.
         ModelError, LinearisationError
             See `predict`.
         NumericalError
@@ -219,11 +235,39 @@ class OnlineFilter(InCode, Immutable):
         -----
         ConvergenceWarning
             If two or more iterations were asked for and end before they settle.
+
+        Examples
+        --------
+        >>> from pgm.examples import walk, x, z
+        >>> robot = pgm.OnlineFilter(walk, lag=20)
+        >>> belief = robot.predict(robot.predict(robot.initial()))
+        >>> belief = robot.update(belief, {z: [4.0]}, step=belief.step - 1)
+        >>> belief.step, belief[x].mean, belief[x].cov
+        (2, array([2.]), array([[2.]]))
         """
+        if step is not None:
+            return self._late(belief, readings, step)
         found = self._quick[0](belief, readings)
         if found is None:
             return self._update(belief, readings)  # type: ignore[no-any-return]
         return found  # type: ignore[no-any-return]
+
+    def _late(
+        self, belief: OnlineBelief, readings: Mapping[Variable, Any], step: int
+    ) -> OnlineBelief:
+        """The belief given measurements of a step before its own, or of its own."""
+        own: Any = belief
+        log = getattr(self._steps, "log", _no_log)(own)
+        late = require_step(own, step, log)
+        if not late:
+            return self.update(belief, readings)
+        given = step_evidence.mapping(readings, "update", "sensors to measurements")
+        assert log is not None
+        return replayed(self.predict, self.update, log, given, late)  # type: ignore[no-any-return]
+
+
+def _no_log(belief: object) -> None:
+    """The steps behind a belief of a filter that keeps none."""
 
 
 def _made(

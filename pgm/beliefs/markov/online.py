@@ -35,6 +35,7 @@ from pgm.kernels.semirings import LOG_SUM_PRODUCT, SUM_PRODUCT
 from pgm.networks import DynamicBayesianNetwork
 from pgm.posteriors.belief_kind import FILTERED, PREDICTED
 from pgm.schedules import step_evidence
+from pgm.schedules.late import NOTHING, Copied, Log
 from pgm.schedules.online_schedule import online_schedule
 from pgm.schedules.schedule import FixedLag
 from pgm.variables import Variable
@@ -110,6 +111,9 @@ class TableSteps(InCode, Immutable):
             held,
             before.log_evidence + log_density.reshape(bound.lead),
             trail[-self.lag :] if self.lag else (),
+            belief._log.on(belief.restored(NOTHING), Copied(inputs), self.lag)
+            if self.lag
+            else NOTHING,
         )
 
     def update(self, belief: OnlineStates, readings: Mapping[Variable, Any]) -> OnlineStates:
@@ -148,7 +152,13 @@ class TableSteps(InCode, Immutable):
 
         held, log_density = self._in_digits(slices, before._held, taken)
         log_evidence = before.log_evidence + log_density.reshape(bound.lead)
-        return OnlineStates(self, step, FILTERED, held, log_evidence, before._trail)
+        log = belief._log if self.lag is None else belief._log.read(Copied(readings))
+        return OnlineStates(self, step, FILTERED, held, log_evidence, before._trail, log)
+
+    def log(self, belief: OnlineStates) -> Log | None:
+        """The steps behind a belief of this filter; None without a lag."""
+        self._check(belief)
+        return None if self.lag is None else belief._log
 
     def measurement(
         self, belief: OnlineStates, variable: Variable, given: Mapping[Variable, Any]

@@ -29,6 +29,7 @@ from pgm.posteriors.posterior import require_variable
 from pgm.posteriors.predictions import require_parents
 from pgm.posteriors.status import Status
 from pgm.posteriors.summaries import at_a_step
+from pgm.schedules.late import NOTHING, Log
 from pgm.variables import Variable
 
 if TYPE_CHECKING:
@@ -103,6 +104,7 @@ class OnlineStates(OnlineBelief, Immutable):
     _steps: The filter's steps, which made it.
     _held: The belief over the slice.
     _trail: The past steps within the filter's lag, earliest first, from which `lagged` smooths.
+    _log: What late readings ask for.
     """
 
     step: int
@@ -115,6 +117,7 @@ class OnlineStates(OnlineBelief, Immutable):
     _steps: TableSteps
     _held: Held
     _trail: tuple[Passed, ...]
+    _log: Log
 
     beliefs: ClassVar[str] = "tables"
     _arrays: ClassVar[str] = "probabilities by variable, belief[x].probabilities"
@@ -127,13 +130,19 @@ class OnlineStates(OnlineBelief, Immutable):
         held: Held,
         log_evidence: Array,
         trail: tuple[Passed, ...] = (),
+        log: Log = NOTHING,
     ) -> None:
         lead = log_evidence.shape
         status = Status.of([], np.ones(math.prod(lead), dtype=bool), lead)
         self._set(
             step=step, kind=kind, log_evidence=frozen(np.asarray(log_evidence)), status=status
         )
-        self._set(lead=lead, behind=None, _steps=steps, _held=held, _trail=trail)
+        self._set(lead=lead, behind=None, _steps=steps, _held=held, _trail=trail, _log=log)
+
+    def restored(self, log: Log) -> OnlineStates:
+        """The belief with another log of the steps behind it."""
+        parts = self._steps, self.step, self.kind, self._held, np.array(self.log_evidence)
+        return OnlineStates(*parts, self._trail, log)
 
     @property
     def _plan(self) -> SlicePlan:

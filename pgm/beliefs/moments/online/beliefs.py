@@ -57,6 +57,7 @@ from pgm.posteriors.rejections import Rejections, RejectionsBySensor
 from pgm.posteriors.status import CLOSE_POINTS, FAR_APART, LAST_PLACE, Status, digits
 from pgm.posteriors.step_innovations import StepInnovations, StepInnovationsBySensor
 from pgm.posteriors.summaries import at_a_step
+from pgm.schedules.late import NOTHING, Log
 from pgm.schedules.schedule import Filtering, FixedLag
 from pgm.variables import Variable
 
@@ -113,7 +114,7 @@ class _Later:
         parts = step, steps.layout, (), *moments, records.status(rest), kind, None, behind
         MomentBelief.__init__(belief, *parts)
         pair = None
-        if kind == FILTERED:
+        if kind == FILTERED and hasattr(belief, "_before"):  # one out of a log has none
             pair = partial(_update, steps, step, belief._before, records, rest)
         belief.__dict__["_origin"] = Origin(steps.asks, pair)
         if "watch" in steps.record.names:
@@ -314,6 +315,23 @@ class MomentBelief(_Kept, OnlineBelief, Immutable):
         found.__dict__["watch"] = self.watch
         return found
 
+    def bare(self) -> MomentBelief:
+        """The same belief without a log of the steps behind it, for another log to keep."""
+        found = self.plain()
+        assert self.behind is not None
+        found.__dict__["behind"] = self.behind.logged(NOTHING)
+        return found
+
+    def restored(self, log: Log) -> MomentBelief:
+        """A bare belief with a log of the steps behind it, from which the filter can go on."""
+        return self.judged(self._gated, self.watch).log(log)
+
+    def log(self, log: Log) -> MomentBelief:
+        """The belief itself, which is new, with a log of the steps behind it."""
+        assert self.behind is not None
+        self.__dict__["behind"] = self.behind.logged(log)
+        return self
+
     def of(self, origin: Origin) -> MomentBelief:
         """The belief itself, which is new, with its origin."""
         self.__dict__["_origin"] = origin
@@ -398,6 +416,9 @@ class MomentBelief(_Kept, OnlineBelief, Immutable):
 
 
 put_steps: Callable[[MomentBelief, Steps | None], None] = _Kept.__dict__["_steps"].__set__
+
+
+put_behind: Callable[[MomentBelief, Trail], None] = _Kept.__dict__["_behind"].__set__
 
 
 def put_core(

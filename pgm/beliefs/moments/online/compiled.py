@@ -17,9 +17,9 @@ import numpy as np
 
 from pgm.beliefs.moments.compiled.judged import judge
 from pgm.beliefs.moments.online.associating import leaves_open
-from pgm.beliefs.moments.online.beliefs import MomentBelief, is_plain, opened, put_core
+from pgm.beliefs.moments.online.beliefs import MomentBelief, is_plain, opened, put_behind, put_core
 from pgm.beliefs.moments.online.kind import Kind, Made, Questions, marginal_of
-from pgm.beliefs.moments.online.window import Passed, Sliding
+from pgm.beliefs.moments.online.window import Passed, Sliding, Trail
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.readings import Moments
 from pgm.compile import SliceLayout
@@ -28,6 +28,7 @@ from pgm.factors import Gaussian
 from pgm.kernels.arrays import Array
 from pgm.kernels.machine.sweeps import lost
 from pgm.posteriors.status import Status
+from pgm.schedules.late import NOTHING, Copied, Log
 from pgm.schedules.step_evidence import MOST, Values, numbers
 from pgm.variables import Variable
 
@@ -67,10 +68,67 @@ class _Passed(Passed):
         return plan, known, predicted
 
 
+class _Given:
+    """The values given to a step in machine code, which stand behind its numbers."""
+
+    __slots__ = ("_parts",)
+
+    def __init__(self, after: MomentBelief) -> None:
+        self._parts = after._records, after._numbers, after._steps
+
+    @property
+    def opened(self) -> dict[Variable, Any]:
+        """The values, as they were given."""
+        records, numbers, steps = self._parts
+        assert records is not None
+        assert steps is not None
+        return records.given(np.frombuffer(numbers, offset=steps.record.itemsize))
+
+    def __reduce__(self) -> Any:
+        return Copied, (self.opened,)
+
+
+class _Bare:
+    """A belief of machine code without its log: the parts of its core, and its trail."""
+
+    __slots__ = ("_core", "_trail")
+
+    def __init__(self, belief: MomentBelief, trail: Trail) -> None:
+        core = belief._steps, belief._number, belief._numbers, belief._kind, belief._records
+        self._core: Any = core
+        self._trail = trail[:3]
+
+    def restored(self, log: Log) -> MomentBelief:
+        """The belief with a log of the steps behind it, from which the filter can go on."""
+        found = object.__new__(MomentBelief)
+        steps, number, numbers, kind, records = self._core
+        behind = Trail(*self._trail, log)
+        put_core(found, steps, number, numbers, kind, records, behind)
+        return found
+
+    def __reduce__(self) -> Any:
+        return _bare, (self.restored(NOTHING).bare(),)
+
+
+def _bare(belief: MomentBelief) -> MomentBelief:
+    """A bare belief that came out of a pickle."""
+    return belief
+
+
 def _trail(before: MomentBelief, after: MomentBelief) -> None:
-    """Put a prediction by machine code on the trail behind the belief after it."""
-    assert after._behind is not None
-    after._set(_behind=after._behind.on(_Passed(before, after)))
+    """Put a prediction by machine code on the trail behind the belief after it, and in its log."""
+    trail = after._behind
+    assert trail is not None
+    kept: Any = before.bare() if before._records is None else _Bare(before, trail)
+    log = trail.log.on(kept, _Given(after), trail.lag)
+    put_behind(after, trail.on(_Passed(before, after)).logged(log))
+
+
+def _log(after: MomentBelief) -> None:
+    """Put the readings of an update by machine code in the log behind the belief after it."""
+    trail = after._behind
+    assert trail is not None
+    put_behind(after, trail.logged(trail.log.read(_Given(after))))
 
 
 def _none(*given: object) -> Any:
@@ -146,6 +204,8 @@ class CompiledSteps:
         after: MomentBelief | None = self._last[0](belief, readings)
         if after is None:
             return self._any(belief, readings, moves=False)
+        if self._reverses:
+            _log(after)
         self._tell(after)
         return after
 
@@ -184,11 +244,14 @@ class CompiledSteps:
                 after: MomentBelief | None = kind.step(belief, given[1])
                 why = _FAR
                 if after is not None:
-                    if moves and self._reverses:
-                        _trail(belief, after)
+                    if self._reverses:
+                        if moves:
+                            _trail(belief, after)
+                        else:
+                            _log(after)
                     if not kind.trials:
                         self._last[moves] = kind.step
-                        if not (self._reverses if moves else kind.records.warns):
+                        if not (self._reverses or (not moves and kind.records.warns)):
                             self.quick[moves] = kind.step
                         self._tell(after)
                         return after

@@ -36,7 +36,7 @@ from pgm.beliefs.moments.online.beliefs import (
 from pgm.beliefs.moments.online.compiled import CompiledSteps
 from pgm.beliefs.moments.online.judged import at_last, at_moments, of_update, of_window
 from pgm.beliefs.moments.online.kind import Questions
-from pgm.beliefs.moments.online.origin import Origin, Pair, kept, opened
+from pgm.beliefs.moments.online.origin import Origin, Pair
 from pgm.beliefs.moments.online.settings import require_settings, require_watch
 from pgm.beliefs.moments.online.slid import slid
 from pgm.beliefs.moments.online.step_layouts import Layouts
@@ -68,6 +68,7 @@ from pgm.posteriors.step_innovations import StepInnovations
 from pgm.schedules import step_evidence
 from pgm.schedules.convergence import tell_online
 from pgm.schedules.gates import Gate
+from pgm.schedules.late import Copied, Log
 from pgm.schedules.schedule import ONCE, Filtering, FixedLag
 from pgm.variables import Variable
 
@@ -193,6 +194,11 @@ class MomentSteps(InCode, Immutable):
         )
         return linear and find_spec("llvmlite") is not None
 
+    def log(self, belief: MomentBelief) -> Log | None:
+        """The steps behind a belief of this filter; None without a lag."""
+        require_own(belief, self.model, self.schedule, self._behind)
+        return None if belief.behind is None else belief.behind.log
+
     @property
     def compilation(self) -> str:
         """Whether steps are made in machine code, or why not, in words.
@@ -263,6 +269,8 @@ class MomentSteps(InCode, Immutable):
             If a linearisation, or the belief, has no finite value.
         """
         later = self._later(belief, inputs).of(self._own)
+        if belief.behind is not None:
+            later.log(belief.behind.log.on(belief.bare(), Copied(inputs), belief.behind.lag))
         return later if belief.watch is None else later.judged((), belief.watch.on(belief.step))
 
     def _later(self, belief: MomentBelief, inputs: Mapping[Variable, Any] | None) -> MomentBelief:
@@ -381,7 +389,10 @@ class MomentSteps(InCode, Immutable):
                     step=belief.step,
                 )
             closed, seen = associated(self._graph, self.lineariser, belief, readings, gate)
-            return self.update(belief, closed).told(seen, gate)
+            made = self.update(belief, closed).told(seen, gate)
+            if belief.behind is not None:  # identities are asked for anew where steps are
+                made.log(belief.behind.log.read(Copied(readings)))
+            return made
         behind = belief.behind
         if isinstance(behind, Sliding):
             bound = step_evidence.readings(self.model, belief, readings)
@@ -389,7 +400,7 @@ class MomentSteps(InCode, Immutable):
             made = slid(self._windows, belief.step, behind, belief.log_evidence)
             tell_online(made.status.converged, self.schedule)
             made = made.judged(*of_window(belief.watch, behind.settled(self._windows)))
-            return made.of(self._own)
+            return made.of(self._own).log(behind.log.read(Copied(readings)))
         if is_plain(belief):
             ordinary = self._updated(belief, readings)
             if ordinary is not None:
@@ -406,12 +417,17 @@ class MomentSteps(InCode, Immutable):
         made = careful_belief(plan, belief.step, found, log_evidence, status, FILTERED, behind)
         squares = partial(at_last, plan, _careful_forward(plan, known, found))
         made = made.judged(*of_update(belief.watch, parts, squares))
-        return made.of(self._update(belief, readings))
+        return self._updated_by(made, belief, readings)
 
-    def _update(self, belief: MomentBelief, readings: Mapping[Variable, Any]) -> Origin:
-        """The record of an update of a belief by readings, from which innovations are found."""
-        before, values = belief.plain(), kept(readings)
-        return Origin(self, lambda: (before, opened(values)))
+    def _updated_by(
+        self, made: MomentBelief, belief: MomentBelief, readings: Mapping[Variable, Any]
+    ) -> MomentBelief:
+        """The belief itself, new from an update of `belief` by readings, with a record of these."""
+        before, values = belief.plain(), Copied(readings)
+        found = made.of(Origin(self, lambda: (before, values.opened)))
+        if found.behind is not None:
+            found.log(found.behind.log.read(values))
+        return found
 
     @cached_property
     def _own(self) -> Origin:
@@ -453,7 +469,7 @@ class MomentSteps(InCode, Immutable):
         made = belief_of(plan, belief.step, found, log_evidence, status, FILTERED, belief.behind)
         if chain.gate is not None or belief.watch is not None:
             made = made.judged(*of_update(belief.watch, parts, partial(at_moments, parts, known)))
-        return made.of(self._update(belief, readings))
+        return self._updated_by(made, belief, readings)
 
     @_quiet
     def innovations(

@@ -1,18 +1,14 @@
 """Where a belief of an online filter comes from: whose it is, and what its last update took in.
 
-From these the innovations are found when they are asked for, by making the update again. What was
-taken in is copied, since the user's arrays may change.
+From these the innovations are found when they are asked for, by making the update again.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from pgm.evidence import Constant, Sightings
 from pgm.variables import Variable
 
 if TYPE_CHECKING:
@@ -39,35 +35,3 @@ class Origin:
 
     def __getstate__(self) -> dict[str, Any]:
         return {"steps": self.steps, "pair": self.pair}
-
-
-def kept(values: Mapping[Variable, Any]) -> dict[Variable, Any]:
-    """A copy of values that were given to a step, to be `opened`; nobody else has its arrays."""
-    return {variable: _kept(value) for variable, value in values.items()}
-
-
-def _kept(value: Any) -> Any:
-    """A copy of a value; sightings are their parts, which take a tenth of the time to make."""
-    kind = type(value)
-    if kind is np.ndarray:
-        return value.copy()
-    if kind is Sightings:
-        return _Sighted(_kept(value.values), value.step, kept(value._given))
-    if kind is Constant:
-        return Constant(_kept(value.value))
-    if kind is list or kind is tuple or hasattr(value, "__array__"):
-        return np.array(value)
-    return value
-
-
-class _Sighted(NamedTuple):
-    """The parts of sightings."""
-
-    values: Any
-    step: Any
-    given: dict[Variable, Any]
-
-
-def opened(values: Mapping[Variable, Any]) -> dict[Variable, Any]:
-    """The values of a copy, as they were given."""
-    return {v: Sightings(*each) if type(each) is _Sighted else each for v, each in values.items()}

@@ -38,6 +38,7 @@ from pgm.kernels.arrays import Array, Kind, sandwich
 from pgm.kernels.moments import Conditional
 from pgm.linearisation.rows import At
 from pgm.networks import DynamicBayesianNetwork
+from pgm.schedules.late import NOTHING, Log
 from pgm.schedules.schedule import ONCE, FixedLag
 
 # Makes the plan of the evidence of steps, whose first has the number given, with the prior or not.
@@ -63,8 +64,8 @@ class Sliding:
     `entries` are the evidence of the steps whose CPDs are in it. `window` is the settled window,
     None while nothing has been read at its newest step; `before` is that of the step before, None
     at step 0. `left` (runs,) is the log-evidence of the steps that have left the window, in nats.
-    `lead` is the shape of the user's axes of runs. Methods take the filter's `make`, which makes
-    the plan of some steps from their evidence.
+    `lead` is the shape of the user's axes of runs. `log` has what late readings ask for. Methods
+    take the filter's `make`, which makes the plan of some steps from their evidence.
     """
 
     schedule: FixedLag
@@ -73,6 +74,16 @@ class Sliding:
     before: Window | None
     window: Window | None
     left: Array
+    log: Log = NOTHING
+
+    @property
+    def lag(self) -> int:
+        """How many steps it spans."""
+        return self.schedule.lag
+
+    def logged(self, log: Log) -> Sliding:
+        """The same window with another log."""
+        return replace(self, log=log)
 
     @classmethod
     def first(cls, schedule: FixedLag, model: DynamicBayesianNetwork) -> Sliding:
@@ -95,7 +106,7 @@ class Sliding:
             # The step after the beginning is left behind, as it was linearised last.
             kept = kept[len(kept) + 1 - self.schedule.lag :]
             left = left + window.ahead.log_density[:2].sum(axis=0)
-        return Sliding(self.schedule, lead, (*kept, Entry(motion)), window, None, left)
+        return Sliding(self.schedule, lead, (*kept, Entry(motion)), window, None, left, self.log)
 
     def read(self, make: Make, readings: tuple[Reading, ...], lead: tuple[int, ...]) -> Sliding:
         """The window settled again with further measurements of its newest step.
@@ -330,12 +341,17 @@ class Trail(NamedTuple):
 
     Some steps are made with moments in pairs of float64, *twice the digits*. In `passed` a
     transition is None if it, or the update before it, was made so; `imprecise` says whether the
-    measurements of the belief's own step were taken in so.
+    measurements of the belief's own step were taken in so. `log` has what late readings ask for.
     """
 
     lag: int
     passed: tuple[Passed | None, ...] = ()
     imprecise: bool = False
+    log: Log = NOTHING
+
+    def logged(self, log: Log) -> Trail:
+        """The same trail with another log."""
+        return Trail(self.lag, self.passed, self.imprecise, log)
 
     def on(self, passed: Passed | None) -> Trail:
         """The trail one step later, over the transition `passed`.
@@ -343,7 +359,7 @@ class Trail(NamedTuple):
         `passed` is None if the transition was made in twice the digits.
         """
         kept = (*self.passed, None if self.imprecise else passed)
-        return Trail(self.lag, kept[-self.lag :] if self.lag else ())
+        return Trail(self.lag, kept[-self.lag :] if self.lag else (), log=self.log)
 
     def lagged(self, step: int, mean: Array, cov: Array) -> tuple[int, Array, Array]:
         """The number of the trail's first step, and the smoothed mean and covariance there.
