@@ -9,24 +9,27 @@ from typing import Any, ClassVar
 import numpy as np
 
 from pgm.beliefs.hypotheses.back import BackwardChain
+from pgm.beliefs.hypotheses.cases import Given
 from pgm.beliefs.hypotheses.draws import draws
 from pgm.beliefs.hypotheses.forward import again
+from pgm.beliefs.hypotheses.measurements import Members, measurement, unread
 from pgm.beliefs.hypotheses.records import Asked
 from pgm.beliefs.hypotheses.regimes import Regimes
 from pgm.compile import DynamicGraph, SliceLayout
-from pgm.display import Summary
+from pgm.display import NoArray, Shown, Summary
 from pgm.errors import EvidenceError, NumericalError
 from pgm.evidence import BoundEvidence
 from pgm.factors import Gaussian, GaussianMixture, Table
 from pgm.factors.axes import discrete
 from pgm.factors.scope import Scope, as_scope, listed, positions
-from pgm.kernels.arrays import Array, frozen, quiet
+from pgm.kernels.arrays import Array, Integers, frozen, quiet
 from pgm.posteriors.associations import Found
-from pgm.posteriors.belief_kind import Kind, require_smoothed
-from pgm.posteriors.hidden import located
+from pgm.posteriors.belief_kind import PREDICTED, Kind, require_smoothed
+from pgm.posteriors.hidden import located, measured
+from pgm.posteriors.measurements import as_read, no_readings
 from pgm.posteriors.outcome import SWITCHING, Outcome
 from pgm.posteriors.status import Status
-from pgm.posteriors.summaries import over_time
+from pgm.posteriors.summaries import marginals_over_time, over_time
 from pgm.schedules.options import Call
 from pgm.variables import Discrete, Variable
 
@@ -140,6 +143,44 @@ class Marginals:
         return np.moveaxis(values.sum(axis=others), axes, range(2, 2 + len(order)))
 
 
+@dataclass(frozen=True, eq=False)
+class Predicted(Shown, NoArray):
+    """Tables and mixtures given the measurements before each step, of measurements too.
+
+    `kind` is that of predictions; `given` and `members` are the evidence and the Gaussians of the
+    forward pass, `marginals` their marginals.
+    """
+
+    kind: Kind
+    given: Given
+    members: Members
+    marginals: Marginals
+    lead: tuple[int, ...]
+
+    def __getitem__(self, variable: Variable) -> Table | GaussianMixture:
+        """The marginal of a hidden variable, or the belief of a measurement, by row or of one."""
+        layout = self.marginals.layout
+        if measured(layout, variable) is not None:
+            return measurement(layout, self.given, self.marginals.regimes, self.members, variable)
+        template, first = located(layout, variable, self.last)
+        rows = slice(first, None) if variable.step is None else variable.step
+        return self.marginals.of((variable,), (template,), rows, self.lead)
+
+    @property
+    def last(self) -> int:
+        """The last step."""
+        return len(self.members.logs) - 1
+
+    @property
+    def _title(self) -> str:
+        runs = f", runs {self.lead}" if self.lead else ""
+        return f"Marginals({self.kind}, steps 0..{self.last}{runs})"
+
+    def _summary(self) -> Summary:
+        layout = self.marginals.layout
+        return marginals_over_time(self._title, self, layout, self.lead, self.last)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class HypothesisOutcome(Outcome[Any]):
     """The beliefs of a chain of discrete and continuous variables; leading axes are runs.
@@ -186,8 +227,52 @@ class HypothesisOutcome(Outcome[Any]):
         return (*self.graph.model.states, *self.graph.model.controls)
 
     def __getitem__(self, variable: Variable) -> Table | GaussianMixture:
-        """The marginal of a hidden variable, at all its steps or at one."""
+        """The marginal of a hidden variable, or of a measurement not taken, by step or of one."""
+        if measured(self.graph.layout, variable) is not None:
+            return self._unread(variable)
         return self._of((variable,))
+
+    @quiet()
+    def _unread(self, variable: Variable) -> Table | GaussianMixture:
+        """The belief of a measurement that was not taken, given all that the beliefs know."""
+        own, chain = self._beliefs, self._forward_again.chain
+        with np.errstate(divide="ignore"):
+            logs, regimes = np.log(own.weights), np.log(own.regimes)
+        members = Members(logs, own.mean, own.cov, regimes, None)
+        return unread(self.graph.layout, chain.given, self._regimes, members, variable)
+
+    @property
+    def _forward_again(self) -> BackwardChain:
+        """The forward pass that was kept for a pass back; one of pruned Gaussians has none."""
+        *_, asked = self._asked
+        if asked.prune or asked.pieces > 1:
+            raise self.refusal("predicted")
+        return self._backward
+
+    @cached_property
+    @quiet()
+    def predicted(self) -> Predicted:
+        """Beliefs of hidden variables and of measurements, given those before each step."""
+        chain, layout = self._forward_again.chain, self.graph.layout
+        members = Members.predicted(chain)
+        beliefs = Beliefs.of(
+            PREDICTED,
+            self._beliefs.hidden,
+            members.logs,
+            members.mean,
+            members.cov,
+            members.regimes,
+        )
+        marginals = Marginals(layout, beliefs, self._regimes)
+        return Predicted(PREDICTED, chain.given, members, marginals, self._lead)
+
+    def _readings_of(self, variable: Variable) -> tuple[Integers, Array]:
+        bound = self._asked[0]
+        reading = next((each for each in bound.readings if each.cpd.child == variable), None)
+        if reading is None:
+            return no_readings(variable, bound.lead)
+        marked = np.where(reading.taken, reading.values, np.nan)
+        return as_read(reading.step, reading.order, marked, bound.lead)
 
     def joint(self, *variables: Variable) -> Table | GaussianMixture:
         """The joint of discrete variables, or of continuous ones, of one step or of all steps."""

@@ -53,6 +53,8 @@ class Regimes:
         The number of memories.
     example : ndarray of int
         (memories,): a regime of each memory.
+    plan : SlicePlan
+        Of the tables, whose beliefs have an axis for each of the variables.
 
     `first` is the number of the step at which the evidence begins; steps are counted from there.
     """
@@ -91,7 +93,7 @@ class Regimes:
         places = tuple(self._each[k][self.example] for k in among)
         self._column = np.ravel_multi_index(places, shape) if among else np.zeros(1, np.intp)
         self._columns = math.prod(shape)
-        self._plan = plan
+        self.plan = plan
         self._first = first
         self._slices = TableSlices(plan, _own(bound, model, tables), 1 + first)
         # Of the observed variables: their states in each regime, how many, and those observed.
@@ -111,10 +113,10 @@ class Regimes:
         It is (size, runs or 1).
         """
         found = np.zeros((*self.shape, self._runs))
-        first = tuple(slice(0, n) for n in self._plan.first_shape)
-        alone = not self._plan.states  # nothing is discrete at step 0
+        first = tuple(slice(0, n) for n in self.plan.first_shape)
+        alone = not self.plan.states  # nothing is discrete at step 0
         prior = np.ones(1) if alone else self._slices.prior()
-        found[first] = prior.reshape(*self._plan.first_shape, -1)
+        found[first] = prior.reshape(*self.plan.first_shape, -1)
         return _logs(found.reshape(self.size, -1))
 
     def onward(self, step: int) -> Array:
@@ -173,7 +175,7 @@ class Regimes:
     def _onward(self, step: int) -> Array:
         slices, columns = self._slices, self._columns
         shape = tuple(
-            n if v in self._plan.states else 1
+            n if v in self.plan.states else 1
             for v, n in zip(self.variables, self.shape, strict=True)
         )
         belief = np.eye(columns).reshape(*shape, columns)
