@@ -59,10 +59,13 @@ def one_row(steps: Integers, variable: Variable) -> int:
     raise EvidenceError(f"{variable!r}: at step {step} {text}", variable=variable, step=step)
 
 
-def require_unread(variable: Variable, step: Integers, taken: Mask) -> None:
+def require_unread(
+    variable: Variable, step: Integers, taken: Mask, *, residuals: bool = False
+) -> None:
     """Refuse a measurement, ``z`` or ``z.at(3)``, of which some run read a component.
 
     `step` (rows,) are the steps of its readings, and `taken` (rows, runs or 1, d) marks those read.
+    With `residuals` the posterior has innovations, too.
     """
     steps = step[taken.any(axis=(1, 2))]
     if not steps.size or (variable.step is not None and variable.step not in steps):
@@ -71,8 +74,9 @@ def require_unread(variable: Variable, step: Integers, taken: Mask) -> None:
     at = f"at steps {steps.min()}..{steps.max()}" if variable.step is None else "there"
     raise EvidenceError(
         f"{variable!r} has evidence {at}, and so no belief: posterior.predicted[{name}] has the "
-        f"belief before each reading is taken, and {name}.at(t) is of one step, where nothing was "
-        "read",
+        f"belief before each reading is taken, "
+        + f"posterior.innovations[{name}] how far off it was, " * residuals
+        + f"and {name}.at(t) is of one step, where nothing was read",
         variable=variable,
         step=variable.step,
     )

@@ -389,7 +389,8 @@ SOLUTIONS = listed(
     {"kernels/joint_compatibility.py": "__init__"},
     # The losses of merging, and the coordinates of what is learnt of what was merged.
     {"kernels/merging.py": "_losses _principal _whitening"},
-    # Information: canonical forms, rows of square roots, elements of a scan.
+    # Information: canonical forms, rows of square roots, elements of a scan, a reading's removal.
+    {"beliefs/moments/outcomes/left_out.py": "left_out"},
     {"kernels/canonical.py": "_backward_indefinite _invertible_root _split backward combine"},
     {"kernels/canonical.py": "determined_moments from_affine from_moments marginalise"},
     {"kernels/canonical.py": "squares to_moments"},

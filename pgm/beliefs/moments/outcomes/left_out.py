@@ -61,7 +61,7 @@ def left_out(plan: ChainPlan, sensor: Sensor, mean: Array, spread: Diffuse) -> G
         raise _refusal(plan, sensor, singular)
     away = np.where(taken, found.mean - sensor.values, 0.0)
     off = solving.solve_lower(root, away[..., None])
-    gain = transpose(np.asarray(np.linalg.solve(share, cross), dtype=np.float64))
+    gain = transpose(solving.solve(roots.root(share), cross))
     noise = family.noise if not sensor.robust else unweighed(sensor, mean, spread).noise
     cov = smoothed + gain @ cross + noise
     rows = Expected(

@@ -139,7 +139,7 @@ def unread(plan: ChainPlan, variable: Variable, mean: Array, spread: Diffuse) ->
     """
     sensor = next((each for each in plan.sensors if each.variable == variable.template), None)
     if sensor is not None:
-        require_unread(variable, sensor.family.step, _given(sensor))
+        require_unread(variable, sensor.family.step, _given(sensor), residuals=True)
     found = expected(plan, variable.template, mean, spread, anew=True)
     return found.gaussian(variable, plan.lead)
 
