@@ -1,4 +1,4 @@
-"""Learning: parameters of a dynamic network, by expectation-maximisation."""
+"""Learning: parameters of networks, by expectation-maximisation or in closed form."""
 
 from pgm.learning.fitting import fit
 from pgm.learning.values import (

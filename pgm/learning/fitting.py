@@ -1,27 +1,38 @@
-"""Expectation-maximisation, accelerated, of a dynamic network's parameters."""
+"""Expectation-maximisation, accelerated, of a network's parameters."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from pgm.arguments import public
 from pgm.beliefs.own.family import BeliefFamily, require_family
 from pgm.boundary import is_number, is_whole
 from pgm.display import titled
-from pgm.errors import ConvergenceWarning, EvidenceError, ModelError, PgmError, levels_to_user
+from pgm.errors import (
+    ConvergenceWarning,
+    EvidenceError,
+    ModelError,
+    NumericalError,
+    PgmError,
+    levels_to_user,
+)
 from pgm.evidence import Evidence
 from pgm.inference import Smoothing
 from pgm.kernels.arrays import Array
 from pgm.learning.model import Expected, Learner, Point
+from pgm.learning.records import RecordLearner
 from pgm.learning.values import Fit, FitStatus, Learn
 from pgm.linearisers import TAYLOR, Lineariser, Taylor
-from pgm.networks import DynamicBayesianNetwork
+from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.progress import Progress, counted, reporting
 from pgm.schedules.argument_checks import require_lineariser
+from pgm.schedules.schedule import Calibration
 
 # The least cosine between a move and the change of the gradient that tells a curvature.
 _TOLD = 1e-14
@@ -122,17 +133,25 @@ class Search:
         learner, converged = self.learner, False
         here: Expected | None = None
         trace: list[float] = []
+        priors: list[float] = []
         for _ in counted(range(self.iterations + 1), "EM"):
             if here is None:
                 here = self._expected(learner.start)
                 trace.append(here.log_evidence)
+                priors.append(here.log_prior)
                 continue
+            if learner.closed:
+                here, converged, self.stopped = self._closed(here), True, _CLOSED
+                trace.append(here.log_evidence)
+                priors.append(here.log_prior)
+                break
             before = here
             image, gradient = learner.improved(here)
             x, y = learner.vector(here.point), learner.vector(image)
             if learner.by_equations:
                 here = self._expected(image)
                 trace.append(here.log_evidence)
+                priors.append(here.log_prior)
                 if (np.abs(y - x) / (1.0 + np.abs(x))).max(initial=0.0) <= _FIXED:
                     converged, self.stopped = True, _EQUATIONS
                     break
@@ -143,6 +162,7 @@ class Search:
                 break
             here = there
             trace.append(here.log_evidence)
+            priors.append(here.log_prior)
             gained = here.objective - before.objective
             if gained > _ENDLESS and (cpd := learner.vanishing(here.point)) is not None:
                 self.stopped = (
@@ -158,8 +178,11 @@ class Search:
         else:
             self.exhausted = True
         assert here is not None
-        self.smoothed = learner.schedule.iterations == 1 or all(
-            bool(each.status.converged.all()) for each in here.posteriors
+        asked = learner.schedule
+        self.smoothed = (
+            asked is None
+            or asked.iterations == 1
+            or all(bool(each.status.converged.all()) for each in here.posteriors)
         )
         status = FitStatus(
             len(trace) - 1,
@@ -169,8 +192,31 @@ class Search:
             self.halved,
             converged,
             self.stopped,
+            learner.closed,
         )
-        return learner.fit(here, trace, status)
+        return learner.fit(here, trace, priors, status)
+
+    def _closed(self, here: Expected) -> Expected:
+        """The optimum where all that is learnt was observed.
+
+        The second M step makes up for what sums lose in rounding at a start that is far away.
+        """
+        learner = self.learner
+        image, _ = learner.improved(here)
+        if learner.vanishing(image) is None:
+            image, _ = learner.improved(
+                replace(here, point=image, expectations=learner.again(image))
+            )
+        try:
+            if (cpd := learner.vanishing(image)) is None:
+                return self._expected(image)
+        except NumericalError:
+            cpd = None
+        raise ModelError(
+            f"the likeliest noise of {'a CPD' if cpd is None else repr(cpd)} vanishes: its records "
+            "are explained exactly, or are too few; bound it, pgm.learning.Covariance(lower=)",
+            cpd=cpd,
+        )
 
     def _expected(self, point: Point) -> Expected:
         self.e_steps += 1
@@ -236,6 +282,7 @@ class Search:
         return None
 
 
+_CLOSED = "all that is learnt was observed: a closed form, no search was needed"
 _EQUATIONS = "parameters and weights are at a fixed point, of which there is no likelihood"
 _ROUNDED, _WITHIN = "rounding alone was left", "a step was within the tolerance"
 
@@ -248,12 +295,13 @@ _EXPECTED = Taylor(expected=True)
 
 @public
 def fit(
-    model: DynamicBayesianNetwork,
+    model: DynamicBayesianNetwork | BayesianNetwork,
     evidence: Evidence | Sequence[Evidence],
     *,
     learn: Learn,
+    weights: npt.ArrayLike | Sequence[npt.ArrayLike] | None = None,
     lineariser: Lineariser = TAYLOR,
-    schedule: Smoothing | None = None,
+    schedule: Calibration | None = None,
     belief: BeliefFamily[Any] | None = None,
     steps: int | Sequence[int | None] | None = None,
     iterations: int = 200,
@@ -261,7 +309,7 @@ def fit(
     accelerate: bool = True,
     progress: Progress = False,
 ) -> Fit:
-    r"""Learn parameters of a dynamic network from recordings, by expectation-maximisation.
+    r"""Learn parameters of a network from recordings or records, by expectation-maximisation.
 
     Each step smooths the recordings (E) and takes the parameters that maximise the expected
     log-density (M),
@@ -279,27 +327,34 @@ def fit(
     lineariser, `Taylor(expected=True)`. Truncated noise and gates have no likelihood: steps go on
     until parameters stay, what is cut off being made up for as of Gaussian residuals.
 
+    A network without time is learnt from records, the rows of its evidence. Where the child and the
+    parents of all that is learnt were observed, there is a closed form, and no search.
+
     Where discrete variables choose among CPDs (`SwitchingCPD`), each row enters the expectations of
     a case by the probability that this holds there. Where mixtures of Gaussians are merged, the
     log-evidence and its gradient are approximate, as of nonlinear models.
 
     Parameters
     ----------
-    model : DynamicBayesianNetwork
+    model : DynamicBayesianNetwork or BayesianNetwork
         With the values to begin with.
     evidence : mapping of Variable, or sequence of them
         Evidence of one or several recordings, as for `smooth`; runs on leading axes share the
-        parameters.
+        parameters. Without time as for `infer`: leading axes are records, as `records` makes them.
     learn : mapping of Variable
         The parts that are learnt, all else being fixed: by ``x.at(0)`` of the prior of a state, by
         ``x`` of its transition, by ``z`` of a sensor, a part of `pgm.learning` or a tuple of them,
         ``{x: (Coefficients(), Covariance("diagonal")), z: Covariance()}``, of Student-t noise also
         its `DegreesOfFreedom`; by an input its `Parameter`. Of a `SwitchingCPD` that is learnt of
         every case; or, by state, of some: ``{z: {"working": Covariance()}}``.
+    weights : array_like, or sequence of array_like, optional
+        Of the records of a network without time, of the evidence's leading axes; one for each of
+        several mappings.
     lineariser, schedule : optional
-        Settings of the smoother; ``Smoothing(iterations=...)`` linearises again. Without, it
-        linearises once; where noise is robust up to 100 times, weighing measurements each time.
-        With a gate each E step decides anew which measurements are taken in.
+        Settings of the smoother, or of the posterior of records (`Calibration`). Without a schedule
+        it linearises once, ``Smoothing(iterations=...)`` again; where noise is robust up to 100
+        times, weighing measurements each time. With a gate each E step decides anew which
+        measurements are taken in.
     belief : BeliefFamily, optional
         How many Gaussians mixtures of a model with discrete and continuous variables have:
         ``pgm.Gaussians(8)``.
@@ -325,7 +380,8 @@ def fit(
     Raises
     ------
     ModelError
-        If something is to be learnt that is not there, or cannot be from its start.
+        If something is to be learnt that is not there, or cannot be from its start, or a noise of
+        which all was observed vanishes.
     EvidenceError
         If evidence is no mapping, or nothing in it tells of a CPD that is to be learnt.
     PgmError
@@ -349,8 +405,8 @@ def fit(
     >>> found.model.transition[0].matrices[x.previous].round(1)
     array([[1.]])
     """
-    if not isinstance(model, DynamicBayesianNetwork):
-        raise ModelError(f"a dynamic network was due, not {titled(model)}")
+    if not isinstance(model, DynamicBayesianNetwork | BayesianNetwork):
+        raise ModelError(f"a dynamic network or a BayesianNetwork was due, not {titled(model)}")
     single = isinstance(evidence, Mapping)
     recordings = _recordings(evidence)
     every = _lengths(steps, len(recordings))
@@ -365,16 +421,31 @@ def fit(
         raise ModelError(f"tolerance= is a number, 0 or more, not {tolerance!r}")
     if not isinstance(accelerate, bool):
         raise ModelError(f"accelerate= is True or False, not {accelerate!r}")
-    if schedule is None:
-        schedule = _WEIGHED if _is_weighed(model) else _ONCE
-    if not isinstance(schedule, Smoothing):
-        raise ModelError(f"schedule= is pgm.Smoothing(...), not {titled(schedule)}")
     require_lineariser(lineariser)
-    if lineariser == TAYLOR and _is_weighed(model):
-        lineariser = _EXPECTED
-    if belief is not None:
-        require_family(belief, model)
-    learner = Learner(model, recordings, learn, lineariser, schedule, belief, every, single=single)
+    learner: Learner
+    if isinstance(model, BayesianNetwork):
+        _require_records(schedule, belief, steps)
+        rows = [weights] if single or weights is None else list(weights)  # type: ignore[arg-type]
+        rows = rows * len(recordings) if weights is None else rows
+        if len(rows) != len(recordings):
+            raise ModelError(f"weights= has {len(rows)} entries for {len(recordings)} of evidence")
+        learner = RecordLearner(
+            model, recordings, rows, learn, lineariser, schedule, None, every, single=single
+        )
+    else:
+        if weights is not None:
+            raise ModelError("weights= are of records of networks without time; leave them out")
+        if schedule is None:
+            schedule = _WEIGHED if _is_weighed(model) else _ONCE
+        if not isinstance(schedule, Smoothing):
+            raise ModelError(f"schedule= is pgm.Smoothing(...), not {titled(schedule)}")
+        if lineariser == TAYLOR and _is_weighed(model):
+            lineariser = _EXPECTED
+        if belief is not None:
+            require_family(belief, model)
+        learner = Learner(
+            model, recordings, learn, lineariser, schedule, belief, every, single=single
+        )
     with reporting(progress):
         search = Search(learner, int(iterations), float(tolerance), accelerate=accelerate)
         found = search.run()
@@ -382,9 +453,22 @@ def fit(
     _tell(
         found,
         searched=found.status.converged or (tolerance == 0.0 and search.exhausted),
-        smoothed=search.smoothed or schedule.tolerance == 0.0,
+        smoothed=search.smoothed or (schedule is not None and schedule.tolerance == 0.0),
     )
     return found
+
+
+def _require_records(schedule: object, belief: object, steps: object) -> None:
+    """Refuse options of chains, for networks without time."""
+    if schedule is not None and (
+        isinstance(schedule, Smoothing) or not isinstance(schedule, Calibration)
+    ):
+        raise ModelError(
+            f"schedule= is pgm.Calibration(...) of a network without time, not {titled(schedule)}"
+        )
+    for name, value in (("belief", belief), ("steps", steps)):
+        if value is not None:
+            raise ModelError(f"{name}= is for networks over time; leave it out")
 
 
 def _is_weighed(model: DynamicBayesianNetwork) -> bool:

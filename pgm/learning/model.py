@@ -13,7 +13,7 @@ from pgm.cpds import CPD, ConditionalGaussian, MixtureCPD, TableCPD
 from pgm.display import titled
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import Evidence, constant
-from pgm.factors.scope import listed
+from pgm.factors.scope import Scope, listed
 from pgm.inference import Smoothing
 from pgm.inference.dynamic import over_time
 from pgm.kernels.arrays import Array
@@ -33,7 +33,6 @@ from pgm.learning.values import (
     Table,
 )
 from pgm.linearisers import TAYLOR, Lineariser
-from pgm.networks import DynamicBayesianNetwork
 from pgm.posteriors.expectations import PRIOR, ROLES, Expectations, Learnable
 from pgm.posteriors.posterior import Posterior
 from pgm.schedules.binding import bind_chain
@@ -50,7 +49,7 @@ _AS_CASES = (
 class Point:
     """The values of everything that is learnt: the model, and constant parents."""
 
-    model: DynamicBayesianNetwork
+    model: Any
     parameters: dict[Variable, Array]
 
 
@@ -65,19 +64,29 @@ class Expected:
     posteriors: list[Any]
     expectations: list[Callable[[Sequence[Learnable]], Expectations]]
     log_evidence: float
-    objective: float
+    log_prior: float
+
+    @property
+    def objective(self) -> float:
+        """The logarithm of the evidence times the prior of tables."""
+        return self.log_evidence + self.log_prior
 
 
 class Learner:
     """The parts of a model that are learnt, as of `fit`, and the recordings, of steps T each."""
 
+    # The parts of a model that have CPDs, by name.
+    roles: tuple[str, ...] = ROLES
+    # Whether all that is learnt was observed, so that one M step is the answer.
+    closed = False
+
     def __init__(
         self,
-        model: DynamicBayesianNetwork,
+        model: Any,
         recordings: Sequence[Evidence],
         learn: Learn,
         lineariser: Lineariser,
-        schedule: Smoothing,
+        schedule: Any,
         belief: BeliefFamily[Any] | None,
         steps: Sequence[int | None],
         *,
@@ -125,7 +134,7 @@ class Learner:
         So it is with a gate, which takes in other measurements at other parameters, and of the
         noise of a loss whose density has no finite integral.
         """
-        return self.schedule.gate is not None or any(
+        return getattr(self.schedule, "gate", None) is not None or any(
             cpd.noise is not None and not cpd.noise.is_proper(cpd.child.dimension)
             for block, cpd in zip(self.blocks, self._cpds(self.start), strict=True)
             if isinstance(block, GaussianStep) and block.noise is not None
@@ -139,20 +148,20 @@ class Learner:
             used |= {cpd.child} if set(cpd.parents) & set(self.parameters) else set()
         return used
 
-    def _declare(self, model: DynamicBayesianNetwork, variable: Any, learnt: Any) -> None:
+    def _declare(self, model: Any, variable: Any, learnt: Any) -> None:
         """Declare what is learnt by a variable: a parameter, or parts of its CPD."""
         parts = () if isinstance(learnt, Mapping) else _parts(variable, learnt)
         if Parameter in map(type, parts):
             self._declare_parameter(model, variable, parts)
             return
-        place = place_of(model, variable)
+        place = self._place_of(model, variable)
         if any(each[:2] == place[:2] for each in self.places):
             raise ModelError(f"learn names the CPD of {variable!r} twice")
         for each, own in by_place(place, place.of(model).cpd, learnt):
             self.blocks.append(self._block(model, each.of(model).own, _parts(variable, own)))
             self.places.append(each)
 
-    def _block(self, model: DynamicBayesianNetwork, cpd: CPD, parts: Sequence[Any]) -> Any:
+    def _block(self, model: Any, cpd: CPD, parts: Sequence[Any]) -> Any:
         """The M step of parts of a CPD."""
         kinds = list(map(type, parts))
         if isinstance(cpd, TableCPD):
@@ -166,8 +175,15 @@ class Learner:
             )
         self._require(cpd, kinds, (Covariance, Coefficients, Offset, DegreesOfFreedom))
         _require_density(cpd, kinds)
-        hidden = tuple(p for p in cpd.given if p.template in {*model.states, *model.controls})
-        return GaussianStep(cpd, hidden, parts)
+        return GaussianStep(cpd, self._hidden(model, cpd), parts)
+
+    def _place_of(self, model: Any, variable: Any) -> Place:
+        """The place of the CPD that a variable names."""
+        return place_of(model, variable)
+
+    def _hidden(self, model: Any, cpd: Any) -> Scope:
+        """The parents of a Gaussian CPD that beliefs are over."""
+        return tuple(p for p in cpd.given if p.template in {*model.states, *model.controls})
 
     def _require(self, cpd: CPD, kinds: list[type], fit: tuple[type, ...]) -> None:
         for kind in kinds:
@@ -210,7 +226,17 @@ class Learner:
         return [{**evidence, **found} for evidence in self.recordings]
 
     def expected(self, point: Point) -> Expected:
-        """The E step: one smoother a recording."""
+        """The E step: one posterior a recording."""
+        posteriors, expectations, total = self._solved(point)
+        prior = sum(
+            block.log_prior(cpd)
+            for block, cpd in zip(self.blocks, self._cpds(point), strict=True)
+            if isinstance(block, TableStep)
+        )
+        return Expected(point, posteriors, expectations, total, float(prior))
+
+    def _solved(self, point: Point) -> tuple[list[Any], list[Any], float]:
+        """The posteriors, the functions that give expectations, and the log-evidence of all."""
         posteriors, expectations = [], []
         schedule, lineariser = self.schedule, self.lineariser
         if point.model.discrete:  # nothing is linearised
@@ -222,13 +248,15 @@ class Learner:
             outcome, expect = family.infer_to_learn(*asked)
             posteriors.append(Posterior(outcome))
             expectations.append(expect)
-        total = float(sum(np.sum(each.log_evidence) for each in posteriors))
-        prior = sum(
-            block.log_prior(cpd)
-            for block, cpd in zip(self.blocks, self._cpds(point), strict=True)
-            if isinstance(block, TableStep)
-        )
-        return Expected(point, posteriors, expectations, total, total + prior)
+        return posteriors, expectations, float(sum(np.sum(p.log_evidence) for p in posteriors))
+
+    def again(self, point: Point) -> list[Any]:
+        """The functions that give expectations, where all that is learnt was observed."""
+        raise NotImplementedError
+
+    def results(self, point: Point, posteriors: list[Any]) -> list[Any]:
+        """The posterior of each recording, as results show it."""
+        return posteriors
 
     def _learnable(self, point: Point) -> list[Learnable]:
         """The CPDs that are learnt."""
@@ -268,8 +296,8 @@ class Learner:
             if cpd.noise is not None and any(belief.robust is None for belief in beliefs):
                 raise ModelError(
                     f"{cpd!r} has robust noise, {cpd.noise!r}, of which nothing is learnt beside "
-                    "discrete variables and where mixtures are the beliefs; learn it with Gaussian "
-                    "noise, noise=None, or name it not in learn=",
+                    "discrete variables, where mixtures are the beliefs, and in networks without "
+                    "time; learn it with Gaussian noise, noise=None, or name it not in learn=",
                     cpd=cpd,
                 )
             image, slope = block.improved(beliefs, point.parameters, known)
@@ -277,9 +305,9 @@ class Learner:
             new.append(image)
         return self._with(point, new, known), np.concatenate(slopes)
 
-    def _of_parameters(self, model: DynamicBayesianNetwork) -> Iterator[Learnable]:
+    def _of_parameters(self, model: Any) -> Iterator[Learnable]:
         """The CPDs that parameters are parents of."""
-        for role in ROLES:
+        for role in self.roles:
             for number, cpd in enumerate(getattr(model, role)):
                 for place, _ in by_place(Place(role, number), cpd, None):
                     part = place.of(model)
@@ -313,14 +341,16 @@ class Learner:
             start += size
         return self._with(point, cpds, parameters)
 
-    def fit(self, here: Expected, trace: list[float], status: FitStatus) -> Fit:
-        """The result."""
+    def fit(
+        self, here: Expected, trace: list[float], priors: list[float], status: FitStatus
+    ) -> Fit:
+        """The result, with the log-evidence and the log-prior of each point on the way."""
         point = here.point
         evidence: Any = tuple(self.evidence(point))
-        posteriors: Any = tuple(here.posteriors)
+        posteriors: Any = tuple(self.results(point, here.posteriors))
         if self.single:
             (evidence,), (posteriors,) = evidence, posteriors
-        return Fit(point.model, self._named(point), evidence, trace, posteriors, status)
+        return Fit(point.model, self._named(point), evidence, trace, priors, posteriors, status)
 
     def _named(self, point: Point) -> dict[Variable, Any]:
         """The learnt parameters and CPDs, by the variables that the user named."""

@@ -9,9 +9,13 @@ from pgm.cpds import CPD, SwitchingCPD
 from pgm.cpds.switching import Case
 from pgm.display import titled
 from pgm.errors import ModelError
-from pgm.networks import DynamicBayesianNetwork
-from pgm.posteriors.expectations import OBSERVATION, PRIOR, ROLES, TRANSITION, Learnable
+from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
+from pgm.posteriors.expectations import OBSERVATION, PRIOR, TRANSITION, Learnable
 from pgm.variables import Variable
+
+# The role of all CPDs of a network without time.
+NETWORK = "cpds"
+Network = DynamicBayesianNetwork | BayesianNetwork
 
 
 class Place(NamedTuple):
@@ -21,22 +25,22 @@ class Place(NamedTuple):
     number: int
     case: Case | None = None
 
-    def of(self, model: DynamicBayesianNetwork) -> Learnable:
+    def of(self, model: Network) -> Learnable:
         """The CPD that stands here."""
         return Learnable(getattr(model, self.role)[self.number], self.role, self.case)
 
 
-def replaced(
-    model: DynamicBayesianNetwork, cpds: Iterable[tuple[Place, CPD]]
-) -> DynamicBayesianNetwork:
+def replaced(model: Any, cpds: Iterable[tuple[Place, CPD]]) -> Any:
     """A network with other CPDs in some places."""
-    parts = {role: list(getattr(model, role)) for role in ROLES}
+    parts: dict[str, list[Any]] = {}
     for place, cpd in cpds:
-        own = parts[place.role]
+        own = parts.setdefault(place.role, list(getattr(model, place.role)))
         if place.case is not None:
             whole = own[place.number]
             cpd = SwitchingCPD(whole.child, whole.switches, {**whole.cases, place.case: cpd})
         own[place.number] = cpd
+    if isinstance(model, BayesianNetwork):
+        return model.replace(*parts[NETWORK])
     return model.replace(**parts)
 
 

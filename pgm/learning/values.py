@@ -18,7 +18,7 @@ from pgm.display import InCode, Listing, Shown, Summary, few, number
 from pgm.errors import ModelError
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array
-from pgm.networks import DynamicBayesianNetwork
+from pgm.networks import BayesianNetwork, DynamicBayesianNetwork
 from pgm.variables import Variable
 
 KINDS = ("full", "diagonal", "scaled")
@@ -143,7 +143,9 @@ class Table(InCode):
     Parameters
     ----------
     prior_counts : array_like
-        As the table, or one for all: what is added to expected counts, α − 1 of a Dirichlet prior.
+        As the table, or one for all: what is added to expected counts, α − 1 of a Dirichlet prior,
+        whose most probable table is learnt; it is the mean of the posterior of a prior with α = the
+        counts.
 
     Examples
     --------
@@ -213,6 +215,9 @@ class FitStatus(Shown, Immutable):
         Whether the last step was within the tolerance, or rounding alone was left.
     stopped : str
         Why the search ended.
+    closed : bool
+        Whether no search was needed: all that is learnt was observed, and parameters have a closed
+        form.
 
     Examples
     --------
@@ -229,13 +234,18 @@ class FitStatus(Shown, Immutable):
     halved: int
     converged: bool
     stopped: str
+    closed: bool = False
 
     @property
     def _title(self) -> str:
+        if self.closed:
+            return "FitStatus(closed form)"
         went = "converged" if self.converged else "not converged"
         return f"FitStatus({self.iterations} iterations, {self.e_steps} E steps, {went})"
 
     def _summary(self) -> Summary:
+        if self.closed:
+            return Summary(self._title, [self.stopped])
         lines: list[str | Listing] = [
             f"accelerated steps: {self.accepted} accepted, {self.refused} refused"
         ]
@@ -249,7 +259,7 @@ class Fit(Shown, Immutable):
 
     Attributes
     ----------
-    model : DynamicBayesianNetwork
+    model : DynamicBayesianNetwork or BayesianNetwork
         The model that was given, with what was learnt.
     parameters : mapping of Variable
         By the variables that were named: the CPD that was learnt, or the value, (d,), of a
@@ -257,7 +267,11 @@ class Fit(Shown, Immutable):
     evidence : Evidence, or tuple of Evidence
         With the values of parameters put in.
     log_evidence : ndarray
-        (iterations + 1,): of all recordings and runs together, from the start on. It never falls.
+        (iterations + 1,): of all recordings and runs together, from the start on, records of a
+        network without time times their weights.
+    log_prior : ndarray
+        (iterations + 1,): of tables with prior counts, but for a constant; zero without. The sum of
+        both never falls, but at fixed points that have no likelihood.
     posterior : Posterior, or tuple of these
         The posterior of each recording, smoothed with the model.
     status : FitStatus
@@ -272,29 +286,32 @@ class Fit(Shown, Immutable):
     True
     """
 
-    model: DynamicBayesianNetwork
+    model: Any
     parameters: Mapping[Variable, Any]
     evidence: Any
     log_evidence: Array
+    log_prior: Array
     posterior: Any
     status: FitStatus
 
     def __init__(
         self,
-        model: DynamicBayesianNetwork,
+        model: DynamicBayesianNetwork | BayesianNetwork,
         parameters: Mapping[Variable, Any],
         evidence: Any,
         log_evidence: Sequence[float],
+        log_prior: Sequence[float],
         posterior: Any,
         status: FitStatus,
     ) -> None:
-        trace = np.array(log_evidence)
-        trace.flags.writeable = False
+        trace, priors = np.array(log_evidence), np.array(log_prior)
+        trace.flags.writeable = priors.flags.writeable = False
         self._set(
             model=model,
             parameters=MappingProxyType(dict(parameters)),
             evidence=evidence,
             log_evidence=trace,
+            log_prior=priors,
             posterior=posterior,
             status=status,
         )
