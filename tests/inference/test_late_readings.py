@@ -136,6 +136,37 @@ def test_arrays_may_be_used_again_and_beliefs_pickled():
         assert_allclose(late.log_evidence, due.log_evidence, rtol=1e-9)
 
 
+@pytest.mark.parametrize("variance", [1.0, np.inf])
+def test_sightings_without_identity(variance):
+    """Identities are asked for anew where steps are made again; flat priors are as others."""
+    place, seen = pgm.Variable("place", components=("p", "v")), pgm.Variable("seen")
+    at, mark = pgm.variables("at mark")
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(place, [0.0, 1.0], variance)],
+        [pgm.LinearGaussianCPD(place, {place.previous: [[1, 1.0], [0, 1]]}, cov=0.1)],
+        [
+            pgm.LinearGaussianCPD(at, {place: [[1.0, 0.0]]}, cov=0.2),
+            pgm.LinearGaussianCPD(seen, {place: [[-1.0, 0.0]], mark: 1.0}, cov=0.3),
+        ],
+    )
+    nameless = {mark: pgm.unknown([[0.0], [10.0]], gate=0.99, association="likelihood")}
+    robot = pgm.OnlineFilter(model, lag=4)
+    late = due = robot.initial()
+    for k in range(1, 8):
+        late, due = robot.predict(late), robot.predict(due)
+        if k < 4:
+            late, due = robot.update(late, {at: [1.1 * k]}), robot.update(due, {at: [1.1 * k]})
+        else:
+            sighted = {seen: pgm.sightings([[10.2 - k], [-k]], given=nameless)}
+            late, due = robot.update(late, sighted), robot.update(due, sighted)
+        if k in (3, 6):
+            due = robot.update(due, {at: [float(k)]})
+    for step in (6, 3):
+        late = robot.update(late, {at: [float(step)]}, step=step)
+    assert_allclose(late[place].mean, due[place].mean, rtol=1e-10)
+    assert_allclose(late.log_evidence, due.log_evidence, rtol=1e-10)
+
+
 @pytest.mark.parametrize("lag", [2, 5])
 def test_tables(lag):
     s, o = pgm.Discrete("s", ("a", "b")), pgm.Discrete("o", ("yes", "no"))
