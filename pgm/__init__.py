@@ -112,6 +112,9 @@ from pgm.variables import Discrete, Variable, variables
 if TYPE_CHECKING:
     from pgm import comparison, consistency, learning, maps, plot, recordings, results
     from pgm.comparison import compare
+    from pgm.io.alignment import PoseErrors
+    from pgm.io.euroc import read_euroc
+    from pgm.io.kitti import read_kitti, write_kitti
     from pgm.io.networks import (
         from_pgmpy,
         from_pyagrum,
@@ -169,6 +172,9 @@ _LATER = {
         "write_uai_result",
         "write_xmlbif",
     ),
+    "pgm.io.alignment": ("PoseErrors",),
+    "pgm.io.euroc": ("read_euroc",),
+    "pgm.io.kitti": ("read_kitti", "write_kitti"),
     "pgm.io.poses": ("Poses",),
     "pgm.io.tum": ("read_tum", "write_tum"),
     "pgm.learning": ("fit",),
@@ -301,6 +307,7 @@ __all__ = [
     "ParticleWarning",
     "Particles",
     "PgmError",
+    "PoseErrors",
     "Poses",
     "PrecisionWarning",
     "Prepared",
@@ -344,7 +351,9 @@ __all__ = [
     "prepare",
     "query",
     "read_bif",
+    "read_euroc",
     "read_fg",
+    "read_kitti",
     "read_tum",
     "read_uai",
     "read_uai_evidence",
@@ -367,6 +376,7 @@ __all__ = [
     "view",
     "write_bif",
     "write_fg",
+    "write_kitti",
     "write_tum",
     "write_uai",
     "write_uai_evidence",

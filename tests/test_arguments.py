@@ -16,7 +16,7 @@ MODEL = pgm.DynamicBayesianNetwork(
 # What a call makes, or hands out, is not made by users; and bases, and what takes no arguments.
 UNMARKED = {
     *pgm.results.__all__,
-    *("Cells", "Dropped", "Edges", "PoseGraph", "Poses"),
+    *("Cells", "Dropped", "Edges", "PoseErrors", "PoseGraph", "Poses"),
     *("BeliefFamily", "Lineariser", "Oracle", "RobustNoise", "StatisticalRegression"),
     *(
         "Balanced",

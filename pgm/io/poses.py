@@ -9,13 +9,23 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.arguments import public
-from pgm.display import NoArray, Shown, Summary, few, table
+from pgm.display import NoArray, Shown, Summary, count, few, table, titled
+from pgm.errors import EvidenceError, ModelError
 from pgm.immutable import Immutable
-from pgm.io.dropped import Dropped
-from pgm.io.stamped import clock
+from pgm.io import alignment
+from pgm.io.alignment import PoseErrors
+from pgm.io.dropped import BACKWARDS, Dropped
+from pgm.io.sources import Origin
+from pgm.io.stamped import as_stamps, clock
 from pgm.io.trajectories import trajectory
 from pgm.kernels import quaternions
-from pgm.kernels.arrays import Array, frozen
+from pgm.kernels.arrays import Array, Integers, frozen
+
+BEFORE = "of the frame before the trajectory was aligned"
+REPEATED = "of a stamp seen before"
+# How far from one the length of a quaternion may be, whose numbers may be printed to four decimals.
+UNIT = 1e-3
+ROUNDING = 1e-14
 
 
 class Poses(Shown, NoArray, Immutable):
@@ -121,6 +131,143 @@ class Poses(Shown, NoArray, Immutable):
         turns = quaternions.of_angles(found.angles)
         return cls(found.times, found.xyz, turns, found.names, found.cov)
 
+    @public
+    def align(
+        self,
+        reference: Poses,
+        *,
+        scale: bool = False,
+        planar: bool = False,
+        tolerance: float = 0.01,
+    ) -> Poses:
+        """The trajectory moved so that its places are nearest to a reference's, in squares.
+
+        Poses of either that are nearest in time, and within a tolerance, are pairs; the motion
+        y = s R x + t of all poses is Umeyama's of their places.
+
+        Parameters
+        ----------
+        reference : Poses
+            The trajectory to be laid upon.
+        scale : bool, optional
+            Whether the scale s is found, as of a single camera; it is 1 without.
+        planar : bool, optional
+            Whether R turns about the upward axis alone, as of robots in the plane.
+        tolerance : float, optional
+            How far apart in time the poses of a pair may be, seconds.
+
+        Returns
+        -------
+        Poses
+            Without covariances, which are of the frame before; `dropped` tells of that.
+
+        Raises
+        ------
+        EvidenceError
+            If no poses are pairs, or the tolerance is none.
+        ModelError
+            If the reference is none, or places lie on a line, or a place, which leaves R open.
+
+        References
+        ----------
+        Umeyama, Least-squares estimation of transformation parameters between two point patterns,
+        1991.
+
+        Examples
+        --------
+        >>> times, still = np.arange(4.0), np.tile([0.0, 0.0, 0.0, 1.0], (4, 1))
+        >>> path = np.array([[0.0, 0, 0], [1, 0, 0], [1, 2, 0], [0, 2, 3]])
+        >>> turned = pgm.Poses(times, path @ [[0, 1, 0], [-1, 0, 0], [0, 0, 1]] + 5.0, still)
+        >>> turned.align(pgm.Poses(times, path, still)).position[3].round(9)
+        array([0., 2., 3.])
+        """
+        from scipy.spatial.transform import Rotation
+
+        rows, others = self._pairs(reference, tolerance)
+        found = alignment.umeyama(
+            self.position[rows], reference.position[others], scale=scale, planar=planar
+        )
+        turns = Rotation.from_matrix(found.rotation) * Rotation.from_quat(
+            np.array(self.orientation)
+        )
+        told = [] if self.cov is None else [Dropped("covariances", BEFORE, np.arange(len(self)))]
+        return Poses(
+            self.times,
+            found.moved(self.position),
+            turns.as_quat(),
+            dropped=(*self.dropped, *told),
+        )
+
+    @public
+    def ate(self, reference: Poses, *, tolerance: float = 0.01) -> PoseErrors:
+        """The absolute errors of poses against a reference's, as they are: `align` comes before.
+
+        Parameters
+        ----------
+        reference : Poses
+            The truth.
+        tolerance : float, optional
+            How far apart in time the poses of a pair may be, seconds.
+
+        Raises
+        ------
+        EvidenceError
+            If no poses are pairs, or the tolerance is none.
+        ModelError
+            If the reference is none.
+
+        References
+        ----------
+        Sturm, Engelhard, Endres, Burgard and Cremers, A benchmark for the evaluation of RGB-D SLAM
+        systems, 2012.
+        """
+        rows, others = self._pairs(reference, tolerance)
+        places = self.position[rows], reference.position[others]
+        turns = self.orientation[rows], reference.orientation[others]
+        left = len(self.times) - rows.size
+        return PoseErrors("absolute", self.times[rows], *alignment.absolute(places, turns), left)
+
+    @public
+    def rpe(self, reference: Poses, *, step: int = 1, tolerance: float = 0.01) -> PoseErrors:
+        """The errors of the motion from each pose to a later one, against a reference's.
+
+        Parameters
+        ----------
+        reference : Poses
+            The truth.
+        step : int, optional
+            How many of the pairs of poses the later one is behind.
+        tolerance : float, optional
+            How far apart in time the poses of a pair may be, seconds.
+
+        Raises
+        ------
+        EvidenceError
+            If no poses are pairs, the step is none, or longer than the trajectory.
+        ModelError
+            If the reference is none.
+
+        References
+        ----------
+        Sturm, Engelhard, Endres, Burgard and Cremers, A benchmark for the evaluation of RGB-D SLAM
+        systems, 2012.
+        """
+        rows, others = self._pairs(reference, tolerance)
+        alignment.require_step(step, rows.size)
+        places = self.position[rows], reference.position[others]
+        turns = self.orientation[rows], reference.orientation[others]
+        errors = alignment.relative(places, turns, int(step))
+        kind = f"of the motion over {count(int(step), 'row')}"
+        return PoseErrors(kind, self.times[rows[int(step) :]], *errors, len(self.times) - rows.size)
+
+    def _pairs(self, reference: Any, tolerance: float) -> tuple[Integers, Integers]:
+        if not isinstance(reference, Poses):
+            raise ModelError(f"a reference is Poses, not {titled(reference)}")
+        return alignment.matched(self.times, reference.times, tolerance)
+
+    def __len__(self) -> int:
+        return self.times.size
+
     @property
     def angles(self) -> Array:
         """Roll, pitch and yaw, (n, 3), radians: the turn is R_z(yaw) R_y(pitch) R_x(roll)."""
@@ -149,3 +296,55 @@ class Poses(Shown, NoArray, Immutable):
         columns = [("time", self.times), *zip(names, numbers.T, strict=True)]
         told = [each._title for each in self.dropped]
         return Summary(self._title, [table(columns, digits=15), *told])
+
+
+def made(
+    table: Array,
+    lines: Sequence[int],
+    origin: Origin,
+    hint: str,
+    names: tuple[str, ...] = (),
+    cov: Array | None = None,
+) -> Poses:
+    """Poses in order of rows t x y z qx qy qz qw, (n, 8), that stand in lines of a file.
+
+    Times that are none, and quaternions that are no unit ones, are refused; `hint` asks about the
+    latter.
+    """
+    try:
+        as_stamps("t", table[:, 0])
+    except EvidenceError as error:
+        raise origin.fault(str(error)) from error
+    with np.errstate(over="ignore"):  # an infinite length is refused below
+        length = np.linalg.norm(table[:, 4:], axis=1)
+    if (far := np.abs(length - 1.0) > UNIT).any():
+        row = int(far.argmax())
+        raise origin.fault(
+            f"its quaternion's numbers have the length {length[row]:.6g}, and were to be a unit one"
+            f"; {hint}",
+            lines[row],
+        )
+    # A length that is one but for rounding is left as it is, so that numbers stay what they were.
+    length[np.abs(length - 1.0) < ROUNDING] = 1.0
+    turns = table[:, 4:] / length[:, None]
+    order, told = in_order(table[:, 0])
+    return Poses(
+        table[order, 0],
+        table[order, 1:4],
+        turns[order],
+        names,
+        None if cov is None else cov[order],
+        dropped=told,
+    )
+
+
+def in_order(times: Array) -> tuple[Integers, list[Dropped]]:
+    """The rows in order of time, the first of several at one time, and those that this mends."""
+    found, told = np.argsort(times, kind="stable"), []
+    if (back := np.flatnonzero(np.diff(times) < 0.0) + 1).size:
+        told.append(Dropped("poses", BACKWARDS, back, kept=True))
+    again = found[1:][np.diff(times[found]) == 0.0]
+    if again.size:
+        told.append(Dropped("poses", REPEATED, np.sort(again)))
+        found = found[np.append(True, np.diff(times[found]) > 0.0)]
+    return found, told

@@ -9,24 +9,22 @@ import io
 import math
 from collections.abc import Sequence
 from itertools import combinations_with_replacement
+from types import EllipsisType
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from pgm.arguments import public
-from pgm.errors import EvidenceError, ModelError
+from pgm.errors import ModelError
 from pgm.factors.arrays import covariance_fault
 from pgm.io import sources
-from pgm.io.dropped import BACKWARDS, Dropped
-from pgm.io.poses import Poses
+from pgm.io.poses import Poses, made
 from pgm.io.sources import LIMIT, Line, Origin, Source, number
 from pgm.io.sources import lines as text_lines
-from pgm.io.stamped import as_stamps
-from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.arrays import Array
 
 JOINED = "*"
-REPEATED = "of a stamp seen before"
 
 
 def write_covariances(target: Source, times: Array, names: Sequence[str], cov: Array) -> None:
@@ -105,9 +103,6 @@ def _require_times(own: Array, times: Array, lines: Sequence[int], origin: Origi
 
 HEADING = "# timestamp tx ty tz qx qy qz qw"
 FIELDS = 8
-# How far from one the length of a quaternion may be, whose numbers may be printed to four decimals.
-UNIT = 1e-3
-ROUNDING = 1e-14
 
 
 @public
@@ -115,9 +110,9 @@ def write_tum(
     path: Source,
     belief: Any,
     *,
-    times: npt.ArrayLike,
-    position: Sequence[str],
-    heading: str | None,
+    times: npt.ArrayLike | None = None,
+    position: Sequence[str] = (),
+    heading: str | EllipsisType | None = ...,
     pitch: str | None = None,
     roll: str | None = None,
     covariance: Source | None = None,
@@ -134,15 +129,17 @@ def write_tum(
     ----------
     path : str, Path or open file
         File of the poses; gzipped, if it ends in ``.gz``.
-    belief : Gaussian, GridBelief or ParticleBelief
-        The belief of one run, over time: ``posterior[x]``.
+    belief : Gaussian, GridBelief, ParticleBelief or Poses
+        The belief of one run, over time: ``posterior[x]``. Poses have all that is asked for below
+        of a belief.
     times : array_like
         (n,): of each of its steps, seconds, increasing; `Timeline` has them as ``times``.
     position : sequence of str
         Two components, east and north, where the height is zero, or three.
     heading : str or None
-        The angle about the upward axis, from the first component of the position towards the
-        second; None for a body without orientation, whose quaternion is that of no turn.
+        To be given of a belief. The angle about the upward axis, from the first component of the
+        position towards the second; None for a body without orientation, whose quaternion is that
+        of no turn.
     pitch, roll : str, optional
         The other angles; zero without.
     covariance : str, Path or open file, optional
@@ -153,9 +150,10 @@ def write_tum(
     Raises
     ------
     ModelError
-        If the belief is none or of several runs, or a component is not there, is named twice or,
-        of an angle, was not declared as one; if a position is in no unit of length; or if one of
-        them has an infinite variance.
+        If the belief is none, or of several runs, or nothing says its times and components; if a
+        component is not there, is named twice or, of an angle, was not declared as one; if a
+        position is in no unit of length; if one of them has an infinite variance; or if Poses are
+        given with arguments that say these.
     EvidenceError
         If times are not finite, do not increase, or are not as many as there are steps.
     FileError
@@ -182,9 +180,22 @@ def write_tum(
         raise ModelError(
             f"covariance= is the file of the poses, {covariance!r}; they need one of their own"
         )
-    found = Poses.of(
-        belief, times=times, position=position, heading=heading, pitch=pitch, roll=roll
-    )
+    said = [times is not None, bool(position), heading is not ..., pitch or roll]
+    if isinstance(belief, Poses):
+        if any(said):
+            raise ModelError("Poses have times, places and angles of their own; name none of them")
+        found = belief
+    else:
+        if times is None or not position or heading is ...:
+            raise ModelError(
+                "of a belief, times=, position= and heading= say what is written; heading=None is "
+                "of a body without orientation"
+            )
+        found = Poses.of(
+            belief, times=times, position=position, heading=heading, pitch=pitch, roll=roll
+        )
+    if covariance is not None and found.cov is None:
+        raise ModelError(f"{found._title} has no covariances to write; leave covariance= out")
     rows = np.column_stack([found.times, found.position, found.orientation]).tolist()
     sources.write(path, "\n".join([HEADING, *(" ".join(map(repr, row)) for row in rows), ""]))
     if covariance is not None and found.cov is not None:
@@ -237,47 +248,11 @@ def read_tum(path: Source, covariance: Source | None = None, *, limit: int = LIM
     if not rows:
         raise origin.fault("it has no poses, lines of t x y z qx qy qz qw; is it another file?")
     table = np.array(rows)
-    try:
-        as_stamps("t", table[:, 0])
-    except EvidenceError as error:
-        raise origin.fault(str(error)) from error
-    with np.errstate(over="ignore"):  # an infinite length is refused below
-        length = np.linalg.norm(table[:, 4:], axis=1)
-    if (far := np.abs(length - 1.0) > UNIT).any():
-        row = int(far.argmax())
-        raise origin.fault(
-            f"qx qy qz qw have the length {length[row]:.6g}, and were to be a unit quaternion; "
-            "are they the last four numbers, w last?",
-            lines[row],
-        )
-    # A length that is one but for rounding is left as it is, so that numbers stay what they were.
-    length[np.abs(length - 1.0) < ROUNDING] = 1.0
-    table[:, 4:] /= length[:, None]
     names: tuple[str, ...] = ()
     cov = None
     if covariance is not None:
         names, cov = read_covariances(covariance, table[:, 0], limit)
-    order, told = _in_order(table[:, 0])
-    return Poses(
-        table[order, 0],
-        table[order, 1:4],
-        table[order, 4:],
-        names,
-        None if cov is None else cov[order],
-        dropped=told,
-    )
-
-
-def _in_order(times: Array) -> tuple[Integers, list[Dropped]]:
-    """The rows in order of time, the first of several at one time, and those that this mends."""
-    found, told = np.argsort(times, kind="stable"), []
-    if (back := np.flatnonzero(np.diff(times) < 0.0) + 1).size:
-        told.append(Dropped("poses", BACKWARDS, back, kept=True))
-    again = found[1:][np.diff(times[found]) == 0.0]
-    if again.size:
-        told.append(Dropped("poses", REPEATED, np.sort(again)))
-        found = found[np.append(True, np.diff(times[found]) > 0.0)]
-    return found, told
+    return made(table, lines, origin, "are they the last four numbers, w last?", names, cov)
 
 
 def _pose(line: Line) -> list[float]:

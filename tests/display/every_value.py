@@ -337,6 +337,7 @@ def logs():
         "large constant": pgm.constant(np.zeros((1000, 3))),
         "bare sightings": mark,
         "poses": poses,
+        "pose errors": poses.ate(poses),
         "recording": pgm.Recording(odometry=wheels, sightings={"radio": heard}, truth=poses),
         "hostile recording": drive,
         "stream": heard,

@@ -13,7 +13,7 @@ GUIDE = (Path(__file__).parents[2] / "docs" / "files.md").read_text(encoding="ut
 
 def test_the_guides_programs_run(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    networks, trajectories = re.findall(
+    networks, trajectories, _ = re.findall(
         r"^```python\n(.*?)^```", GUIDE, flags=re.MULTILINE | re.DOTALL
     )
     exec(compile(networks, "files.md", "exec"), {})
@@ -25,4 +25,5 @@ def test_the_guides_programs_run(tmp_path, monkeypatch, capsys):
 
 def test_the_guide_names_every_function():
     due = {*pgm.io.networks.__all__, "read_tum", "write_tum", "FileError"}
+    due |= {"read_kitti", "write_kitti", "read_euroc"}
     assert set(re.findall(r"`pgm\.(\w+)`", GUIDE)) == due

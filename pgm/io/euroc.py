@@ -1,0 +1,103 @@
+"""Trajectories of the EuRoC datasets: comma-separated poses, stamped in nanoseconds."""
+
+from __future__ import annotations
+
+import csv
+import io
+
+import numpy as np
+
+from pgm.arguments import public
+from pgm.io import sources
+from pgm.io.poses import Poses, made
+from pgm.io.sources import LIMIT, Origin, Source, number
+
+FIELDS = 8
+_DUE = "timestamp [ns], x, y, z, qw, qx, qy, qz"
+
+
+@public
+def read_euroc(path: Source, *, limit: int = LIMIT) -> Poses:
+    r"""Read the ground truth of a EuRoC sequence, ``state_groundtruth_estimate0/data.csv``.
+
+    Parameters
+    ----------
+    path : str, Path or open file
+        Lines of nanoseconds since 1970, a place, and a quaternion, w first; what stands behind, as
+        velocities and biases, is not read. Lines that begin with ``#`` are comments.
+    limit : int, optional
+        How many bytes the file may hold once unpacked, 64 MiB if not given.
+
+    Returns
+    -------
+    Poses
+        Stamps in seconds. Poses that go back in time are put in order, and of several at one time
+        the first is taken; `dropped` tells of both.
+
+    Raises
+    ------
+    FileError
+        If the file is malformed, times are no nanoseconds, or a quaternion is no unit one; the
+        message names the line, what was found, what to do.
+    OSError
+        If the file cannot be opened.
+
+    References
+    ----------
+    Burri, Nikolic, Gohl, Schneider, Rehder, Omari, Achtelik and Siegwart, The EuRoC micro aerial
+    vehicle datasets, 2016.
+
+    Examples
+    --------
+    >>> import io
+    >>> text = "#timestamp, p_RS_R_x [m], ...\n1403715524907143168,4.7,-1.8,0.9,1,0,0,0\n"
+    >>> read_euroc(io.StringIO(text)).position
+    array([[ 4.7, -1.8,  0.9]])
+    """
+    content = sources.read(path, limit)
+    origin, lines, rows = content.origin, [], []
+    reader = csv.reader(io.StringIO(content.text(), newline=""))
+    try:
+        for cells in reader:
+            if not cells or not any(map(str.strip, cells)):
+                continue
+            if cells[0].lstrip().startswith("#"):
+                _require_w_first(cells, reader.line_num, origin)
+                continue
+            if len(cells) < FIELDS:
+                raise origin.fault(
+                    f"it has {len(cells)} numbers, where {_DUE}, {FIELDS} or more of them, were "
+                    "due",
+                    reader.line_num,
+                )
+            stamp = _seconds(cells[0].strip(), reader.line_num, origin)
+            others = (number(word.strip(), reader.line_num, origin) for word in cells[1:FIELDS])
+            rows.append([stamp, *others])
+            lines.append(reader.line_num)
+    except csv.Error as error:
+        raise origin.fault(f"it is no table of values: {error}", reader.line_num) from None
+    if not rows:
+        raise origin.fault(f"it has no poses, lines of {_DUE}; is it another file?")
+    table = np.array(rows)[:, [0, 1, 2, 3, 5, 6, 7, 4]]
+    return made(table, lines, origin, "are they four numbers, w first?")
+
+
+def _require_w_first(cells: list[str], line: int, origin: Origin) -> None:
+    """Refuse a line of names in which the quaternion is in another order."""
+    turns = [name.strip().partition("[")[0].strip() for name in cells if "q_" in name]
+    if turns and not turns[0].endswith("w"):
+        raise origin.fault(f"its quaternion is {', '.join(turns)}, where w was due first", line)
+
+
+def _seconds(word: str, line: int, origin: Origin) -> float:
+    """Seconds of nanoseconds, to the nearest double."""
+    if word.isdigit():
+        return int(word) / 1e9
+    found = number(word, line, origin)
+    if found != int(found):
+        raise origin.fault(
+            f"t = {word}, where whole nanoseconds were due; poses with seconds are read by "
+            "read_tum or recordings.read_csv",
+            line,
+        )
+    return found / 1e9
