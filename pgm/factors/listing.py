@@ -196,7 +196,7 @@ def moments_frame(
         for name, moment in (("mean", mean), ("std", std))
         for k, label in enumerate(components)
     }
-    frame = pandas.DataFrame(columns, index=_index(pandas, levels, titles))
+    frame = pandas.DataFrame(columns, index=index_of(pandas, levels, titles))
     with_units(frame, dict(zip(columns, (*units, *units), strict=True)))
     return frame
 
@@ -267,11 +267,12 @@ class FramedTable:
         columns = pandas.Index(["value"])
         if scope:
             columns = pandas.Index(scope[-1].states, name=repr(scope[-1]))
-        index = _index(pandas, levels, [*titles, *map(repr, scope[:-1])])
+        index = index_of(pandas, levels, [*titles, *map(repr, scope[:-1])])
         return pandas.DataFrame(values.reshape(len(index), -1), index=index, columns=columns)
 
 
-def _index(pandas: Any, levels: Sequence[Any], titles: Sequence[str]) -> Any:
+def index_of(pandas: Any, levels: Sequence[Any], titles: Sequence[str]) -> Any:
+    """The index of a data frame of pandas: labels of each axis, with the names of axes."""
     if len(levels) > 1:
         return pandas.MultiIndex.from_product(levels, names=titles)
     return pandas.Index(levels[0], name=titles[0]) if levels else pandas.RangeIndex(1)

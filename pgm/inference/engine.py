@@ -109,12 +109,13 @@ def infer(
         function, ``progress(done, total)``, called at the start of each stage and after each of its
         items: steps, linearisations, rounds, runs or parts. An error that it raises ends the call.
     impossible : str
-        For a discrete network and a graph without loops, what is done with runs whose evidence has
-        probability zero, as where some of many `records` contradict the tables: ``"raise"`` refuses
-        the evidence; with ``"allow"`` such runs have a log-evidence of −∞ and beliefs of NaN, and
-        all other runs their usual results. Over time a belief is NaN if it knows the first
-        impossible measurement: filtered beliefs from its step on, fixed-lag ones from a lag before
-        it on, smoothed ones at all steps.
+        For a network without time, or one of tables over time, and a graph without loops, what is
+        done with runs whose evidence has probability zero, as where some of many `records`
+        contradict the tables, or CPDs without noise: ``"raise"`` refuses the evidence; with
+        ``"allow"`` such runs have a log-evidence of −∞ and beliefs of NaN, and all other runs their
+        usual results. Over time a belief is NaN if it knows the first impossible measurement:
+        filtered beliefs from its step on, fixed-lag ones from a lag before it on, smoothed ones at
+        all steps.
 
     Returns
     -------
@@ -196,7 +197,8 @@ def send(
     family = family_of(graph.network) if own is None else own
     if asked:
         require(asked, graph, STATIC)
-        require({n: v for n, v in asked.items() if n not in IDLE}, graph, family)
+        idle = IDLE | {"impossible"} if family.by_pattern else IDLE  # which runs by pattern allow
+        require({n: v for n, v in asked.items() if n not in idle}, graph, family)
     _require_static(graph, schedule)
     if asked and schedule is not None:
         require(asked, graph, Scheduled(schedule))

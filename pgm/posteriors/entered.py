@@ -4,11 +4,17 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
+from pgm.evidence.cells import Cells
 from pgm.posteriors.outcome import Outcome
 
 
 class Entered(Protocol):
     """Evidence with gaps, and the beliefs of these."""
+
+    @property
+    def cells(self) -> Cells:
+        """The evidence, checked, by run."""
+        ...
 
     def leaves_out(self, variable: object) -> bool:
         """Whether the posterior's outcome lacks a belief of a variable not observed in full."""

@@ -17,6 +17,7 @@ from pgm.errors import EvidenceError
 from pgm.factors.listing import moments_frame, run_names
 from pgm.factors.scope import Scope, as_scope, listed
 from pgm.kernels.arrays import Array, Integers, deviation
+from pgm.posteriors.completed import completed
 from pgm.posteriors.labelled import Labelled
 from pgm.posteriors.outcome import QUESTIONS, B, Outcome
 from pgm.variables import Discrete, Variable
@@ -208,30 +209,55 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
         """The standard deviations of several variables: (*runs, k, d); see `means`."""
         return deviation(self.covs(variables))
 
-    def to_frame(self, variables: Iterable[Variable]) -> Any:
-        """The means and standard deviations of several variables as a data frame of pandas.
+    def to_frame(self, variables: Iterable[Variable] | None = None) -> Any:
+        """The completed table of records, or moments of several variables, as a data frame.
 
-        A row for each run, step and variable, in the index: the level ``run``, or ``run_0``,
-        ``run_1``, ... where runs have several axes, the level ``step``, where the variables have
-        any, and the level ``variable``, of names. Columns are ``mean_<component>``, then
-        ``std_<component>``, and ``value`` stands for the component of several scalars; see `means`.
+        Without variables, of a network without time, it has a row a run, with the values that were
+        observed, and where there are gaps the means of continuous variables and the likeliest
+        states of discrete ones. First are the columns of the evidence, in its order, then those of
+        other variables that have a belief: by the variable's name, ``x.east`` of a component of a
+        vector. They are followed by ``std_<column>``, standard deviations, and
+        ``probability_<column>``, of the states: 0 and 1 where it was observed. A gap without a
+        belief, of a run whose evidence is impossible or of a reading of robust noise, is NaN, or
+        None.
+
+        With variables it has the means and standard deviations of these. A row for each run, step
+        and variable, in the index: the level ``run``, or ``run_0``, ``run_1``, ... where runs have
+        several axes, the level ``step``, where the variables have any, and the level ``variable``,
+        of names. Columns are ``mean_<component>``, then ``std_<component>``, and ``value`` stands
+        for the component of several scalars; see `means`.
+
         ``frame.attrs["units"]`` has the units of columns, where they are known.
 
         Raises
         ------
         EvidenceError
-            As of `means`, or if the variables' components have other names or units.
+            As of `means`, or if the variables' components have other names or units. Without
+            variables, if there is time, or two columns would have one name.
         ImportError
             Where pandas is missing.
 
         Examples
         --------
+        >>> from pgm.examples import a, b, pair
+        >>> records = pgm.records({"a": [None, 1.0], "b": [2.0, None]}, pair)
+        >>> frame = pgm.infer(pgm.compile(pair), records).to_frame()
+        >>> list(frame.columns), frame.round(3).to_numpy().tolist()
+        (['a', 'b', 'std_a', 'std_b'], [[1.0, 2.0, 0.707, 0.0], [1.0, 1.0, 0.0, 1.0]])
+
         >>> x, y = (pgm.Variable(name, components=("east", "north")) for name in "xy")
         >>> priors = [pgm.GaussianCPD(v, mean=[0.0, k], cov=0.25) for k, v in enumerate((x, y))]
         >>> posterior = pgm.infer(pgm.compile(pgm.BayesianNetwork(priors)), {})
         >>> posterior.to_frame([x, y]).loc["y"].tolist()
         [0.0, 1.0, 0.5, 0.5]
         """
+        if variables is None:
+            if self._entered is None:
+                raise EvidenceError(
+                    f"{self._title} is no table of records, which a network without time has: name "
+                    "the variables, posterior.to_frame([x])"
+                )
+            return completed(self, self._entered)
         found = alike(variables)
         labels = found[0].components
         other = next((v for v in found if v.components != labels), None)

@@ -262,7 +262,7 @@ REFUSALS: dict[str, tuple[type[PgmError], str]] = {
     ),
     "impossible": (
         GraphError,
-        "impossible= is for the runs of discrete networks, not for {of}",
+        "impossible= is for runs of networks without time, and over time of tables, not for {of}",
     ),
     "method": (
         GraphError,

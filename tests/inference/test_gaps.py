@@ -375,3 +375,222 @@ def test_evidence_that_changes_afterwards_changes_no_answer():
     rows[:] = 7.0
     assert found[B].mean.ravel().tolist() == [-1.0, 1.0]
     assert found.belief(0).scope == (A,)
+
+
+# Of discrete variables and continuous ones: enumerated, row by row.
+MODE, SEEN = pgm.Discrete("mode", ("low", "high", "off")), pgm.Discrete("seen", 2)
+P, Q = pgm.Variable("p", ("u", "v")), pgm.Variable("q")
+SHARES = np.array([0.5, 0.3, 0.2])
+REPORT = np.array([[0.9, 0.1], [0.2, 0.8], [1.0, 0.0]])
+OF_MODE = [
+    (np.array([0.0, 1.0]), np.array([[1.0, 0.3], [0.3, 0.5]])),
+    (np.array([2.0, -1.0]), np.array([[0.5, 0.0], [0.0, 2.0]])),
+    (np.array([1.0, 1.0]), np.array([[2.0, -0.5], [-0.5, 1.0]])),
+]
+MIXED = pgm.BayesianNetwork(
+    [
+        pgm.TableCPD(MODE, table=SHARES),
+        pgm.TableCPD(SEEN, given=MODE, table=REPORT),
+        pgm.SwitchingCPD(
+            P, MODE, {s: pgm.GaussianCPD(P, *OF_MODE[k]) for k, s in enumerate(MODE.states)}
+        ),
+        pgm.LinearGaussianCPD(Q, {P: [[1.0, -2.0]]}, cov=0.5, offset=0.3),
+    ]
+)
+
+
+def enumerated(row, mode, seen):
+    """ln p, the weights of modes, and mean and covariance of (p, q) in each."""
+    slope = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, -2.0]])
+    logs, parts = [], []
+    for k, (mean, cov) in enumerate(OF_MODE):
+        due = slope @ mean + [0.0, 0.0, 0.3]
+        found, left, log = conditioned(row, due, slope @ cov @ slope.T + np.diag([0, 0, 0.5]))
+        share = SHARES[k] * (REPORT[k, seen] if seen >= 0 else 1.0)
+        logs.append(log + np.log(share) if share and mode in (-1, k) else -np.inf)
+        parts.append((found, left))
+    total = np.logaddexp.reduce(logs)
+    weights = np.exp(np.array(logs) - total)
+    mean = sum(w * m for w, (m, _) in zip(weights, parts, strict=True))
+    cov = sum(
+        w * (c + np.outer(m - mean, m - mean)) for w, (m, c) in zip(weights, parts, strict=True)
+    )
+    return total, weights, mean, cov
+
+
+def test_mixed_networks():
+    rng = np.random.default_rng(4)
+    rows = rng.normal(size=(60, 3))
+    rows[rng.random(rows.shape) < 0.4] = GAP
+    rows[7] = GAP
+    mode = np.where(rng.random(60) < 0.3, rng.integers(0, 3, 60), -1)
+    seen = np.where((rng.random(60) < 0.6) & (mode < 2), rng.integers(0, 2, 60), -1)
+    evidence = {P: rows[:, :2], Q: rows[:, 2:], MODE: mode, SEEN: seen}
+    found = pgm.infer(pgm.compile(MIXED), evidence)
+    joint, tables = found.joint(P, Q), found.joint(MODE, SEEN).probabilities
+    drawn = found.sample(2, rng=0)
+    assert found.status.converged.shape == (60,)
+    for k in range(60):
+        log, weights, mean, cov = enumerated(rows[k], mode[k], seen[k])
+        np.testing.assert_allclose(found.log_evidence[k], log, rtol=1e-10)
+        np.testing.assert_allclose(found[MODE].probabilities[k], weights, atol=1e-12)
+        np.testing.assert_allclose(joint.mean[k], mean, atol=1e-10)
+        np.testing.assert_allclose(joint.cov[k], cov, atol=1e-10)
+        np.testing.assert_allclose(found[P].cov[k], cov[:2, :2], atol=1e-10)
+        report = REPORT if seen[k] < 0 else np.eye(2)[seen[k]]
+        np.testing.assert_allclose(tables[k], weights[:, None] * report, atol=1e-12)
+        known = ~np.isnan(rows[k, :2])
+        assert (drawn[P][:, k, known] == rows[k, :2][known]).all()
+        assert mode[k] < 0 or (drawn[MODE][:, k] == mode[k]).all()
+    with pytest.raises(pgm.EvidenceError, match="neither a table nor a mixture"):
+        found.joint(P, MODE)
+    with pytest.raises(pgm.PgmError, match="weights"):
+        found.weights  # noqa: B018
+
+
+def test_impossible_rows_are_told_and_the_others_answered():
+    """By tables, by soft evidence, by CPDs without noise, in groups and where all share."""
+    twice = pgm.BayesianNetwork(
+        [
+            *MIXED.cpds,
+            pgm.LinearGaussianCPD(Y, {Q: 2.0}, cov=0.0),
+        ]
+    )
+    graph = pgm.compile(twice)
+    rows = {
+        MODE: [2, -1, 0, -1, -1, 1],
+        SEEN: [1, 1, -1, -1, 0, -1],
+        P: [[0.1, GAP], [GAP, GAP], [0.3, 0.4], [GAP, 1.0], [GAP, GAP], [GAP, GAP]],
+        Q: [[1.0], [1.0], [GAP], [2.0], [1.0], [GAP]],
+        Y: [[2.0], [2.0], [1.0], [5.0], [GAP], [3.0]],
+    }
+    with pytest.raises(pgm.PgmError, match='impossible="allow" gives such runs'):
+        pgm.infer(graph, rows)
+    found = pgm.infer(graph, rows, impossible="allow")
+    assert np.isneginf(found.log_evidence).tolist() == [True, False, False, True, False, False]
+    lost = np.isneginf(found.log_evidence)
+    assert np.isnan(found[P].mean[lost]).all()
+    assert np.isnan(found[MODE].probabilities[lost]).all()
+    drawn = found.sample(3, rng=0)
+    assert np.isnan(drawn[P][:, lost]).all()
+    assert (drawn[MODE][:, lost] == -1).all()
+    for k in np.flatnonzero(~lost):
+        own = {v: a[k] for v, a in rows.items()}
+        one = pgm.infer(graph, own)
+        np.testing.assert_allclose(found.log_evidence[k], one.log_evidence, rtol=1e-10)
+        np.testing.assert_allclose(found[MODE].probabilities[k], one_of(one, MODE, own))
+    none = pgm.infer(graph, {Q: 1.0, Y: 3.0}, impossible="allow")
+    assert np.isneginf(none.log_evidence)
+    assert np.isnan(none[P].mean).all()
+    clear = pgm.infer(graph, {Q: 1.0}, impossible="allow")
+    np.testing.assert_allclose(clear.log_evidence, pgm.infer(graph, {Q: 1.0}).log_evidence)
+    with pytest.raises(pgm.ModelError, match='"raise" or "allow"'):
+        pgm.infer(graph, {Q: 1.0}, impossible="maybe")
+
+
+def one_of(posterior, variable, evidence):
+    """The probabilities of a state that may be observed."""
+    state = evidence[variable]
+    return np.eye(variable.size)[state] if state >= 0 else posterior[variable].probabilities
+
+
+def test_impossible_rows_of_a_gaussian_network():
+    network = pgm.BayesianNetwork(
+        [pgm.GaussianCPD(Y, 0.0, 1.0), pgm.LinearGaussianCPD(B, {Y: 2.0}, cov=0.0)]
+    )
+    graph = pgm.compile(network)
+    rows = {Y: [[1.0], [1.0], [GAP]], B: [[2.0], [3.0], [4.0]]}
+    found = pgm.infer(graph, rows, impossible="allow")
+    assert np.isneginf(found.log_evidence).tolist() == [False, True, False]
+    np.testing.assert_allclose(found[Y].mean.ravel(), [1.0, np.nan, 2.0])
+    whole = pgm.infer(graph, {Y: [[1.0], [1.0]], B: [[2.0], [3.0]]}, impossible="allow")
+    assert np.isneginf(whole.log_evidence).tolist() == [False, True]
+    with pytest.raises(pgm.NumericalError, match=r'run 1 .*; impossible="allow"'):
+        pgm.infer(graph, rows)
+
+
+def test_the_completed_table():
+    pd = pytest.importorskip("pandas")
+    frame = pd.DataFrame(
+        {
+            "q": [1.0, None, 0.2, np.nan],
+            "mode": ["low", None, "off", pd.NA],
+            "seen": pd.array([1, 0, pd.NA, pd.NA], dtype="Int64"),
+        }
+    )
+    found = pgm.infer(pgm.compile(MIXED), pgm.records(frame, MIXED))
+    full = found.to_frame()
+    names = ["q", "mode", "seen", "p.u", "p.v"]
+    more = ["std_q", "probability_mode", "probability_seen", "std_p.u", "std_p.v"]
+    assert [*full.columns] == names + more
+    assert full.index.name == "run"
+    assert full["mode"].tolist()[::2] == ["low", "off"]
+    assert full["seen"].tolist()[:2] == ["1", "0"]
+    for k in range(4):
+        at = {"low": 0, "off": 2}.get(frame["mode"][k] if k in (0, 2) else None, -1)
+        row = np.array([GAP, GAP, found[Q].mean[k, 0] if k in (1, 3) else frame["q"][k]])
+        seen = {0: 1, 1: 0}.get(k, -1)
+        due = row if k in (0, 2) else np.full(3, GAP)
+        _, weights, mean, cov = enumerated(due, at, seen)
+        np.testing.assert_allclose(full[["p.u", "p.v", "q"]].iloc[k], mean)
+        deviations = full[["std_p.u", "std_p.v", "std_q"]].iloc[k]
+        np.testing.assert_allclose(deviations, np.sqrt(np.diagonal(cov)), atol=1e-12)
+        assert full["mode"][k] == MODE.states[weights.argmax()]
+        np.testing.assert_allclose(full["probability_mode"][k], weights.max())
+
+
+def test_completed_tables_of_every_kind():
+    """Of tables, of gaps that are integrated out, without runs, and where there is no belief."""
+    pytest.importorskip("pandas")
+    tables = pgm.BayesianNetwork(MIXED.cpds[:2])
+    found = pgm.infer(
+        pgm.compile(tables), {SEEN: [1, -1, 1], MODE: [-1, -1, 2]}, impossible="allow"
+    )
+    full = found.to_frame()
+    assert [*full.columns] == ["seen", "mode", "probability_seen", "probability_mode"]
+    assert full["mode"].tolist() == ["high", "low", "off"]
+    assert full["seen"].tolist() == ["1", "0", "1"]
+    due = SHARES * REPORT[:, 1]
+    np.testing.assert_allclose(full["probability_mode"], [due[1] / due.sum(), 0.5, 1.0])
+    leaves = pgm.infer(pgm.compile(SMALL), {A: [0.5, 0.5], B: [[GAP], [1.0]]}).to_frame()
+    assert leaves.columns.tolist() == ["a.p", "a.q", "b", "std_a.p", "std_a.q", "std_b"]
+    np.testing.assert_allclose(leaves["b"], [0.0, 1.0], atol=1e-15)
+    np.testing.assert_allclose(leaves["std_b"], [np.sqrt(0.5), 0.0])
+    one = pgm.infer(pgm.compile(SMALL), {B: 0.5}).to_frame()
+    assert len(one) == 1
+    assert one["b"].tolist() == [0.5]
+    lost = pgm.infer(pgm.compile(tables), {SEEN: [1, 0], MODE: [2, -1]}, impossible="allow")
+    assert lost.to_frame()["mode"].tolist() == ["off", "low"]
+    exact = pgm.BayesianNetwork(
+        [pgm.GaussianCPD(Y, 0.0, 1.0), pgm.LinearGaussianCPD(B, {Y: 2.0}, cov=0.0), FLAT]
+    )
+    full = pgm.infer(
+        pgm.compile(exact), {Y: [[1.0], [1.0]], B: [[2.0], [3.0]]}, impossible="allow"
+    ).to_frame()
+    np.testing.assert_array_equal(full["w"], [3.0, np.nan])
+    assert full["b"].tolist() == [2.0, 3.0]
+    twin = pgm.BayesianNetwork([pgm.GaussianCPD(v, 0.0, 1.0) for v in pgm.variables("x std_x")])
+    with pytest.raises(pgm.EvidenceError, match="would be called 'std_x'"):
+        pgm.infer(pgm.compile(twin), {}).to_frame()
+    from pgm.examples import walk, z
+
+    with pytest.raises(pgm.EvidenceError, match=r"name the variables, posterior.to_frame"):
+        pgm.smooth(walk, {z: [[1.0]]}).to_frame()
+
+
+FLAT = pgm.GaussianCPD(W, 3.0, 0.25)
+
+
+def test_records_of_frames():
+    pd = pytest.importorskip("pandas")
+    frame = pd.DataFrame({"y": [1.0, pd.NA, None], "b": pd.array([1.5, pd.NA, 2.5], "Float64")})
+    network = pgm.BayesianNetwork(
+        [pgm.GaussianCPD(Y, 0.0, 1.0), pgm.LinearGaussianCPD(B, {Y: 1.0}, cov=1.0)]
+    )
+    evidence = pgm.records(frame, network)
+    np.testing.assert_array_equal(evidence[Y].ravel(), [1.0, np.nan, np.nan])
+    np.testing.assert_array_equal(evidence[B].ravel(), [1.5, np.nan, 2.5])
+    found = pgm.infer(pgm.compile(network), evidence)
+    np.testing.assert_allclose(found[Y].mean.ravel(), [1.0, 0.0, 1.25])
+    with pytest.raises(pgm.EvidenceError, match=r"columns \('other'\) are of no variable"):
+        pgm.records(frame.assign(other=1.0), network)

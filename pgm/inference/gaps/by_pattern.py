@@ -23,7 +23,7 @@ from pgm.kernels.arrays import Integers
 from pgm.networks import BayesianNetwork, MarkovNetwork
 from pgm.posteriors.outcome import Outcome
 from pgm.progress import counted
-from pgm.schedules.impossible import ALLOW, ImpossibleEvidence
+from pgm.schedules.impossible import ImpossibleEvidence, allows
 from pgm.schedules.options import Call
 from pgm.schedules.starting_points import Start
 from pgm.variables import Discrete, Variable
@@ -67,7 +67,7 @@ class _Solver:
         alone: bool,
     ) -> None:
         self.family, self.graph, self.cells, self.call = family, graph, cells, call
-        self.alone = alone
+        self.alone, self.allow = alone, allows(call.impossible)
 
     def solved(self, pattern: Pattern) -> Iterator[Group]:
         """The beliefs of the runs of a pattern, and those that are impossible, if allowed."""
@@ -90,7 +90,7 @@ class _Solver:
                 outcome, readings = self._outcome(pattern, runs)
             except (Contradiction, ImpossibleEvidence) as error:
                 gone = _lost(error, runs.size)
-                if self.call.impossible != ALLOW or not gone.size:
+                if not self.allow or not gone.size:
                     raise self._placed(error, pattern, runs) from None
                 lost.append(runs[gone])
                 runs = np.delete(runs, gone)

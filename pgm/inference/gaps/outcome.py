@@ -112,9 +112,15 @@ class OutcomeByPattern(Outcome[Any]):
             )
         return self._table(scope) if kinds.pop() else self._gaussians(scope)
 
+    @cached_property
+    def _variables(self) -> Scope:
+        """The variables of the network, and the causes of its mixtures, which beliefs have too."""
+        inside = (v for _, outcome in self._solved for v in outcome._hidden)
+        return tuple(dict.fromkeys([*self.graph.network.variables, *inside]))
+
     def _require_hidden(self, variable: Variable) -> None:
-        known = self.graph.network.variables
-        if variable not in self.graph.network._places:
+        known = self._variables
+        if variable not in known:
             raise EvidenceError(
                 f"{variable!r} is not in the network; its variables are {list(known)}"
                 f"{namesake(variable, known)}",
@@ -137,10 +143,8 @@ class OutcomeByPattern(Outcome[Any]):
     def _hidden(self) -> Scope:
         found = {v for group, outcome in self._solved for v in outcome._hidden}
         found |= {v for group in self._groups for v in group.readings}
-        every = found if self._solved else frozenset(self.graph.network.variables)
-        return tuple(
-            v for v in self.graph.network.variables if v in every and not self._is_observed(v)
-        )
+        every = found if self._solved else frozenset(self._variables)
+        return tuple(v for v in self._variables if v in every and not self._is_observed(v))
 
     def _gaussians(self, scope: Scope) -> Gaussian | GaussianMixture:
         """The joint of continuous variables, of as many Gaussians as the group with the most."""

@@ -18,7 +18,7 @@ from pgm.evidence.static import Incomplete
 from pgm.inference.gaps.by_pattern import by_pattern
 from pgm.inference.gaps.entered import Entered, kept
 from pgm.posteriors.outcome import Outcome
-from pgm.schedules.impossible import ALLOW, ImpossibleEvidence
+from pgm.schedules.impossible import OF_RUNS, ImpossibleEvidence, allows
 from pgm.schedules.options import Call
 
 
@@ -26,14 +26,27 @@ def run(
     family: BeliefFamily[Any], graph: ClusterGraph, evidence: Evidence, call: Call
 ) -> tuple[Outcome[Any], Entered]:
     """The beliefs of a network without time, and its evidence."""
-    answered = not family.by_pattern
-    try:
-        outcome = family.infer_static(graph, evidence, call)
-    except (Incomplete, Contradiction, ImpossibleEvidence) as error:
-        allowed = isinstance(error, Incomplete) or call.impossible == ALLOW
-        if answered or not allowed:
+    if not family.by_pattern:
+        outcome, answered = family.infer_static(graph, evidence, call), True
+    else:
+        try:
+            outcome, answered = _answer(family, graph, evidence, call)
+        except (Contradiction, ImpossibleEvidence) as error:
+            if error.run is not None and not allows(call.impossible):
+                error.args = (f"{error}{OF_RUNS}",)
             raise
-        outcome, answered = None, True
-    if outcome is None:
-        outcome = by_pattern(family, graph, Cells.of(evidence, graph.network.lead), call)
     return outcome, Entered(family, graph, kept(evidence), call, answered)
+
+
+def _answer(
+    family: BeliefFamily[Any], graph: ClusterGraph, evidence: Evidence, call: Call
+) -> tuple[Outcome[Any], bool]:
+    """The beliefs, and whether they are those of all gaps."""
+    allow = allows(call.impossible)
+    try:
+        return family.infer_static(graph, evidence, call), False
+    except (Incomplete, Contradiction, ImpossibleEvidence) as error:
+        if not (allow or isinstance(error, Incomplete)):
+            raise
+    cells = Cells.of(evidence, graph.network.lead)
+    return by_pattern(family, graph, cells, call), True

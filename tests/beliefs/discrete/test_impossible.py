@@ -137,7 +137,3 @@ def test_where_it_is_not_for():
     loopy = pgm.compile(NET, method=pgm.Bethe())
     with pytest.raises(pgm.GraphError, match="two passes over a tree"):
         pgm.infer(loopy, {}, schedule=pgm.Flooding(), impossible="allow")
-    x = pgm.Variable("x")
-    gaussian = pgm.compile(pgm.BayesianNetwork([pgm.GaussianCPD(x, 0.0, 1.0)]))
-    with pytest.raises(pgm.GraphError, match="for the runs of discrete networks, not for"):
-        pgm.infer(gaussian, {}, impossible="allow")

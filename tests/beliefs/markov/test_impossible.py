@@ -373,9 +373,9 @@ def test_it_is_refused_where_it_is_not_for():
         pgm.filter(SINGLE, {z: READINGS}, impossible=None)
     seen = {examples.z: np.zeros((T, 1))}
     for ask in (pgm.filter, pgm.smooth):
-        with pytest.raises(pgm.GraphError, match="for the runs of discrete networks"):
+        with pytest.raises(pgm.GraphError, match="and over time of tables, not for"):
             ask(examples.walk, seen, impossible="allow")
-        with pytest.raises(pgm.GraphError, match="for the runs of discrete networks"):
+        with pytest.raises(pgm.GraphError, match="and over time of tables, not for"):
             ask(examples.walk, seen, belief=pgm.Grid({"x": (-5.0, 5.0, 20)}), impossible="allow")
     with pytest.raises(pgm.GraphError, match="particles have their own"):
         pgm.filter(examples.walk, seen, belief=pgm.Particles(10), impossible="allow")

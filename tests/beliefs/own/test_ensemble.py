@@ -139,7 +139,7 @@ def test_what_it_has_not_is_refused_in_words():
         ({"keep": x}, "keep= is for beliefs that are Gaussian"),
         ({"gate": 0.9}, "gate= is for beliefs that are Gaussian"),
         ({"iterations": 3}, "ensembles need no linearising"),
-        ({"impossible": "allow"}, "impossible= is for the runs of discrete networks"),
+        ({"impossible": "allow"}, "impossible= is for runs of networks without time"),
     ],
 )
 def test_options_that_it_has_no_use_for_are_refused(options, text):
