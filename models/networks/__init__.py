@@ -3,6 +3,7 @@
 from models.networks.calibrated import calibrated_range, drifting_gyro
 from models.networks.drives import differential_drive, turn_after_move
 from models.networks.landmarks import odometry_ranges, range_bearing, range_only
+from models.networks.learnable import correction, rolls_corrected, sees_each
 from models.networks.observations import (
     reads_antenna,
     reads_heading,
@@ -60,6 +61,7 @@ __all__ = [
     "compass",
     "constant_velocity",
     "coordinated_turn",
+    "correction",
     "differential_drive",
     "distance",
     "drifting_gyro",
@@ -85,7 +87,9 @@ __all__ = [
     "reads_pose",
     "reads_position",
     "rolls",
+    "rolls_corrected",
     "sees_bearing",
+    "sees_each",
     "sees_landmark",
     "sees_range",
     "senses",
