@@ -253,7 +253,7 @@ class RecordLearner(Learner):
         graph, call = compile(point.model), Call(self.schedule, self.lineariser)
         return [
             posterior
-            if len(each.weights) == int(np.prod(each.lead, dtype=int)) and len(each.lead) == 1
+            if len(each.lead) == 1 and not point.model.discrete  # no records were joined
             else send(graph, evidence, call)
             for posterior, each, evidence in zip(
                 posteriors, self.records, self.evidence(point), strict=True

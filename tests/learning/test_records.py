@@ -56,6 +56,14 @@ def test_complete_records_of_tables_are_counted():
     assert found.log_evidence[-1] == pytest.approx(weights @ found.posterior.log_evidence)
 
 
+def test_posteriors_are_of_the_records_in_their_order():
+    evidence = {A: np.array([1, 0]), B: np.array([-1, 2]), C: np.array([0, 0])}
+    found = pgm.fit(tables(np.random.default_rng(0)), evidence, learn={A: Table()})
+    due = pgm.infer(pgm.compile(found.model), evidence)
+    np.testing.assert_allclose(found.posterior.log_evidence, due.log_evidence)
+    np.testing.assert_allclose(found.posterior[B].probabilities, due[B].probabilities)
+
+
 def plain_em(net, states, weights, steps):
     """EM by enumeration of all 12 configurations of each record; also ln p + ln prior."""
     ts = [net.cpd(v).table for v in (A, B, C)]
