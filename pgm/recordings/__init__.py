@@ -12,6 +12,7 @@ from pgm.recordings.readers.freiburg import read_freiburg
 from pgm.recordings.readers.gpx import read_gpx, write_gpx
 from pgm.recordings.readers.labyrinth import read_labyrinth
 from pgm.recordings.readers.mrclam import read_mrclam
+from pgm.recordings.readers.oxts import read_oxts
 from pgm.recordings.readers.plaza import read_plaza
 from pgm.recordings.readers.pose_graphs import read_pose_graph
 from pgm.recordings.readers.tables import read_csv
@@ -31,6 +32,7 @@ __all__ = [
     "read_gpx",
     "read_labyrinth",
     "read_mrclam",
+    "read_oxts",
     "read_plaza",
     "read_pose_graph",
     "write_gpx",
