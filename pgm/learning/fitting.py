@@ -468,7 +468,9 @@ def _require_records(schedule: object, belief: object, steps: object) -> None:
         )
     for name, value in (("belief", belief), ("steps", steps)):
         if value is not None:
-            raise ModelError(f"{name}= is for networks over time; leave it out")
+            raise ModelError(
+                f"records of a network without time are learnt without {name}=; leave it out"
+            )
 
 
 def _is_weighed(model: DynamicBayesianNetwork) -> bool:

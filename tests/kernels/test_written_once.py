@@ -411,6 +411,8 @@ SOLUTIONS = listed(
     {"beliefs/grid/belief.py": "non_gaussianity", "beliefs/grid/groups.py": "parted"},
     {"beliefs/grid/sensors.py": "terms", "beliefs/grid/values.py": "deviations"},
     {"beliefs/grid/wide_prior.py": "wide"},
+    # Trajectories side by side: the rotation between them, and rotations that are none.
+    {"io/alignment.py": "relative umeyama", "io/kitti.py": "_require_rotations"},
     # Learning, recorded information, and pictures.
     {"learning/gaussian.py": "_by_row _least _regressed _require_noise gradient"},
     {"learning/steps.py": "__init__ _lower _require_rank at gradient likeliest maximised"},
