@@ -91,9 +91,9 @@ def _require_w_first(cells: list[str], line: int, origin: Origin) -> None:
 
 def _seconds(word: str, line: int, origin: Origin) -> float:
     """Seconds of nanoseconds, to the nearest double."""
-    if word.isdigit():
-        return int(word) / 1e9
     found = number(word, line, origin)
+    if word.isascii() and word.isdigit():
+        return int(word) / 1e9  # all digits, which a double has not
     if found != int(found):
         raise origin.fault(
             f"t = {word}, where whole nanoseconds were due; poses with seconds are read by "

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.arguments import public
+from pgm.boundary import as_floats
 from pgm.display import NoArray, Shown, Summary, count, few, table, titled
 from pgm.errors import EvidenceError, ModelError
 from pgm.immutable import Immutable
@@ -17,7 +18,7 @@ from pgm.io.alignment import PoseErrors
 from pgm.io.dropped import BACKWARDS, Dropped
 from pgm.io.sources import Origin
 from pgm.io.stamped import as_stamps, clock
-from pgm.io.trajectories import trajectory
+from pgm.io.trajectories import increasing, trajectory
 from pgm.kernels import quaternions
 from pgm.kernels.arrays import Array, Integers, frozen
 
@@ -46,6 +47,13 @@ class Poses(Shown, NoArray, Immutable):
     dropped : tuple of Dropped
         Poses of the file that were left out or put in order, and why.
 
+    Raises
+    ------
+    EvidenceError
+        If there are no poses, times are not finite or do not increase, arrays have other shapes or
+        numbers that are not finite, a quaternion is no unit one, or only one of `components` and
+        `cov` is given.
+
     Examples
     --------
     >>> here, turned = np.array([[1.0, 2.0, 0.5]]), np.array([[0.0, 0.0, 1.0, 1.0]]) / np.sqrt(2.0)
@@ -63,21 +71,37 @@ class Poses(Shown, NoArray, Immutable):
 
     _arrays: ClassVar[str] = ".position, .orientation and .times"
 
+    @public
     def __init__(
         self,
-        times: Array,
-        position: Array,
-        orientation: Array,
-        components: tuple[str, ...] = (),
-        cov: Array | None = None,
+        times: npt.ArrayLike,
+        position: npt.ArrayLike,
+        orientation: npt.ArrayLike,
+        components: Sequence[str] = (),
+        cov: npt.ArrayLike | None = None,
         dropped: Sequence[Dropped] = (),
     ) -> None:
+        stamps, names = increasing(times), tuple(components)
+        size = stamps.size
+        if not size:
+            raise EvidenceError("there are no poses: times= is empty")
+        turns = _rows("orientation=", orientation, (size, 4))
+        far = np.abs(np.linalg.norm(turns, axis=1) - 1.0) > UNIT
+        if far.any():
+            row = int(far.argmax())
+            raise EvidenceError(
+                f"orientation= has {turns[row].tolist()} in row {row}, of length "
+                f"{np.linalg.norm(turns[row]):.6g}; unit quaternions, w last, were due"
+            )
+        if (cov is None) != (not names):
+            raise EvidenceError("components= and cov= come together: cov= is of those components")
+        due = (size, len(names), len(names))
         self._set(
-            times=frozen(times),
-            position=frozen(position),
-            orientation=frozen(orientation),
-            components=components,
-            cov=None if cov is None else frozen(cov),
+            times=frozen(stamps),
+            position=frozen(_rows("position=", position, (size, 3))),
+            orientation=frozen(turns),
+            components=names,
+            cov=None if cov is None else frozen(_rows("cov=", cov, due)),
             dropped=tuple(dropped),
         )
 
@@ -296,6 +320,17 @@ class Poses(Shown, NoArray, Immutable):
         columns = [("time", self.times), *zip(names, numbers.T, strict=True)]
         told = [each._title for each in self.dropped]
         return Summary(self._title, [table(columns, digits=15), *told])
+
+
+def _rows(what: str, value: Any, due: tuple[int, ...]) -> Array:
+    """A copy of finite numbers of a shape, a row for each pose."""
+    array = as_floats(value, what, EvidenceError).copy()
+    if array.shape != due:
+        raise EvidenceError(f"{what} has shape {array.shape}; {due} was due, a row for each time")
+    fine = np.isfinite(array.reshape(len(array), -1)).all(axis=1)
+    if not fine.all():
+        raise EvidenceError(f"{what} has no finite numbers in row {int(fine.argmin())}")
+    return array
 
 
 def made(

@@ -49,7 +49,9 @@ def trajectory(
                 f"{name!r} of {gaussian._title} is no angle; declare it as one, in radians: "
                 f"pgm.Variable(..., angles=({name!r},))"
             )
-    stamps = _increasing(times, len(gaussian.mean))
+    stamps, steps = increasing(times), len(gaussian.mean)
+    if stamps.size != steps:
+        raise EvidenceError(f"times= has {stamps.size} of them, and the belief {steps} steps")
     sizes = np.ones(len(names))
     sizes[: len(straight)] = [_metres(gaussian, name) for name in straight]
     columns = dict(zip(names, (gaussian.mean[:, places] * sizes).T, strict=True))
@@ -113,11 +115,9 @@ def _metres(gaussian: Gaussian, name: str) -> float:
     return size
 
 
-def _increasing(times: npt.ArrayLike, count: int) -> Array:
-    """The times of so many rows, seconds, increasing."""
+def increasing(times: npt.ArrayLike) -> Array:
+    """The times of some rows, seconds, increasing."""
     stamps = as_stamps("times", times)
-    if stamps.size != count:
-        raise EvidenceError(f"times= has {stamps.size} of them, and the belief {count} steps")
     if (late := np.diff(stamps) <= 0.0).any():
         row = int(late.argmax()) + 1
         raise EvidenceError(

@@ -173,7 +173,7 @@ def residuals(belief: FamilyBelief, known: Known) -> Residuals:
         _flat(line, rows, runs),
         belief.cov.reshape(flat, width, width),
         zero if error is None else _flat(error, rows, runs),
-        g.reshape(flat, -1),
+        g.reshape(flat, g.shape[-1]),
         _flat(family.own_noise, rows, runs),
         hidden,
         shares,

@@ -158,6 +158,27 @@ def test_poses_are_matched_by_time():
         path.align(path.position)
 
 
+def test_poses_that_are_none_are_refused():
+    """As rows out of order would be paired wrongly, without a word."""
+    path = walk()
+    fine = {"times": path.times, "position": path.position, "orientation": path.orientation}
+    lists = pgm.Poses(**{name: each.tolist() for name, each in fine.items()})
+    assert lists.ate(path).rmse == 0.0
+    bad = path.position.copy()
+    bad[7, 1] = np.nan
+    for told, change in (
+        ("times= do not increase", {"times": path.times[::-1]}),
+        ("no poses", {"times": []}),
+        (r"position= has shape \(3, 3\); \(60, 3\) was due", {"position": path.position[:3]}),
+        ("position= has no finite numbers in row 7", {"position": bad}),
+        ("of length 2; unit quaternions", {"orientation": 2.0 * path.orientation}),
+        ("come together", {"components": ("x",)}),
+        (r"\(60, 1, 1\) was due", {"components": ("x",), "cov": np.eye(3)}),
+    ):
+        with pytest.raises(pgm.EvidenceError, match=told):
+            pgm.Poses(**{**fine, **change})
+
+
 def test_covariances_are_told_when_they_are_left_out():
     x = pgm.Variable("x", ("east", "north", "heading"), angles=("heading",))
     belief = pgm.Gaussian(x, [[0, 0, 0], [1, 0, 0], [1, 2, 0]], cov=0.1, steps=range(3))
@@ -247,6 +268,8 @@ def test_euroc_in_its_odd_forms():
         ("1403715524907143168,1,2,3,0,0,0,0\n", "length 0, .* w first"),
         ("#t,x,y,z,q_x,q_y,q_z,q_w\n1,1,2,3,0,0,0,1\n", "line 1: its quaternion is q_x"),
         ("1403715524907143168,1,2,up,1,0,0,0\n", "'up' is no number"),
+        ("\u00b2,1,2,3,1,0,0,0\n", "is no number"),
+        (f"{'9' * 400},1,2,3,1,0,0,0\n", "is not finite"),
     ],
 )
 def test_euroc_files_that_are_none(text, said):

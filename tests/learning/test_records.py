@@ -242,6 +242,18 @@ def test_noise_and_calibration_of_a_function():
     np.testing.assert_allclose(found.model.cpd(V).cov[0, 0], due, rtol=1e-4)
 
 
+def test_a_case_that_no_record_has_stays_as_it_is():
+    rng = np.random.default_rng(8)
+    net, (u, v) = regressions([0.5, -2.0], 0.7), rng.normal(size=(2, 30, 1))
+    seen = {A: np.zeros(30, dtype=int), U: u, V: v}
+    found = pgm.fit(net, seen, learn={V: EVERY})
+    first, other = found.model.cpd(V).cases.values()
+    (slope, _), (left,), *_ = np.linalg.lstsq(np.hstack([u, np.ones((30, 1))]), v[:, 0])
+    np.testing.assert_allclose([first.matrices[U][0, 0], first.cov[0, 0]], [slope, left / 30])
+    assert found.status.closed
+    assert (other.matrices[U][0, 0], other.cov[0, 0]) == (-2.0, 0.7)
+
+
 def test_a_data_frame_of_tables_and_pgmpy():
     """As the estimator of pgmpy, whose pseudo-counts are added."""
     estimators = pytest.importorskip("pgmpy.estimators")
