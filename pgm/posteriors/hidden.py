@@ -79,9 +79,10 @@ def _of_measurement(layout: SliceLayout, variable: Variable) -> str:
         residuals = f"; how far readings were from what was expected: posterior.innovations[{name}]"
     return (
         f"{variable!r} is a sensor's measurement, and beliefs are over the hidden variables "
-        f"{list(layout.slice)} alone{residuals}. For the distribution of a reading that nobody "
-        f"took, put a copy of its CPD, for a variable of another name, into transition=: that "
-        "variable is hidden, and has a belief at steps 1..T"
+        f"{list(layout.slice)} alone{residuals}. Of a reading that nobody took, posterior[{name}."
+        "at(t)] is the belief, unless keep= leaves it out; for its joint with others put a copy of "
+        "its CPD, for a variable of another name, into transition=: that variable is hidden, and "
+        "stands at steps 1..T"
     )
 
 

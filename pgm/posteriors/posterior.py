@@ -472,11 +472,11 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
         H, b and noise R. At steps without a reading, such as those after the last one, that is a
         forecast from all readings before.
 
-        The rows of ``predicted[z]``, told by ``.steps``, are those of evidence that is an array,
-        1..T (``steps=`` makes T larger than the array); else all steps, 0..T, however many
-        sightings each has, or 1..T where an observed parent of the sensor is an array, or a hidden
-        one is a control. If the sightings themselves have observed parents, ``given=``, rows are
-        the sightings in their order, and a sighting of NaN tells the parents where nothing was
+        The rows of ``predicted[z]``, told by ``.steps`` of a Gaussian, are those of evidence that
+        is an array, 1..T (``steps=`` makes T larger than the array); else all steps, 0..T, however
+        many sightings each has, or 1..T where an observed parent of the sensor is an array, or a
+        hidden one is a control. If the sightings themselves have observed parents, ``given=``, rows
+        are the sightings in their order, and a sighting of NaN tells the parents where nothing was
         read. ``predicted[z.at(3)]`` is that of one step.
 
         A measured angle is within half a turn of its reading or, without one, of the row before.
@@ -512,7 +512,8 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
         Returns
         -------
         mapping of Variable to Gaussian or Table
-            (*runs, M, d): the belief of M readings of d components; ``.steps`` are their steps.
+            (*runs, M, d): the belief of M readings of d components; a `Gaussian` has their steps
+            as ``.steps``. A `Table` has rows (*runs, M) alone.
 
         Raises
         ------

@@ -86,6 +86,12 @@ class Predictions(Shown, NoArray):
                 variable=variable,
                 step=belief.step,
             )
+        if given is not None and not isinstance(given, Mapping):
+            raise EvidenceError(
+                f"predicted.of({variable.template.name}, given=) takes a mapping of observed "
+                f"parents to rows, not {type(given).__name__}",
+                variable=variable,
+            )
         return belief._measurement(variable.template, {} if given is None else given)
 
     @property

@@ -120,6 +120,7 @@ def test_what_is_said_of_a_reading_that_nobody_took_is_true():
     with pytest.raises(pgm.EvidenceError) as caught:
         found.joint(o.at(4))
     assert "observed" not in str(caught.value)
+    assert "posterior[o.at(t)] is the belief" in str(caught.value)
     assert "put a copy of its CPD" in str(caught.value)
     with pytest.raises(pgm.EvidenceError, match=r"predicted\[z\].*posterior\.innovations\[z\]"):
         FOUND[z]

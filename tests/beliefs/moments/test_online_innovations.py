@@ -262,6 +262,7 @@ def test_what_cannot_be_predicted_is_refused():
         (lambda: before.predicted[SIGHT.z], r"depends on \[m\], which nothing tells"),
         (lambda: before.predicted[u], "u is no sensor"),
         (lambda: before.predicted[SIGHT.z.at(3)], "measurements at step 1, not of"),
+        (lambda: before.predicted.of(SIGHT.z, 3), "takes a mapping of observed parents to rows"),
         (lambda: before.predicted.of(SIGHT.z, {m: [1.0, 2.0]}), r"\(\.\.\., M, 2\) was due"),
         (lambda: before.predicted.of(SIGHT.z, {u: [[1.0, 2.0]], m: [[0.0, 0.0]]}), "no observed"),
         (lambda: robot.update(before, sighted(1)).predicted[SIGHT.z], "knows measurements of its"),

@@ -373,7 +373,7 @@ class Trail(NamedTuple):
         for passed in reversed(self.passed):
             before -= 1
             if passed is None or (self.imprecise and before == step - 1):
-                self._refuse(first, before, step)
+                self._refuse(first, before, step, in_digits=True)
             mean, cov = moments.push(mean, cov, passed.back)
             later.append(cov)
             left, added = np.einsum("...ii->...i", cov), added + passed.added
@@ -404,17 +404,21 @@ class Trail(NamedTuple):
         part = np.einsum("...ii->...i", error) / np.where(left > 0.0, left, np.inf)
         return float(part.max(initial=0.0))
 
-    def _refuse(self, first: int, before: int, step: int) -> NoReturn:
+    def _refuse(self, first: int, before: int, step: int, *, in_digits: bool = False) -> NoReturn:
         """Raise the `NumericalError` that float64 loses too many digits of a lagged belief.
 
         The belief would be at step `first`, given the measurements up to `step`; its digits are
-        lost at step `before` or the next.
+        lost at step `before` or the next, which may have been made `in_digits`, twice as many.
         """
+        why = "deviations lie too far apart"
+        if in_digits:
+            why += ", or a flat prior has left directions unknown until then"
         raise NumericalError(
             f"float64 loses the belief at step {first} given the measurements up to step {step}: "
-            f"at step {before} or the next, deviations lie too far apart. That at step {step} is "
-            "right; the other is found on recorded measurements, pgm.smooth(..., lag=...), and by "
-            "an online filter with iterations=2, which solves its windows in twice the digits",
+            f"at step {before} or the next, {why}. That at step {step} is right; the other is "
+            "found on recorded measurements, pgm.smooth(..., lag=...), and by an online filter "
+            f"with iterations=2, schedule=pgm.FixedLag({self.lag}, iterations=2), which solves its "
+            "windows in twice the digits",
             step=first,
         )
 
