@@ -1,5 +1,6 @@
 """Fans: the readings of a sensor over time, and what was expected of them and of those to come."""
 
+import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -25,7 +26,7 @@ from pgm.plot.drawing.axes import (
 )
 from pgm.plot.drawing.colours import INK, MUTED, look_of
 from pgm.plot.drawing.components import as_gaussian, component_places, one_run
-from pgm.posteriors.posterior import Posterior
+from pgm.posteriors.posterior import Posterior, require_variable
 from pgm.variables import Variable
 
 # The shades of the widest band and of the narrowest one, were this of no width.
@@ -50,7 +51,7 @@ def forecast(
     The bands hold 50, 80 and 95 % of ``posterior.predicted[sensor]``, whose mean is the line: up to
     the last reading, which a dotted line marks, each step knows the readings before it, and later
     steps know them all. About so many readings should lie in each band. Where a flat prior leaves
-    all open there is no band.
+    all open there is no band. Angles go on beyond half a turn, the readings along with the line.
 
     Parameters
     ----------
@@ -85,7 +86,8 @@ def forecast(
     ModelError
         If there are several runs, or several sightings at a step, or an argument does not fit.
     EvidenceError
-        If the posterior has no beliefs of this measurement; see `Posterior.predicted`.
+        If the posterior has no beliefs of this measurement (see `Posterior.predicted`), or `sensor`
+        is no variable.
 
     Examples
     --------
@@ -109,6 +111,10 @@ def forecast(
     for place, component, ax in zip(places, chosen, columns, strict=True):
         std = np.where(np.isfinite(belief.std[:, place]), belief.std[:, place], np.nan)
         mean = np.where(np.isnan(std), np.nan, belief.mean[:, place])
+        there = np.flatnonzero(~np.isnan(values[:, place]))
+        at, seen = np.searchsorted(steps, read[there]), values[there, place]
+        if component in sensor.angles:
+            mean, seen = _without_jumps(mean, at, seen)
         for probability in bands[::-1]:
             reach = norm.ppf(0.5 + 0.5 * probability) * std
             depth = _PALE + (_DEEP - _PALE) * (1.0 - probability / bands[-1])
@@ -119,11 +125,7 @@ def forecast(
                 across, mean - reach, mean + reach, color=shade, lw=0, zorder=1.0, label=within
             )
         ax.plot(across, mean, color=look.colour, ls=look.dash, lw=1.4, zorder=2.0, label="expected")
-        there = np.flatnonzero(~np.isnan(values[:, place]))
-        at = np.searchsorted(steps, read[there])
-        ax.plot(
-            across[at], values[there, place], "o", ms=3.2, color=INK, zorder=3.0, label="reading"
-        )
+        ax.plot(across[at], seen, "o", ms=3.2, color=INK, zorder=3.0, label="reading")
         if there.size and at.max() < len(across) - 1:
             ax.axvline(
                 across[at.max()], color=MUTED, ls=":", lw=1.2, zorder=1.5, label="last reading"
@@ -144,11 +146,25 @@ def _probabilities(confidence: float | Sequence[float]) -> list[float]:
     return [float(each) for each in found]
 
 
+def _without_jumps(mean: Array, at: Integers, seen: Array) -> tuple[Array, Array]:
+    """Expected angles (N,) without jumps of a turn, and the readings `seen` at their rows `at`.
+
+    A mean is NaN where nothing was known; a reading there is drawn near the next that is known.
+    """
+    known = np.flatnonzero(~np.isnan(mean))
+    if not known.size:
+        return mean, seen
+    whole = mean.copy()
+    whole[known] = np.unwrap(mean[known])
+    near = whole[known[np.searchsorted(known, at).clip(max=known.size - 1)]]
+    return whole, seen + 2.0 * np.pi * np.round((near - seen) / (2.0 * np.pi))
+
+
 def _of(
     posterior: Posterior[Any], sensor: Variable, run: int | tuple[int, ...] | None
 ) -> tuple[Gaussian, Integers, Array]:
     """The beliefs of a sensor by step, of one run, its steps with readings, and these, (M, d)."""
-    if sensor.step is not None:
+    if require_variable(sensor).step is not None:
         raise ModelError(
             f"{sensor!r} is of one step, and a fan is of all: give {sensor.template!r}"
         )
@@ -156,6 +172,13 @@ def _of(
     if found.steps is None:
         raise EvidenceError(f"{sensor!r} has no steps", variable=sensor)
     step, values = posterior._readings_of(sensor)
+    lead = found.mean.shape[:-2]
+    if run is None and math.prod(lead) != 1:
+        raise ModelError(
+            f"the posterior has the leading axes {lead}, of runs; choose one, as with run="
+            f"{0 if len(lead) == 1 else (0,) * len(lead)}",
+            variable=sensor,
+        )
     if run is not None:
         place = (run,) if isinstance(run, int) else run
         found, values = found.run(*place), values[place]

@@ -69,13 +69,31 @@ def test_sightings_in_any_order_and_a_sensor_never_read():
     assert "last reading" not in [line.get_label() for line in ax.lines]
 
 
+def test_angles_go_on_beyond_half_a_turn():
+    """The line has no jump of a turn; readings are moved by whole turns, to the line."""
+    heading = pgm.Variable("heading")
+    read = pgm.Variable("read", components=("heading",), angles=("heading",))
+    turning = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(heading, 3.0, np.inf)],
+        [pgm.LinearGaussianCPD(heading, {heading.previous: 1.0}, 0.05, offset=0.1)],
+        [pgm.LinearGaussianCPD(read, {heading: 1.0}, 0.01)],
+    )
+    truth = 3.0 + 0.1 * np.arange(1, 9)
+    truth[4:6] = truth[5:3:-1]  # across half a turn and back
+    wrapped = (truth + np.pi) % (2.0 * np.pi) - np.pi
+    (ax,) = pgm.plot.forecast(pgm.filter(turning, {read: wrapped[:, None]}, steps=12), read)
+    lines = {line.get_label(): line.get_ydata() for line in ax.lines}
+    assert np.abs(np.diff(lines["expected"][1:])).max() < 1.0
+    assert_allclose(lines["reading"] - truth, -2.0 * np.pi)  # as of the first that had a forecast
+
+
 def test_what_cannot_be_drawn_is_refused():
     m = pgm.Variable("m", components=("east", "north"))
     given = MODEL.replace(observation=[pgm.LinearGaussianCPD(z, {x: -1.0, m: 1.0}, 0.5)])
     seen = pgm.sightings(ZS[0, :2], step=[2, 2], given={m: np.eye(2)})
     twice = pgm.filter(given, {z: seen}, steps=3)
     for call, words in (
-        (lambda: pgm.plot.forecast(FOUND, z), "3 runs"),
+        (lambda: pgm.plot.forecast(FOUND, z), r"\(3,\), of runs; choose one, as with run=0"),
         (lambda: pgm.plot.forecast(FOUND, z.at(3), run=0), "of one step"),
         (lambda: pgm.plot.forecast(FOUND, z, run=0, confidence=95), "between 0 and 1"),
         (lambda: pgm.plot.forecast(FOUND, z, run=0, components=[]), "no components"),
@@ -83,3 +101,5 @@ def test_what_cannot_be_drawn_is_refused():
     ):
         with pytest.raises(pgm.ModelError, match=words):
             call()
+    with pytest.raises(pgm.EvidenceError, match="by variable, not by 'z'"):
+        pgm.plot.forecast(FOUND, "z", run=0)
