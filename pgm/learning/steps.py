@@ -99,9 +99,8 @@ class CovarianceStep:
         """Refuse variances so far apart that the small ones would be taken for none."""
         if self.declared.kind == "diagonal":
             return
-        std = np.sqrt(np.diagonal(self.start)[self.there])
-        alike = np.linalg.eigvalsh(self.start[np.ix_(self.there, self.there)] / np.outer(std, std))
-        if (alike > _NONE * alike[-1]).sum() > self.range.shape[1]:
+        if self._rank(self.start) > self.range.shape[1]:
+            std = np.sqrt(np.diagonal(self.start)[self.there])
             raise ModelError(
                 f"{cpd!r}: its deviations go from {number(std.min())} to {number(std.max())}, too "
                 "far apart to be learnt together; give its components other units, or learn "
@@ -109,12 +108,23 @@ class CovarianceStep:
                 cpd=cpd,
             )
 
+    def _rank(self, cov: Array) -> int:
+        """The directions in which a covariance has noise, its components in units of their own."""
+        std = np.sqrt(np.diagonal(cov)[self.there])
+        alike = np.linalg.eigvalsh(cov[np.ix_(self.there, self.there)] / np.outer(std, std))
+        return int((alike > _NONE * alike[-1]).sum())
+
     def vanishes(self, cpd: Any) -> bool:
-        """Whether a deviation has shrunk to almost nothing of its starting value."""
+        """Whether a deviation has shrunk to almost nothing of its starting value.
+
+        So it is of the noise in a direction, as two records leave none of a plane's.
+        """
         if self.declared.kind == "scaled":
             return self.factor(cpd) < _GONE**2
         kept = np.diagonal(cpd.cov)[self.there] / np.diagonal(self.start)[self.there]
-        return bool((kept < _GONE**2).any())
+        if (kept < _GONE**2).any():
+            return True
+        return self.declared.kind == "full" and self._rank(cpd.cov) < self.range.shape[1]
 
     def _require_within(self, cpd: ConditionalGaussian, values: Array) -> None:
         low, high = self.declared.lower, self.declared.upper

@@ -254,6 +254,36 @@ def test_a_case_that_no_record_has_stays_as_it_is():
     assert (other.matrices[U][0, 0], other.cov[0, 0]) == (-2.0, 0.7)
 
 
+def test_of_collinear_parents_the_coefficients_nearest_to_the_start_are_taken():
+    rng = np.random.default_rng(10)
+    near, far, sum_ = pgm.variables("near far sum")
+    start = pgm.LinearGaussianCPD(sum_, {near: 1.0, far: 1.0}, cov=1.0)
+    roots = [pgm.GaussianCPD(each, 0.0, 1.0) for each in (near, far)]
+    one, y = rng.normal(size=(2, 40, 1))
+    data = {near: one, far: 5.0 * one, sum_: y}
+    learn = {sum_: (Coefficients(), Offset(), Covariance())}
+    found = pgm.fit(pgm.BayesianNetwork([*roots, start]), data, learn=learn).model.cpd(sum_)
+    unit = one - one.mean()  # both parents in units of their deviations
+    move = np.linalg.pinv(np.hstack([unit, unit])) @ (y - y.mean() - 6.0 * unit)
+    due = np.array([1.0, 1.0]) + move[:, 0] / [1.0, 5.0]
+    learnt = [found.matrices[near][0, 0], found.matrices[far][0, 0]]
+    np.testing.assert_allclose(learnt, due, rtol=1e-9)
+
+
+def test_noise_that_vanishes_in_a_direction_is_refused():
+    """A singular covariance has another density than the data's, and no largest one."""
+    net = pgm.BayesianNetwork([pgm.GaussianCPD(X, np.zeros(2), np.eye(2))])
+    line = np.random.default_rng(9).normal(size=(50, 1)) * [0.1, 0.3]
+    learn = {X: (Offset(), Covariance())}
+    for rows in (line, line[:2] + np.eye(2), 1e-6 * line, np.ones((3, 2))):
+        with pytest.raises(pgm.ModelError, match="vanishes"):
+            pgm.fit(net, {X: rows}, learn=learn)
+    # What is singular by declaration stays so.
+    flat = net.replace(pgm.GaussianCPD(X, np.zeros(2), [[1.0, 3.0], [3.0, 9.0]]))
+    found = pgm.fit(flat, {X: line}, learn={X: Covariance()}).model.cpd(X)
+    np.testing.assert_allclose(found.cov, line.T @ line / 50, rtol=1e-9)
+
+
 def test_a_data_frame_of_tables_and_pgmpy():
     """As the estimator of pgmpy, whose pseudo-counts are added."""
     estimators = pytest.importorskip("pgmpy.estimators")
