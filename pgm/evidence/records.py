@@ -235,7 +235,7 @@ def _array(cells: list[Any]) -> npt.NDArray[Any]:
     if {str, bool, np.bool_, type(None)}.isdisjoint(map(type, cells)):
         with suppress(ValueError):  # rows of unequal length
             found = np.asarray(cells)
-            if found.dtype.kind in "iufc":
+            if found.dtype.kind in "iufc" or found.ndim > 1:  # rows, in which may be None
                 return found
     array = np.empty(len(cells), dtype=object)
     array[:] = cells

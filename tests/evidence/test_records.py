@@ -267,3 +267,12 @@ def test_cells_that_are_states_once_they_are_texts():
     }
     with pytest.raises(pgm.EvidenceError, match=r"has 'old' .*an empty text\)$"):
         pgm.records({"age": ["old"]}, (age,))
+
+
+def test_rows_of_a_list_may_lack_components():
+    place = pgm.Variable("place", components=("east", "north"))
+    found = pgm.records({"place": [[1, 2], [None, 3]]}, (place,))[place]
+    np.testing.assert_array_equal(found, [[1.0, 2.0], [np.nan, 3.0]])
+    for rows in ([[1, 2], [3]], [[1, 2], ["a", 3]]):
+        with pytest.raises(pgm.EvidenceError, match="must be numbers"):
+            pgm.records({"place": rows}, (place,))
