@@ -16,6 +16,7 @@ import numpy as np
 
 from pgm.beliefs.markov.plan import RowTables, SlicePlan
 from pgm.cpds import ConditionalGaussian, TableCPD
+from pgm.elimination import TableAlgebra, eliminate, next_smallest
 from pgm.errors import Unanswered
 from pgm.evidence import BoundEvidence, Reading
 from pgm.factors import Gaussian, GaussianMixture, Table
@@ -89,18 +90,17 @@ def _table(
     """The table of a discrete sensor at some rows of its reading."""
     cpd: Any = reading.cpd
     tables = RowTables(plan, cpd, reading.inputs, reading.step)
-    own, lead = tables.labels, bound.lead
     fixed: Any = None
-    child, runs = len(plan.labels), len(plan.labels) + 1
-    last = (runs,) if lead else ()
-    found = np.empty((len(rows), cpd.child.size, *(bound.runs,) * len(last)))
+    lead, child = bound.lead, len(plan.labels)
+    sizes = {**plan.sizes, child: cpd.child.size}
+    scopes = tuple(range(len(plan.slice))), (*tables.labels, child)
+    summed = next_smallest(scopes, (child,), sizes)
+    algebra = TableAlgebra(SUM_PRODUCT, sizes, watched=False)
+    found = np.empty((len(rows), cpd.child.size, *((bound.runs,) if lead else ())))
     for place, row in enumerate(rows.tolist()):
         if fixed is None or reading.inputs:
             fixed = tables.factor(row, SUM_PRODUCT, as_map=False)
-        by_run = (runs,) if fixed.ndim > len(own) + 1 else ()
-        of = (*range(len(plan.slice)), *last)
-        belief: Any = beliefs[place]
-        found[place] = np.einsum(belief, of, fixed, (*own, child, *by_run), (child, *last))
+        found[place] = eliminate(summed, [beliefs[place], fixed], algebra)
     shown = discrete((variable,))
     found = np.moveaxis(found, -1, 0) if lead else found
     steps = () if variable.step is not None else (len(rows),)
