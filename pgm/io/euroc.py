@@ -11,8 +11,11 @@ from pgm.arguments import public
 from pgm.io import sources
 from pgm.io.poses import Poses, made
 from pgm.io.sources import LIMIT, Origin, Source, number
+from pgm.kernels.arrays import Array
 
 FIELDS = 8
+# Poses are not taken more often than once in this time [s].
+_CLOSEST = 1e-6
 _DUE = "timestamp [ns], x, y, z, qw, qx, qy, qz"
 
 
@@ -79,6 +82,7 @@ def read_euroc(path: Source, *, limit: int = LIMIT) -> Poses:
     if not rows:
         raise origin.fault(f"it has no poses, lines of {_DUE}; is it another file?")
     table = np.array(rows)[:, [0, 1, 2, 3, 5, 6, 7, 4]]
+    _require_apart(table[:, 0], lines, origin)
     return made(table, lines, origin, "are they four numbers, w first?")
 
 
@@ -87,6 +91,19 @@ def _require_w_first(cells: list[str], line: int, origin: Origin) -> None:
     turns = [name.strip().partition("[")[0].strip() for name in cells if "q_" in name]
     if turns and not turns[0].endswith("w"):
         raise origin.fault(f"its quaternion is {', '.join(turns)}, where w was due first", line)
+
+
+def _require_apart(stamps: Array, lines: list[int], origin: Origin) -> None:
+    """Refuse stamps so close that they are whole seconds or milliseconds, not nanoseconds."""
+    apart = np.abs(np.diff(stamps))
+    apart = apart[apart > 0.0]
+    if apart.size and np.median(apart) < _CLOSEST:
+        raise origin.fault(
+            f"its poses are {np.median(apart) * 1e9:.0f} ns apart: are stamps in another unit, "
+            "where nanoseconds were due? Poses with seconds are read by read_tum or "
+            "recordings.read_csv",
+            lines[0],
+        )
 
 
 def _seconds(word: str, line: int, origin: Origin) -> float:

@@ -265,6 +265,7 @@ def test_euroc_in_its_odd_forms():
         (NAMES, "no poses"),
         ("1403715524907143168,1,2,3\n", "line 1: it has 4 numbers"),
         ("1403715524.9,1,2,3,1,0,0,0\n", "whole nanoseconds were due"),
+        ("1403715524,1,2,3,1,0,0,0\n1403715525,1,2,3,1,0,0,0\n", "poses are 1 ns apart"),
         ("1403715524907143168,1,2,3,0,0,0,0\n", "length 0, .* w first"),
         ("#t,x,y,z,q_x,q_y,q_z,q_w\n1,1,2,3,0,0,0,1\n", "line 1: its quaternion is q_x"),
         ("1403715524907143168,1,2,up,1,0,0,0\n", "'up' is no number"),

@@ -127,6 +127,9 @@ def test_places_far_from_the_datum_are_told_and_beyond_the_plane_refused():
     assert "222 km from the datum, 48° N, 11° E" in told.fate
     with pytest.raises(pgm.FileError, match=r"row 1: .* km from the datum, 48° N.*no plane"):
         table([(48.0, 11.0), (-42.0, -169.0)])
+    datum = pgm.recordings.Datum(48.0, 11.0)
+    with pytest.raises(pgm.EvidenceError, match=r"row 1: .* km from the datum, 48° N.*no plane"):
+        datum.to_plane([(48.0, 11.0), (-48.0, -169.0)])  # whose east and north are nearly zero
     with pytest.raises(pgm.FileError, match="no direction is east"):
         table([(90.0, 11.0), (89.0, 11.0)])
     assert table([(90.0, 11.0)], datum=(89.5, 0.0)).fixes["north"][0] == pytest.approx(

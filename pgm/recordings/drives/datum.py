@@ -20,6 +20,8 @@ EXTRA = "sepset[geo]"
 _POLAR = 90.0 - 1e-3
 # Heights on the plane are solved for to this [m], in at most so many steps.
 _SETTLED, _STEPS = 1e-6, 50
+# Farther than this from the datum [m] there is no plane.
+NO_PLANE = 5e6
 _TURNS = {"latitude": 90.0, "longitude": 180.0}
 
 
@@ -92,10 +94,23 @@ class Datum(InCode):
         ----------
         places : array_like
             (n, 2): latitude and longitude [°], at the datum's height; (n, 3): height [m], too.
+
+        Raises
+        ------
+        EvidenceError
+            If a place is more than 5,000 km from the datum: on the other side of the earth others
+            have the same coordinates.
         """
         given = _table("places", places)
         height = given[:, 2] if given.shape[1] == 3 else np.full(len(given), self.height)
-        found = self._local(given[:, 0], given[:, 1], height)
+        found = self.local(given[:, 0], given[:, 1], height)
+        away = np.linalg.norm(found, axis=1)
+        if (away > NO_PLANE).any():
+            row = int(np.nanargmax(away))
+            raise EvidenceError(
+                f"places, row {row}: {given[row].tolist()} is {away[row] / 1e3:,.0f} km from the "
+                f"datum, {self.text}, where no plane is; give a datum nearer by"
+            )
         return found[:, : given.shape[1]]
 
     @public
@@ -123,8 +138,8 @@ class Datum(InCode):
             "6,378 km large"
         )
 
-    def _local(self, latitude: Array, longitude: Array, height: Array) -> Array:
-        """East, north and up, (n, 3)."""
+    def local(self, latitude: Array, longitude: Array, height: Array) -> Array:
+        """East, north and up, (n, 3), however far from the datum."""
         pymap3d = optional("pymap3d", "a place on the earth", EXTRA)
         found = pymap3d.geodetic2enu(latitude, longitude, height, *self._place)
         return np.column_stack(found)

@@ -9,7 +9,7 @@ import numpy as np
 from pgm.errors import EvidenceError
 from pgm.io.dropped import Dropped
 from pgm.kernels.arrays import Array, Integers, Mask
-from pgm.recordings.drives.datum import Datum
+from pgm.recordings.drives.datum import NO_PLANE, Datum
 from pgm.recordings.drives.quantities import LATITUDE, LONGITUDE, WORLD
 from pgm.recordings.drives.stream import Stream
 
@@ -18,7 +18,7 @@ HEIGHTS = ("up", "altitude", "height")
 EAST, NORTH, UP = "east", "north", "up"
 NULL = "0°, 0°, as receivers say that have no fix"
 # Farther than this from the datum [m] a plane is told to be no earth, and then refused.
-_FAR, _NO_PLANE = 1e5, 5e6
+_FAR = 1e5
 RADIUS = 6_371_000.0
 # Bounds of latitudes and longitudes [°], and a whole turn, up to the rounding of radians.
 _POLE, _HALF, _TURN = (bound * (1.0 + 1e-12) for bound in (90.0, 180.0, 360.0))
@@ -54,7 +54,7 @@ def on_plane(
             north, east = world[first].tolist()
             datum = Datum(north, east, height, f"the first of {name}")
         plane = datum or Datum(0.0, 0.0)  # of rows of which nothing is known
-        metres = plane.to_plane(np.column_stack([world, _height(stream, plane.height)]))
+        metres = plane.local(world[:, 0], world[:, 1], _height(stream, plane.height))
         told += _far(name, metres, rows, plane)
         found[name] = _flat(stream, metres)
     return found, told, datum
@@ -68,7 +68,7 @@ def _far(name: str, metres: Array, rows: Integers, datum: Datum) -> list[Dropped
         return []
     most = int(np.nanargmax(away))
     where = f"{away[most] / 1e3:,.0f} km from the datum, {datum.text}"
-    if away[most] > _NO_PLANE:
+    if away[most] > NO_PLANE:
         raise EvidenceError(
             f"{name}, row {rows[most]}: {where}, where no plane is; leave out the rows that are no "
             "fixes, or give datum=(latitude, longitude)"
