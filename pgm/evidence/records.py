@@ -18,7 +18,7 @@ from pgm.boundary import as_floats, as_tuple, is_number, masked_whole
 from pgm.display import titled
 from pgm.errors import EvidenceError
 from pgm.factors.axes import MISSING, STRANGER
-from pgm.factors.scope import Scope, as_scope, listed
+from pgm.factors.scope import Scope, as_scope, column_names, listed
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Discrete, Variable
 
@@ -44,8 +44,9 @@ def records(
     """Make evidence of a table of records.
 
     Column c of the table is evidence of the variable that is written c, row k is run k:
-    ``infer(graph, records(frame, network))``. The result is a mapping like any other, to which
-    evidence may be added.
+    ``infer(graph, records(frame, network))``. Of a vector a column ``x.east`` is one component, as
+    `Posterior.to_frame` writes it, and components without a column are not observed. The result is
+    a mapping like any other, to which evidence may be added.
 
     Parameters
     ----------
@@ -71,7 +72,8 @@ def records(
     ------
     EvidenceError
         If the table is none, has no records or columns of unequal length, a column is of no
-        variable, or a cell is no state; naming the column and the record, counted from 0.
+        variable, a vector has a column and its components, too, or a cell is no state; naming the
+        column and the record, counted from 0.
     ModelError
         If the variables are none.
 
@@ -84,10 +86,26 @@ def records(
     """
     known = _by_name(network)
     found = columns_of(table, columns)
-    strangers = [name for name in found if name not in known]
+    parts = {} if found.keys() <= known.keys() else _components(known)
+    strangers = [name for name in found if name not in known and name not in parts]
     if strangers:
         raise _unknown(strangers, known)
-    return {known[name]: _values(known[name], column) for name, column in found.items()}
+    evidence: dict[Variable, Integers | Array] = {}
+    for name, column in found.items():
+        if name in known:
+            evidence[known[name]] = _values(known[name], column)
+            continue
+        variable, place = parts[name]
+        if repr(variable) in found:
+            raise EvidenceError(
+                f"column {repr(variable)!r} has all components, and {name!r} one of them again; "
+                "leave one of them out",
+                variable=variable,
+            )
+        values = _numbers(variable, column, name, 1)
+        rows = evidence.setdefault(variable, np.full((len(values), variable.dimension), np.nan))
+        rows[:, place] = values[:, 0]
+    return evidence
 
 
 def _by_name(network: Any) -> dict[str, Variable]:
@@ -95,6 +113,16 @@ def _by_name(network: Any) -> dict[str, Variable]:
         getattr(network, "variables", network), "records: the network", ordered=False
     )
     return {repr(variable): variable for variable in variables}
+
+
+def _components(known: Mapping[str, Variable]) -> dict[str, tuple[Variable, int]]:
+    """By name of a column, ``x.east``, the vector that it is a component of, and which one."""
+    return {
+        name: (variable, place)
+        for variable in known.values()
+        if not isinstance(variable, Discrete) and variable.dimension > 1
+        for place, name in enumerate(column_names(variable))
+    }
 
 
 def _unknown(strangers: list[Any], known: Mapping[str, Variable]) -> EvidenceError:
@@ -112,32 +140,38 @@ def _unknown(strangers: list[Any], known: Mapping[str, Variable]) -> EvidenceErr
 def _values(variable: Variable, column: Column) -> Integers | Array:
     if isinstance(variable, Discrete):
         return as_states(variable, column)
-    return _numbers(variable, column)
+    return _numbers(variable, column, repr(variable), variable.dimension)
 
 
-def _numbers(variable: Variable, column: Column) -> Array:
+def _numbers(variable: Variable, column: Column, name: str, size: int) -> Array:
+    """The numbers of a column, (records, size), NaN where missing: a variable's, or a component's.
+
+    `name` is that of the column, for errors.
+    """
     cells = column.cells if column.categories is None else column.categories.astype(str)
     array = as_floats(
         cells,
-        f"column {variable!r}",
+        f"column {name}",
         EvidenceError,
-        labels=variable.components,
+        labels=variable.components if size > 1 else (),
         missing=True,
         variable=variable,
     )
-    if array.ndim == 1 and variable.dimension == 1:
+    if array.ndim == 1 and size == 1:
         array = array[:, None]
-    if array.ndim != 2 or array.shape[1] != variable.dimension:
-        raise EvidenceError(
-            f"column {variable!r} has shape {array.shape}; (records, {variable.dimension}) was "
-            f"due, its components ({listed(variable.components)}): put their columns together, "
-            f"{{{repr(variable)!r}: frame[[...]]}}",
-            variable=variable,
-        )
+    if array.ndim != 2 or array.shape[1] != size:
+        due = "a number for each record was due"
+        if size > 1:
+            due = (
+                f"(records, {size}) was due, its components ({listed(variable.components)}): put "
+                f"their columns together, {{{repr(variable)!r}: frame[[...]]}}, or give them apart,"
+                f" as {column_names(variable)[0]!r}"
+            )
+        raise EvidenceError(f"column {name} has shape {array.shape}; {due}", variable=variable)
     bad = np.isinf(array).any(axis=1)
     if bad.any():
         raise EvidenceError(
-            f"column {variable!r} has infinity in record {int(bad.argmax())}; finite numbers were "
+            f"column {name} has infinity in record {int(bad.argmax())}; finite numbers were "
             "due, or NaN where nothing was observed",
             variable=variable,
         )

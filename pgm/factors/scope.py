@@ -158,6 +158,13 @@ def components(scope: Sequence[Variable]) -> list[str]:
     ]
 
 
+def column_names(variable: Variable) -> list[str]:
+    """The columns of a table of records: ``x`` of a scalar, ``x.east`` of a vector's component."""
+    if variable.dimension == 1:
+        return [repr(variable)]
+    return [f"{variable!r}.{component}" for component in variable.components]
+
+
 def _name(variable: Variable, component: str, *, whole: bool = True) -> str:
     """A component's name; `whole` prefixes its variable's name, unless both are the same."""
     if variable.dimension == 1 and component == variable.name:

@@ -9,6 +9,7 @@ import numpy as np
 from pgm.errors import EvidenceError
 from pgm.factors.axes import MISSING
 from pgm.factors.listing import index_of, run_names, with_units
+from pgm.factors.scope import column_names
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.posteriors.entered import Entered
 from pgm.resources import FRAMES, optional
@@ -31,9 +32,8 @@ def completed(posterior: Any, entered: Entered) -> Any:
             _put(more, f"probability_{variable!r}", probabilities, variable)
             continue
         means, stds = _moments(posterior, entered, variable)
-        for k, component in enumerate(variable.components):
-            alone = variable.dimension == 1
-            name = repr(variable) if alone else f"{variable!r}.{component}"
+        named = zip(column_names(variable), variable.components, strict=True)
+        for k, (name, component) in enumerate(named):
             _put(values, name, means[:, k], variable)
             _put(more, f"std_{name}", stds[:, k], variable)
             units[name] = units[f"std_{name}"] = variable.unit_of(component)

@@ -146,7 +146,7 @@ def test_they_are_evidence_of_a_gaussian_network():
         ([[1.0], [2.0, 3.0]], "must be numbers"),
         ([1j, 2.0], "must be numbers"),
         ([10**400, 2.0], "must be numbers"),
-        (rows, r"column a has shape \(2, 2\); \(records, 1\) was due"),
+        (rows, r"column a has shape \(2, 2\); a number for each record was due"),
     ):
         with pytest.raises(pgm.EvidenceError, match=what):
             pgm.records({"a": column}, net)
@@ -276,3 +276,34 @@ def test_rows_of_a_list_may_lack_components():
     for rows in ([[1, 2], [3]], [[1, 2], ["a", 3]]):
         with pytest.raises(pgm.EvidenceError, match="must be numbers"):
             pgm.records({"place": rows}, (place,))
+
+
+def test_components_may_have_a_column_each():
+    place = pgm.Variable("place", components=("east", "north"))
+    table = {"place.north": [3.0, None], "wet": ["yes", "no"], "place.east": [1.0, 2.0]}
+    found = pgm.records(table, (place, WET))
+    np.testing.assert_array_equal(found[place], [[1.0, 3.0], [2.0, np.nan]])
+    assert found[WET].tolist() == [1, 0]
+    alone = pgm.records({"place.north": [3.0]}, (place,))[place]
+    np.testing.assert_array_equal(alone, [[np.nan, 3.0]])
+    for more, words in (
+        ({"place": [[1.0, 2.0]] * 2}, "all components, and 'place.north' one of them again"),
+        ({"place.up": [1.0, 2.0]}, "'place.up'.* of no variable"),
+        ({"place.east": [1.0, np.inf]}, "place.east has infinity in record 1"),
+        ({"place.east": [[1.0, 2.0]] * 2}, r"place.east has shape \(2, 2\); a number for each"),
+        ({"place.east": ["far", 1.0]}, "column place.east must be numbers"),
+    ):
+        with pytest.raises(pgm.EvidenceError, match=words):
+            pgm.records(table | more, (place, WET))
+    with pytest.raises(pgm.EvidenceError, match=r"\(1, 3\); .* apart, as 'place.east'"):
+        pgm.records({"place": [[1.0, 2.0, 3.0]]}, (place,))
+
+
+def test_a_completed_table_is_read_as_records():
+    pytest.importorskip("pandas")
+    place = pgm.Variable("place", components=("east", "north"))
+    net = pgm.BayesianNetwork([pgm.GaussianCPD(place, [1.0, 2.0], [[2.0, 1.0], [1.0, 3.0]])])
+    given = pgm.records({"place": [[4.0, None], [None, None]]}, net)
+    whole = pgm.infer(pgm.compile(net), given).to_frame()
+    again = pgm.records(whole, net, columns=["place.east", "place.north"])
+    np.testing.assert_allclose(again[place], [[4.0, 3.5], [1.0, 2.0]])
