@@ -11,9 +11,12 @@ from pgm.kernels.arrays import Mask
 
 RAISE, ALLOW = "raise", "allow"
 
-# What the user can do besides where there are several runs.
-OF_RUNS = f'; impossible="{ALLOW}" gives such runs a log-evidence of −∞ and beliefs of NaN'
-# The same over time, for an error that other functions than these three may raise.
+# What the user can do besides where there are several runs, whichever function raised the error.
+OF_RUNS = (
+    f'; pgm.infer and pgm.query with impossible="{ALLOW}" give such runs a log-evidence of −∞ and '
+    "beliefs of NaN"
+)
+# The same over time.
 OVER_TIME = (
     f'; pgm.filter, pgm.smooth and pgm.infer with impossible="{ALLOW}" give such runs a '
     "log-evidence of −∞, and NaN for the beliefs that know this measurement"

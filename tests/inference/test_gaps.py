@@ -464,7 +464,7 @@ def test_impossible_rows_are_told_and_the_others_answered():
         Q: [[1.0], [1.0], [GAP], [2.0], [1.0], [GAP]],
         Y: [[2.0], [2.0], [1.0], [5.0], [GAP], [3.0]],
     }
-    with pytest.raises(pgm.PgmError, match='impossible="allow" gives such runs'):
+    with pytest.raises(pgm.PgmError, match='impossible="allow" give such runs'):
         pgm.infer(graph, rows)
     found = pgm.infer(graph, rows, impossible="allow")
     assert np.isneginf(found.log_evidence).tolist() == [True, False, False, True, False, False]
@@ -505,7 +505,7 @@ def test_impossible_rows_of_a_gaussian_network():
     np.testing.assert_allclose(found[Y].mean.ravel(), [1.0, np.nan, 2.0])
     whole = pgm.infer(graph, {Y: [[1.0], [1.0]], B: [[2.0], [3.0]]}, impossible="allow")
     assert np.isneginf(whole.log_evidence).tolist() == [False, True]
-    with pytest.raises(pgm.NumericalError, match=r'run 1 .*; impossible="allow"'):
+    with pytest.raises(pgm.NumericalError, match=r'run 1 .*; .*impossible="allow"'):
         pgm.infer(graph, rows)
 
 
