@@ -38,6 +38,12 @@ class EachSensor(Shown, Mapping[Variable, Value]):
 
     def _absent(self, variable: Variable) -> str:
         """The text of the error for a variable without results, which a subclass may replace."""
+        template = getattr(variable, "template", variable)
+        if template != variable and template in self._found:
+            return (
+                f"{self._what} are of a sensor at all its steps, not at one, {variable!r}: ask for "
+                f"{template!r}, and take the rows of the step"
+            )
         return (
             f"there are no {self._what} of {variable!r}; measurements were given of {list(self)}"
             f"{namesake(variable, self)}"

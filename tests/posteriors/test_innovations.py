@@ -18,6 +18,7 @@ from textbooks import (
 )
 
 import pgm
+from pgm.examples import walk, z
 
 T = 20
 SIGHT, POSE = SENSORS["range_bearing"], SENSORS["pose"]
@@ -298,3 +299,10 @@ def test_evidence_is_left_as_it_was(drive):
     np.testing.assert_array_equal(posterior.message(4, 3).h, before[1])
     np.testing.assert_array_equal(posterior.innovations[SIGHT.z].residual, residual)
     assert (np.diag([0.02, 0.01, 0.005]) == Q).all()
+
+
+def test_results_of_one_step_are_rows_of_their_sensor():
+    found = pgm.smooth(walk, {z: [[1.0], [2.0]]})
+    for results in (found.innovations, found.left_out):
+        with pytest.raises(pgm.EvidenceError, match=r"not at one, z\[1\]: ask for z, and take the"):
+            results[z.at(1)]
