@@ -415,7 +415,7 @@ SOLUTIONS = listed(
     {"io/alignment.py": "relative umeyama", "io/kitti.py": "_require_rotations"},
     # Learning, recorded information, and pictures.
     {"learning/gaussian.py": "_by_row _least _regressed _require_noise gradient"},
-    {"learning/steps.py": "__init__ _lower _require_rank at gradient likeliest maximised"},
+    {"learning/steps.py": "__init__ _lower _rank at gradient likeliest maximised"},
     {
         "learning/residuals.py": "_expected _robust",
         "recordings/drives/pose_graph.py": "covariances",

@@ -14,6 +14,7 @@ from pgm.arguments import public
 from pgm.errors import EvidenceError, ModelError
 from pgm.factors import Gaussian
 from pgm.factors.scope import labels
+from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, Integers
 from pgm.plot.drawing.axes import (
     Unit,
@@ -157,7 +158,7 @@ def _without_jumps(mean: Array, at: Integers, seen: Array) -> tuple[Array, Array
     whole = mean.copy()
     whole[known] = np.unwrap(mean[known])
     near = whole[known[np.searchsorted(known, at).clip(max=known.size - 1)]]
-    return whole, seen + 2.0 * np.pi * np.round((near - seen) / (2.0 * np.pi))
+    return whole, nearest_branch(seen[:, None], near[:, None], np.array([True]))[:, 0]
 
 
 def _of(
