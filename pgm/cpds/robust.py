@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields
-from math import inf, log, log1p, pi, sqrt
+from math import inf, log, pi
 from typing import ClassVar
 
 import numpy as np
@@ -18,14 +18,11 @@ import numpy.typing as npt
 from pgm.arguments import public
 from pgm.boundary import is_number
 from pgm.cpds.radius import Radius, kept
+from pgm.cpds.student_scales import FEWEST, MOST, student_scales
 from pgm.display import ByAttributes
 from pgm.errors import ModelError
 from pgm.kernels.arrays import LOG_2PI, Array, inner
 
-# Student-t noise of degrees of freedom between these is a mixture of Gaussians' scales, whose
-# density is as good as its own to so many deviations, with a relative error of so little.
-_FEWEST, _MOST = 0.5, 30.0
-_REACH, _ERROR = 1e6, 1e-6
 # A weight is no smaller, so that the covariance R / w exists; and one that stands for none, of a
 # square up to 1.
 _LEAST, _NONE = 1e-150, 1e-12
@@ -389,33 +386,6 @@ def _log_rise(a: float, b: float) -> float:
     return float(gammaln(b) - betaln(a, b))
 
 
-def _student_scales(dof: float, size: int) -> tuple[Array, Array]:
-    r"""The weights and factors of Gaussians whose mixture is Student-t noise.
-
-    By the rectangle rule over u = ln λ, λ ~ Gamma(ν/2, ν/2). Of a residual of any square the
-    integrand is the density of the logarithm of a Gamma variable, of shape a = (ν + d) / 2, whose
-    characteristic function is Γ(a + iω) / Γ(a): at ω = 2π / h it is half the relative error of
-    steps h.
-    """
-    from scipy.special import loggamma  # here, since it is slow to import
-
-    shape, half = 0.5 * (dof + size), 0.5 * dof
-    turns = 0.1 * 1.05 ** np.arange(300)
-    small = 2.0 * np.exp(loggamma(shape + 1j * turns).real - loggamma(shape).real) < _ERROR
-    step = 2.0 * pi / turns[small.argmax()]
-    # Beyond its ends the integrand of a residual within reach, of all components or of one, has a
-    # tenth of the error, or less; and so has the probability of λ.
-    rare = -log(0.1 * _ERROR)
-    least = 0.5 * (dof + 1.0)
-    low = log((dof + 1.0) / (dof + _REACH**2)) - rare / least - sqrt(2.0 * rare / least)
-    low = min(low, -rare / half)
-    high = log(1.0 + size / dof) + log1p(rare / half + sqrt(2.0 * rare / half))
-    u = np.arange(low, high + step, step)
-    weights = np.exp(half * (u - np.expm1(u)))
-    some = weights > 0.0
-    return weights[some] / weights.sum(), np.exp(-u[some])
-
-
 @public
 @dataclass(frozen=True)
 class StudentT(_Positive):
@@ -468,7 +438,7 @@ class StudentT(_Positive):
         There are 70 to 160 scales. None for fewer than ½ degrees of freedom, whose tails reach
         further than these, and for more than 30, whose outliers are too rare to be numbers.
         """
-        return _student_scales(self.dof, size) if _FEWEST <= self.dof <= _MOST else None
+        return student_scales(self.dof, size) if FEWEST <= self.dof <= MOST else None
 
     def draw(self, white: Array, rng: np.random.Generator) -> Array:
         """Draws at unit scale: a Gaussian draw divided by √(χ²_ν / ν)."""

@@ -34,7 +34,7 @@ def seem_degrees(angles: Array) -> bool:
 
 
 def in_degrees(table: Array, names: Sequence[str], angles: Collection[str]) -> str | None:
-    """What is odd of the first angle among columns (..., n, d) that `seem_degrees`, in words."""
+    """The fault of the first angle among columns (..., n, d) that `seem_degrees`, in words."""
     for k, name in enumerate(names):
         if name in angles and seem_degrees(column := table[..., k]):
             most = np.nanmax(np.abs(column))

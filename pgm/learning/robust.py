@@ -45,7 +45,7 @@ def is_proper(noise: RobustNoise, count: Integers) -> bool:
 
 
 def counts(noise: RobustNoise, robust: RobustWeights, share: Array) -> Array:
-    """What each row of truncated noise counts for in the mean of moments, κ(h) w.
+    """The count of each row of truncated noise in the mean of moments, κ(h) w.
 
     `share` is h (rows, runs), and so is the result.
     """

@@ -57,7 +57,7 @@ class Group:
         )
 
     def each(self, values: Any, own: int) -> Any:
-        """What all runs share, or each has, (*runs, ...) with so many own axes, as (n, ...)."""
+        """Values (*runs, ...) with so many own axes, which all runs may share, as (n, ...)."""
         found = np.asarray(values)
         lead, rest = found.shape[: found.ndim - own], found.shape[found.ndim - own :]
         flat = found.reshape(math.prod(lead), *rest)
