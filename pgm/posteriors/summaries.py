@@ -170,11 +170,16 @@ def figures(posterior: Any) -> Iterable[str]:
     yield posterior.status._title
 
 
+# A log-probability below this is what rounding leaves of zero.
+_ROUNDED = 1e-12
+
+
 def spread(values: Array, digits: int = 6) -> str:
-    """A number as text, with `digits` significant digits.
+    """Log-probabilities as text, with `digits` significant digits.
 
     Of several runs it is "the least to the largest", each with four digits, unless they are equal.
     """
+    values = np.where(np.abs(values) < _ROUNDED, 0.0, values)
     if not values.ndim:
         return number(float(values), digits)
     if not values.size:

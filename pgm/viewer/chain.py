@@ -1,5 +1,6 @@
 """The page of a chain, or of beliefs over time: the network, and the numbers of its slices."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,7 @@ from pgm.cpds import CPD
 from pgm.kernels.arrays import Array
 from pgm.posteriors.outcome import Outcome
 from pgm.posteriors.shown_slices import Room, ShownSlices, Sighted
+from pgm.variables import Variable
 from pgm.viewer.numbers import (
     EXACT,
     SHOWN,
@@ -21,16 +23,23 @@ from pgm.viewer.numbers import (
     variable,
     went,
 )
+from pgm.viewer.truth import at_steps
 
 
 def page(
-    outcome: Outcome[Any], numbers: Numbers, runs: list[Run], span: range, limits: Limits
+    outcome: Outcome[Any],
+    numbers: Numbers,
+    runs: list[Run],
+    span: range,
+    limits: Limits,
+    truth: Mapping[Variable, Array],
 ) -> dict[str, Any]:
-    """The structure of the page, its numbers added."""
+    """The structure of the page, its numbers added; `truth` as `truths` makes it."""
     graph, log_evidence = outcome.graph, np.asarray(outcome.log_evidence)
     model, states = graph.model, graph.layout.states
     shown = outcome.slices(span, Room(limits.numbers, limits.entries))
     rows = []
+    held = range(shown.first, span[-1] + 1)
     for run in runs:
         place = int(np.ravel_multi_index(run, log_evidence.shape)) if run else 0
         arrays = {
@@ -42,6 +51,10 @@ def page(
                 "log_evidence": number(float(log_evidence[run])),
                 "went": None if outcome.status._told else went(outcome.status, place),
                 "arrays": arrays,
+                "truth": {
+                    v.name: numbers.add(at_steps(values[run], held, graph.steps), SHOWN)
+                    for v, values in truth.items()
+                },
                 "sensors": [
                     found
                     for sensor, sighted in shown.sensors.items()

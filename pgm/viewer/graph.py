@@ -14,7 +14,9 @@ from pgm.errors import GraphError, NumericalError
 from pgm.factors import CanonicalForm, Gaussian, Table
 from pgm.factors.scope import Scope
 from pgm.inference import CliqueTree
+from pgm.kernels.arrays import Array
 from pgm.variables import Variable
+from pgm.viewer.moved import moved
 from pgm.viewer.numbers import (
     SHOWN,
     Limits,
@@ -33,14 +35,21 @@ from pgm.viewer.placing import place
 _MOST = 26
 
 
-def page(posterior: Any, numbers: Numbers, runs: list[Run], limits: Limits) -> dict[str, Any]:
-    """The structure of the page, its numbers added."""
+def page(
+    posterior: Any,
+    numbers: Numbers,
+    runs: list[Run],
+    limits: Limits,
+    truth: Mapping[Variable, Array],
+) -> dict[str, Any]:
+    """The structure of the page, its numbers added; `truth` as `truths` makes it."""
     graph, writer = posterior.graph, Writer(posterior, numbers, runs, limits)
     shown, note = _shown(graph, limits)
     log_evidence = np.asarray(posterior.log_evidence)
     flat = [int(np.ravel_multi_index(run, log_evidence.shape)) if run else 0 for run in runs]
     found = drawn(writer, graph, shown, [posterior.entered(at) for at in flat])
     edges = [tuple(edge["ends"]) for edge in found["edges"]]
+    changes = moved(posterior, writer.places) if limits.moved else {}
     return found | {
         "cut": note,
         "runs": [
@@ -49,6 +58,12 @@ def page(posterior: Any, numbers: Numbers, runs: list[Run], limits: Limits) -> d
                 "log_evidence": number(float(log_evidence[run])),
                 "went": went(posterior.status, at),
                 "edges": _residuals(posterior, numbers, edges, at),
+                "moved": {
+                    repr(v): float(value)
+                    for v, each in changes.items()
+                    if np.isfinite(value := np.broadcast_to(each, log_evidence.shape)[run])
+                },
+                "truth": _true(writer, truth, run),
             }
             for run, at in zip(runs, flat, strict=True)
         ],
@@ -133,6 +148,18 @@ def _shown(graph: ClusterGraph, limits: Limits) -> tuple[list[int], str | None]:
     return sorted(seen), note
 
 
+def _true(writer: Writer, truth: Mapping[Variable, Array], run: Run) -> dict[str, Any]:
+    """The true values of variables on a page in one run, by name; x[3] is one of those of x."""
+    found = {}
+    for v in writer.places:
+        if v in truth:
+            found[repr(v)] = truth[v][run]
+        elif v.step is not None and v.template in truth:
+            own = truth[v.template][run]
+            found[repr(v)] = own[v.step - (writer.posterior.graph.steps + 1 - len(own))]
+    return {name: [number(value) for value in values] for name, values in found.items()}
+
+
 def _told(value: Any) -> str:
     """The evidence of a variable, as text."""
     if value is None:
@@ -176,6 +203,7 @@ class Writer:
     """The factors of a posterior in the numbers of a page, and the variables that they are over.
 
     variables: Those met so far, as the page names them.
+    places: Where each of them stands among these.
     scopes: The variables without evidence of each cluster whose belief was written.
     """
 
@@ -183,16 +211,16 @@ class Writer:
         self.posterior, self.numbers, self.runs, self.limits = posterior, numbers, runs, limits
         self.variables: list[dict[str, Any]] = []
         self.scopes: dict[int, Scope] = {}
-        self._places: dict[Variable, int] = {}
+        self.places: dict[Variable, int] = {}
 
     def names(self, scope: Iterable[Variable]) -> list[int]:
         """The variables of a scope, by their place in the page's list."""
         found = []
         for each in scope:
-            if each not in self._places:
-                self._places[each] = len(self.variables)
+            if each not in self.places:
+                self.places[each] = len(self.variables)
                 self.variables.append(variable(each))
-            found.append(self._places[each])
+            found.append(self.places[each])
         return found
 
     def factors(self, make: Callable[..., Factor], *of: int, scope: Scope) -> list[dict[str, Any]]:

@@ -27,7 +27,9 @@ def page(grown: GrowingMap, numbers: Numbers, limits: Limits) -> dict[str, Any]:
         variable["anew"] = variable["name"] in anew
     return found | {
         "cut": _cut(tree, count),
-        "runs": [{"run": [], "log_evidence": None, "went": None, "edges": None}],
+        "runs": [
+            {"run": [], "log_evidence": None, "went": None, "edges": None, "moved": {}, "truth": {}}
+        ],
         "touched": {"cliques": len(tree.touched), "anew": _named(grown.relinearised)},
     }
 

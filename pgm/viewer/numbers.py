@@ -26,6 +26,7 @@ class Limits:
 
     entries: Of a table; of larger ones the largest entries are kept, and the marginals.
     refuse: Whether more steps are an error, and not cut.
+    moved: Whether it tells how far evidence moved beliefs, for which the prior is inferred.
     """
 
     runs: int
@@ -34,10 +35,11 @@ class Limits:
     entries: int
     numbers: int
     refuse: bool
+    moved: bool
 
 
-FILE = Limits(8, 20_000, 2_000, 4_096, 8_000_000, True)
-CELL = Limits(1, 200, 150, 256, 200_000, False)
+FILE = Limits(8, 20_000, 2_000, 4_096, 8_000_000, True, True)
+CELL = Limits(1, 200, 150, 256, 200_000, False, False)
 
 
 def chosen_runs(
@@ -173,6 +175,7 @@ def variable(given: Variable) -> dict[str, Any]:
         "name": repr(given),
         "components": list(given.components),
         "angles": given.angle_mask.tolist(),
+        "units": list(given.units),
     }
 
 

@@ -21,6 +21,7 @@ from pgm.posteriors.outcome import BY_PATTERN, CHAIN, MARGINALS, MIXTURES, SLICE
 from pgm.viewer import chain, graph, growing
 from pgm.viewer.numbers import CELL, FILE, Limits, Numbers, Run, chosen_runs, chosen_steps
 from pgm.viewer.scripts import script
+from pgm.viewer.truth import Truth, truths
 
 # The forms of beliefs that a page shows step by step, and not cluster by cluster.
 _OVER_TIME = (CHAIN, SLICES, MARGINALS, SWITCHING)
@@ -34,13 +35,15 @@ def view(
     *,
     run: int | Sequence[int] | Sequence[Run] | None = None,
     steps: tuple[int, int] | None = None,
+    truth: Truth | None = None,
 ) -> Path:
     """Write a page on which a posterior's cluster graph, or a map's, is looked at in a browser.
 
     It is one file that needs no network: pan and zoom the graph, find a variable, click a cluster
     for its potential, its belief and the messages it received, or an edge for both messages. A
     chain has a slider over its steps and its trajectory beside it, an iterated schedule one over
-    its iterations.
+    its iterations. Without time, clusters are coloured by how far the evidence moved a variable of
+    theirs from its prior, KL(posterior ‖ prior) in nats, for which the prior is inferred, too.
 
     Parameters
     ----------
@@ -53,6 +56,11 @@ def view(
         Which runs of a batch; the first eight without.
     steps : (int, int), optional
         The first and the last step of a chain to show; all without, 20,000 at most.
+    truth : mapping of Variable to array_like, or Sample, optional
+        True values, shown beside the beliefs: of a state (*runs, T+1, d), of a hidden control
+        (*runs, T, d), without time (*runs, d), or any without the axes of runs, for all of them;
+        of discrete variables names or indices of states, without the last axis. NaN, or −1, is not
+        known. Variables that were observed are left out, so that `model.sample()` may be given.
 
     Returns
     -------
@@ -62,8 +70,8 @@ def view(
     Raises
     ------
     GraphError
-        If it is neither posterior nor map, there is no such run or step, or a page would not hold
-        them.
+        If it is neither posterior nor map, there is no such run or step, a page would not hold
+        them, or the truth does not fit.
     OSError
         If the file cannot be written.
 
@@ -77,7 +85,7 @@ def view(
     'run.html'
     """
     target = Path(path)
-    target.write_text(assembled(*_content(posterior, run, steps, FILE)), encoding="utf-8")
+    target.write_text(assembled(*_content(posterior, run, steps, FILE, truth)), encoding="utf-8")
     return target
 
 
@@ -95,10 +103,14 @@ def html(posterior: Posterior[Any] | GrowingMap) -> str:
 
 
 def _content(
-    posterior: Any, run: Any, steps: tuple[int, int] | None, limits: Limits
+    posterior: Any,
+    run: Any,
+    steps: tuple[int, int] | None,
+    limits: Limits,
+    truth: Truth | None = None,
 ) -> tuple[dict[str, Any], Numbers]:
     if isinstance(posterior, GrowingMap):
-        return _of_map(posterior, run, steps, limits)
+        return _of_map(posterior, run, steps, truth, limits)
     if not isinstance(posterior, Posterior):
         raise GraphError(
             f"view shows a posterior, as pgm.infer, filter and smooth return, or a growing map, "
@@ -118,14 +130,14 @@ def _content(
         )
     lead = np.asarray(posterior.log_evidence).shape
     runs, few = chosen_runs(run, lead, limits)
-    numbers = Numbers()
+    numbers, true = Numbers(), truths(posterior, truth)
     if outcome.form in _OVER_TIME:
         span, cut = chosen_steps(steps, posterior.graph.steps, limits)
-        found = chain.page(outcome, numbers, runs, span, limits)
+        found = chain.page(outcome, numbers, runs, span, limits, true)
     elif steps is not None:
         raise GraphError("steps=(first, last) cuts a chain; this graph has no steps: leave it out")
     else:
-        found = graph.page(outcome, numbers, runs, limits)
+        found = graph.page(outcome, numbers, runs, limits, true)
         cut = found["cut"]
     found["notes"] = [note for note in (few, cut) if note]
     found["evidence"] = str(posterior.log_evidence_kind)
@@ -134,9 +146,9 @@ def _content(
 
 
 def _of_map(
-    grown: GrowingMap, run: Any, steps: Any, limits: Limits
+    grown: GrowingMap, run: Any, steps: Any, truth: Any, limits: Limits
 ) -> tuple[dict[str, Any], Numbers]:
-    for name, value in (("run", run), ("steps", steps)):
+    for name, value in (("run", run), ("steps", steps), ("truth", truth)):
         if value is not None:
             raise GraphError(f"{name}={value!r}: a growing map has no {name}; leave it out")
     if not len(grown.cliques):

@@ -61,6 +61,15 @@ def smoothed():
 
 
 @cache
+def simulated():
+    """A drive drawn from the model, and its smoothed beliefs."""
+    due = drive()
+    seen = pgm.sightings(step=due[z].step, given=due[z].given)
+    drawn = robot().sample({u: due[u], z: seen}, rng=1)
+    return drawn, pgm.smooth(robot(), drawn.evidence)
+
+
+@cache
 def filtered():
     return pgm.filter(robot(), drive())
 

@@ -83,7 +83,7 @@ def test_the_numbers_are_those_of_the_tree(tmp_path):
 def test_large_maps_show_what_was_touched_and_then_the_nearest():
     grown = chain(400)
     tree = grown.cliques
-    few = Limits(1, 1, len(tree.touched) + 2, 1, 1, False)
+    few = Limits(1, 1, len(tree.touched) + 2, 1, 1, False, False)
     page = growing.page(grown, Numbers(), few)
     shown = [cluster["index"] for cluster in page["clusters"]]
     assert shown == list(range(len(tree.touched) + 2))

@@ -328,3 +328,84 @@ def test_a_single_gaussian_has_no_weights(tmp_path):
     data = data_of(written(pgm.filter(still, {z: [[0.1]]}), tmp_path))
     assert "weights" not in data["runs"][0]["arrays"]
     assert "states.0" in data["runs"][0]["arrays"]
+
+
+def test_evidence_moves_beliefs_by_their_divergence_from_the_prior(tmp_path):
+    """By the dense joint of a lattice, on a tree and round loops."""
+    for method in (pgm.JunctionTree(), pgm.Bethe()):
+        posterior = posteriors.lattice(3, method=method)
+        names = [v.name for v in posterior.graph.network.variables]
+        cov = np.zeros((9, 9))
+        for k, cpd in enumerate(posterior.graph.network.cpds):
+            weights = np.zeros(9)
+            weights[[names.index(v.name) for v in cpd.parents]] = 0.45
+            cov[k, :k] = cov[:k, k] = weights[:k] @ cov[:k, :k]
+            cov[k, k] = 1.0 + weights[:k] @ cov[:k, :k] @ weights[:k]
+        gain = cov[:, 8] / cov[8, 8]
+        prior, mean = np.diag(cov)[:8], 2.0 * gain[:8]
+        ratio = 1.0 - gain[:8] * cov[:8, 8] / prior
+        due = 0.5 * (ratio - 1.0 - np.log(ratio) + mean**2 / prior)
+        found = data_of(written(posterior, tmp_path))["runs"][0]["moved"]
+        assert found.keys() == set(names[:8])
+        values = [found[name] for name in names[:8]]
+        # Round loops beliefs have the right means and other variances.
+        np.testing.assert_allclose(values, due, rtol=1e-9 if method == pgm.JunctionTree() else 0.3)
+
+
+def test_what_has_no_prior_is_not_coloured(tmp_path):
+    """Inputs have no distribution, and a flat Markov network has none without evidence."""
+    a, b = pgm.variables("a b")
+    net = pgm.BayesianNetwork([pgm.LinearGaussianCPD(b, {a: 1.0}, cov=1.0)])
+    page = written(pgm.infer(pgm.compile(net), {a: 1.0}), tmp_path)
+    assert data_of(page)["runs"][0]["moved"] == {}
+    assert data_of(written(posteriors.balanced(), tmp_path))["runs"][0]["moved"] == {}
+
+
+def test_truths_of_a_page(tmp_path):
+    drawn, posterior = posteriors.simulated()
+    page = written(posterior, tmp_path, truth=drawn, steps=(10, 20))
+    (ref,) = data_of(page)["runs"][0]["truth"].values()
+    found = numbers_of(page)[ref["at"] :][: ref["rows"] * ref["columns"]]
+    np.testing.assert_allclose(
+        found.reshape(ref["columns"], ref["rows"]).T, drawn[posteriors.x][9:21], rtol=1e-8
+    )
+    (a, *_), tree = posteriors.tree().graph.network.variables, posteriors.tree()
+    for given in ("yes", 1):
+        assert data_of(written(tree, tmp_path, truth={a: given}))["runs"][0]["truth"] == {"a": [1]}
+    assert data_of(written(tree, tmp_path, truth={a: -1}))["runs"][0]["truth"] == {"a": [None]}
+    balanced = posteriors.balanced()
+    p = balanced.graph.layout.states[0]
+    true = np.arange(18.0).reshape(9, 2)
+    found = data_of(written(balanced, tmp_path, truth={p: true}))["runs"][0]["truth"]
+    assert found == {f"p[{t}]": true[t].tolist() for t in range(9)}
+
+
+def test_a_hidden_control_is_true_from_its_first_step(tmp_path):
+    posterior = posteriors.driven()
+    push = next(v for v in posterior.graph.layout.slice if v.name == "push")
+    page = written(posterior, tmp_path, truth={push: np.arange(1.0, 9.0)[:, None]})
+    ref = data_of(page)["runs"][0]["truth"]["push"]
+    found = numbers_of(page)[ref["at"] :][: ref["rows"]]
+    np.testing.assert_array_equal(found, [np.nan, *range(1, 9)])
+
+
+@pytest.mark.parametrize(
+    ("truth", "word"),
+    [
+        (lambda x, w: {x: np.zeros((41, 2))}, r"shape \(41, 2\); \(41, 3\) was due"),
+        (lambda x, w: {x: np.zeros((40, 3))}, r"shape \(40, 3\); \(41, 3\) was due"),
+        (lambda x, w: {x: (np.arange(41.0) * 40 % 360)[:, None] * np.ones(3)}, "degrees"),
+        (lambda x, w: {w: ["sun"] * 41}, "which the network does not have"),
+        (lambda x, w: {"x": np.zeros((41, 3))}, "use the variable itself"),
+        (lambda x, w: np.zeros((41, 3)), "truth= maps variables to their true values"),
+    ],
+)
+def test_truths_that_do_not_fit_are_refused(truth, word, tmp_path):
+    with pytest.raises(pgm.PgmError, match=word):
+        written(posteriors.smoothed(), tmp_path, truth=truth(posteriors.x, posteriors.weather))
+    assert not (tmp_path / "page.html").exists()
+
+
+def test_a_true_state_is_one_of_its_states(tmp_path):
+    with pytest.raises(pgm.ModelError, match="has no state 'snow'"):
+        written(posteriors.days(), tmp_path, truth={posteriors.weather: ["snow"] * 9})

@@ -13,7 +13,7 @@ class ChainSource {
     this.states = data.variables.filter((variable) => variable.state);
     this.run = 0;
     const some = [this.first, Math.min(this.first + 1, this.last), this.last];
-    this.width = Math.max(72, 24 + Math.max(...some.map((step) => measured(this.label(step)))));
+    this.width = Math.max(72, 24 + Math.max(...some.map((step) => measured(listedNames(this.names(step), 28)))));
     const names = this.at(this.states, this.last).map((v) => v.name);
     this.plate = 16 + measured(listedNames(names, 18), 11);
     this.across = this.width + this.plate + 32;
@@ -32,6 +32,7 @@ class ChainSource {
       values: new Rows(this.numbers, sensor.values),
       given: sensor.given.map((parent) => ({ ...parent, rows: new Rows(this.numbers, parent.values) })),
     }));
+    this.true = new Map(Object.entries(own.truth).map(([name, ref]) => [name, new Rows(this.numbers, ref)]));
   }
 
   get run() {
@@ -49,14 +50,22 @@ class ChainSource {
     return [...this.at(this.states, step - 1), ...this.at(this.hidden, step)];
   }
 
-  label(step) {
-    return listedNames(this.scope(step).map((variable) => variable.name), 28);
+  names(step) {
+    return this.scope(step).map((variable) => variable.name);
+  }
+
+  // The true value of a variable at a step, as x[3]; null of one not given.
+  truth(name) {
+    const [, template, step] = name.match(/^(.*)\[(\d+)\]$/s) ?? [];
+    const row = Number(step) - this.base;
+    return row >= 0 ? this.true.get(template)?.row(row) ?? null : null;
   }
 
   node(id) {
     if (!(id >= this.first && id <= this.last)) return null;
     const x = (id - this.first) * this.across;
-    return { id, x, y: 0, width: this.width, label: this.label(id), note: this.seen(id) };
+    const note = this.seen(id);
+    return { id, x, y: 0, width: this.width, names: this.names(id), note, evidence: Boolean(note) };
   }
 
   // The sensors read at a step, and how often.
@@ -67,6 +76,11 @@ class ChainSource {
       if (count) found.push(child.name + (count > 1 ? ` ×${count}` : ""));
     }
     return clipped(found.join("  "), 22);
+  }
+
+  // What a chain knew without evidence is not in the page.
+  moved() {
+    return [];
   }
 
   neighbours(id) {
@@ -119,8 +133,7 @@ class ChainSource {
       for (const row of rows) observed.push(`${child.name}[${id}] = ${read(child, values.row(row))}`);
       count += rows.length;
     }
-    const variables = this.scope(id).map((variable) => variable.name);
-    return { variables, observed, cpds, cut: [], count };
+    return { variables: this.names(id), observed, cpds, cut: [], count };
   }
 
   // The places of the states among the components of the slice.

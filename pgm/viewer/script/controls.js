@@ -107,6 +107,17 @@ function residualKey() {
   return el("div", { class: "key" }, el("span", {}, "change along edges"), el("span", { class: "number" }, "≤ 1e−8"), bar, el("span", { class: "number" }, "≥ 1"));
 }
 
+// How far evidence moved the beliefs of clusters, and which hold it.
+function movedKey() {
+  const share = (at) => {
+    const block = svg("svg", { width: 22, height: 12, class: "node moved", "aria-hidden": "true" }, svg("rect", { x: 1.5, y: 1.5, width: 19, height: 9, rx: 4.5 }));
+    block.style.setProperty("--share", `${100 * at}%`);
+    return block;
+  };
+  const holds = svg("svg", { width: 22, height: 12, class: "node evidence", "aria-hidden": "true" }, svg("rect", { x: 1.5, y: 1.5, width: 19, height: 9, rx: 4.5 }));
+  return el("div", { class: "key" }, el("span", {}, "moved by the evidence"), el("span", { class: "number" }, "≤ 0.001"), ...[0, 1 / 3, 2 / 3, 1].map(share), el("span", {}, "≥ 1 nat"), holds, el("span", {}, "holds evidence"));
+}
+
 // Of a growing map: the clusters that its last addition touched.
 function touchedKey() {
   const block = svg("svg", { width: 22, height: 12, class: "node touched", "aria-hidden": "true" }, svg("rect", { x: 1.5, y: 1.5, width: 19, height: 9, rx: 4.5 }));
@@ -199,7 +210,7 @@ function helpDialog() {
   const rows = KEYS.map(([key, text]) => el("tr", {}, el("th", { scope: "row" }, el("kbd", {}, key)), el("td", {}, text)));
   const close = el("button", { type: "button" }, "close");
   const dialog = el("dialog", { "aria-labelledby": "help-title" }, el("h2", { id: "help-title" }, "Keys"), el("table", {}, el("tbody", {}, ...rows)),
-    el("p", { class: "aside" }, "Click a cluster for its potential, belief and the messages it received; an edge for both its messages. Drag to move, turn the wheel to zoom. Numbers are shown to six digits; hold the pointer over one for all of them. Ellipses and bands hold 95 %."), close);
+    el("p", { class: "aside" }, "Click a cluster for its potential, belief and the messages it received; an edge for both its messages. Drag to move, turn the wheel to zoom. Names too small to read are left out: point at a cluster for them, or zoom in. Numbers are shown to six digits; hold the pointer over one for all of them. Ellipses and bands hold 95 %."), close);
   close.addEventListener("click", () => dialog.close());
   document.body.append(dialog);
   return dialog;

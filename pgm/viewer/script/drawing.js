@@ -1,7 +1,12 @@
 // The cluster graph: clusters as rounded shapes, sepsets as rectangles; panned, zoomed, clicked.
 
-const NEAR = 0.55;
-const MID = 0.28;
+// From this zoom on all is written: names, numbers of clusters, sepsets. Below it names alone, in
+// letters that stay so many pixels tall, and none where these would be taller than that share of a
+// cluster.
+const NEAR = 0.8;
+const LETTERS = 12;
+const LEAST = 10;
+const TALL = 0.75;
 // Names of the lines in which messages are drawn; more than these share the last.
 const LINES = ["first", "second", "third", "fourth"];
 
@@ -22,10 +27,13 @@ class Drawing {
     this.selected = null;
     this.residuals = null;
     this.view = { x: 0, y: 0, zoom: 1 };
+    this.letters = LETTERS;
     this.edgeLayer = svg("g", { class: "edges" });
     this.nodeLayer = svg("g", { class: "nodes" });
     this.world = svg("g", {}, this.edgeLayer, this.nodeLayer);
     this.svg.append(this.world);
+    this.tip = el("div", { id: "tip", "aria-hidden": "true", hidden: true });
+    this.svg.after(this.tip);
     this.listen();
     new ResizeObserver(() => this.resized()).observe(this.svg);
   }
@@ -132,6 +140,20 @@ class Drawing {
       if (!(this.source instanceof ChainSource)) this.view.y = from.view.y - dy / this.view.zoom;
       this.render();
     });
+    // What is under the cursor is told beside it at once, however small it is drawn.
+    this.svg.addEventListener("pointermove", (event) => {
+      const under = event.target.closest("[data-cluster], [data-edge]");
+      this.tip.hidden = !under || moved;
+      if (!under) return;
+      const box = this.svg.getBoundingClientRect();
+      const [x, y] = [event.clientX - box.left, event.clientY - box.top];
+      this.tip.textContent = under.getAttribute("aria-label");
+      this.tip.style.left = `${Math.max(8, Math.min(x + 12, box.width - this.tip.offsetWidth - 8))}px`;
+      this.tip.style.top = `${y + 20 + this.tip.offsetHeight > box.height ? y - this.tip.offsetHeight - 10 : y + 20}px`;
+    });
+    this.svg.addEventListener("pointerleave", () => {
+      this.tip.hidden = true;
+    });
     const ended = () => {
       from = null;
       this.svg.classList.remove("dragged");
@@ -167,11 +189,25 @@ class Drawing {
     const { x, y, zoom } = this.view;
     const shift = `translate(${0.5 * width - x * zoom} ${0.5 * height - y * zoom}) scale(${zoom})`;
     this.world.setAttribute("transform", shift);
-    this.svg.classList.toggle("near", zoom >= NEAR);
-    this.svg.classList.toggle("far", zoom < MID);
+    this.write(zoom);
     const box = this.box(80);
     this.keep(this.edgeLayer, this.wires, this.source.edgesIn(box).map((e) => [e.id, e]), (e) => this.drawnEdge(e));
     this.keep(this.nodeLayer, this.nodes, this.source.nodesIn(box).map((id) => [id, id]), (id) => this.drawnNode(id));
+  }
+
+  // Letters as large as a zoom needs them, in steps, so that few zooms write everything anew.
+  write(zoom) {
+    const letters = zoom >= NEAR ? LETTERS : LETTERS * 1.15 ** Math.ceil(Math.log(LEAST / (LETTERS * zoom)) / Math.log(1.15));
+    this.svg.classList.toggle("near", zoom >= NEAR);
+    this.svg.classList.toggle("far", letters > TALL * this.source.height);
+    if (letters === this.letters) return;
+    this.letters = letters;
+    this.clear(this.nodes);
+  }
+
+  clear(drawn) {
+    for (const element of drawn.values()) element.remove();
+    drawn.clear();
   }
 
   // Draw what has come into view, and remove what has left it.
@@ -196,19 +232,42 @@ class Drawing {
     const height = this.source.height;
     const half = 0.5 * height;
     const text = (y, name, content) => svg("text", { y, class: name }, content);
+    const near = this.letters === LETTERS;
+    const room = this.letters <= TALL * height;
+    const label = room ? fittedNames(node.names, node.width - (near ? 14 : 4), this.letters) : "";
+    const below = node.note === undefined ? half - 11 : 5;
+    const kinds = ["node", node.touched && "touched", node.evidence && "evidence"].filter(Boolean);
     const group = svg("g", {
-      class: node.touched ? "node touched" : "node", "data-cluster": id, transform: `translate(${node.x} ${node.y})`,
-      role: "button", "aria-label": `cluster ${id}: ${node.label}${node.note ? `; reads ${node.note}` : ""}${node.touched ? "; touched" : ""}`,
+      class: kinds.join(" "), "data-cluster": id, transform: `translate(${node.x} ${node.y})`,
+      role: "button", "aria-label": this.told(id),
     },
-    svg("title", {}, `cluster ${id}: ${this.source.about(id).variables.join(", ")}`),
     svg("rect", {
       x: -0.5 * node.width, y: -half, width: node.width, height, rx: Math.min(half, 22),
     }),
-    text(-half + 14, "tag", node.touched ? `${id} touched` : id),
-    text(node.note === undefined ? half - 11 : 5, "label", node.label),
-    node.note ? text(half - 8, "note", node.note) : null);
+    near ? text(-half + 14, "tag", node.touched ? `${id} touched` : id) : null,
+    label ? text(near ? below : 0.35 * this.letters, "label", label) : null,
+    near && node.note ? text(half - 8, "note", node.note) : null);
+    group.querySelector(".label")?.style.setProperty("font-size", `${this.letters}px`);
+    const [most] = this.source.moved(id);
+    if (most) {
+      group.classList.add("moved");
+      group.style.setProperty("--share", `${Math.round(100 * movedShare(most[1]))}%`);
+    }
     this.chosen(group, this.selected?.id === id);
     return group;
+  }
+
+  // A cluster in words: its variables, what it reads, how far evidence moved it.
+  told(id) {
+    const { variables, observed } = this.source.about(id);
+    const { note, touched } = this.source.node(id);
+    const [most] = this.source.moved(id);
+    const parts = [`cluster ${id}: ${variables.join(", ") || "∅"}`];
+    if (note) parts.push(`reads ${note}`);
+    else if (observed.length) parts.push(`observed: ${observed.join(", ")}`);
+    if (touched) parts.push("touched");
+    if (most) parts.push(`evidence moved ${most[0]} by ${short(most[1])} nats`);
+    return parts.map((part) => clipped(part, 400)).join("; ");
   }
 
   // What is selected, and its edges, are reached by Tab.
@@ -225,9 +284,8 @@ class Drawing {
     const wide = Math.max(24, 14 + measured(edge.label, 11));
     const group = svg("g", {
       class: "edge", "data-edge": edge.id, role: "button",
-      "aria-label": `messages between clusters ${i} and ${j}, over ${edge.label}`,
+      "aria-label": `messages between clusters ${i} and ${j}, over ${edge.names.join(", ")}`,
     },
-    svg("title", {}, `messages between ${i} and ${j}, over ${edge.names.join(", ")}`),
     svg("path", { class: "hit", d: route.path }),
     svg("path", { class: "wire", d: route.path }),
     svg("g", { class: "plate", transform: `translate(${route.x} ${route.y})` },
@@ -304,10 +362,8 @@ class Drawing {
 
   // Draw everything anew, as for another run.
   redraw() {
-    for (const drawn of [this.nodes, this.wires]) {
-      for (const element of drawn.values()) element.remove();
-      drawn.clear();
-    }
+    this.clear(this.nodes);
+    this.clear(this.wires);
     this.render();
   }
 
@@ -340,6 +396,11 @@ const CIVIDIS = [[0, 52, 110], [62, 76, 109], [107, 108, 115], [146, 141, 118], 
 // On a dark page its dark end is lighter.
 const ON_DARK = [[58, 108, 182], [92, 118, 160], [124, 132, 146], [156, 153, 126], [204, 186, 98], [253, 231, 55]];
 const dark = window.matchMedia("(prefers-color-scheme: dark)");
+
+// Evidence that moved a belief by 0.001 nats or less is not seen, by 1 or more in full colour.
+function movedShare(nats) {
+  return Math.min(Math.max(1 + Math.log10(nats) / 3, 0), 1);
+}
 
 function residualShare(value) {
   if (!(value > 0)) return 0;

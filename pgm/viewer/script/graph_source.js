@@ -20,7 +20,7 @@ class GraphSource {
         width: data.places.width[k],
         towards: data.places.towards[k],
         names,
-        label: fittedNames(names, data.places.width[k] - 14),
+        evidence: cluster.observed.length > 0,
         neighbours: [],
       });
     });
@@ -37,6 +37,18 @@ class GraphSource {
 
   node(id) {
     return this.clusters.get(id) ?? null;
+  }
+
+  // How far evidence moved each variable of a cluster from its prior, in nats, the furthest first.
+  moved(id) {
+    const { moved } = this.data.runs[this.run];
+    const found = this.clusters.get(id).names.map((name) => [name, moved[name] ?? NaN]);
+    return found.filter(([, nats]) => !Number.isNaN(nats)).sort(([, a], [, b]) => b - a);
+  }
+
+  // The true value of a variable, its components or the index of its state; null of one not given.
+  truth(name) {
+    return this.data.runs[this.run].truth[name] ?? null;
   }
 
   neighbours(id) {
@@ -88,6 +100,7 @@ class GraphSource {
       }),
       cpds: cluster.cpds.map((given) => cpdText(given, null)),
       cut: cluster.cut,
+      moved: new Map(this.moved(id)),
       anew: new Set(cluster.scope.map((v) => this.data.variables[v]).filter((v) => v.anew).map((v) => v.name)),
       role: this.role(cluster),
     };

@@ -41,8 +41,7 @@ class Inspector {
     entries.push({ role: "potential", title: "potential", key: "potential", factor: source.potential(id) });
     const chips = el("ul", { class: "chips" });
     for (const name of about.variables) {
-      const anew = about.anew?.has(name);
-      chips.append(el("li", { class: anew ? "anew" : null, title: anew ? "linearised anew by the last addition" : null }, anew ? `${name} anew` : name));
+      chips.append(chip(name, about));
     }
     for (const name of about.observed.slice(0, 40)) chips.append(el("li", { class: "observed", title: "observed" }, name));
     if (about.observed.length > 40) chips.append(el("li", { class: "observed" }, `+${about.observed.length - 40} observed`));
@@ -92,14 +91,14 @@ class Inspector {
       const names = variables.map((variable) => variable.name);
       const fallback = this.source instanceof ChainSource ? names.length - 1 : 0;
       this.choice(box, [{ names, label: "variable", fallback, key: "state" }], ([name]) => (
-        [this.legend(entries, having(tables, name)), bars(tables, name, variables[names.indexOf(name)].states)]));
+        [this.legend(entries, having(tables, name)), bars(tables, name, variables[names.indexOf(name)].states, this.source.truth(name)?.[0])]));
       return box;
     }
     const drawn = entries.filter(({ factor }) => factor.type === "gaussian" && factor.moments);
     if (!drawn.length || !widest(drawn).factor.variables.length) return null;
     const axes = axesOf(widest(drawn).factor.variables);
     if (axes.names.length === 1) {
-      const parts = partsOf(drawn, axes, axes.names);
+      const parts = this.parts(drawn, axes, axes.names);
       box.append(this.legend(entries), parts.length ? bells(parts, axes.names[0]) : NOTHING);
       return box;
     }
@@ -111,12 +110,19 @@ class Inspector {
     ];
     this.choice(box, choices, (wanted) => {
       const same = wanted[0] === wanted[1];
-      const parts = partsOf(drawn, axes, same ? wanted.slice(0, 1) : wanted);
+      const parts = this.parts(drawn, axes, same ? wanted.slice(0, 1) : wanted);
       const alike = axes.shared && !wanted.some((name) => angles.has(name));
       if (!parts.length) return [this.legend(entries, parts), NOTHING];
       return [this.legend(entries, parts), same ? bells(parts, wanted[0]) : ellipses(parts, wanted, alike)];
     });
     return box;
+  }
+
+  // What is drawn of factors, and the true values of the variables of the widest.
+  parts(drawn, axes, wanted) {
+    const parts = partsOf(drawn, axes, wanted);
+    const found = truthPoints(drawn, axes, wanted, (name) => this.source.truth(name));
+    return Object.assign(parts, { truth: parts.length ? found : [] });
   }
 
   // Selectors whose choice stays from one selection to the next.
@@ -145,6 +151,7 @@ class Inspector {
 
   legend(entries, parts = null) {
     const drawn = parts && new Set(parts.map((each) => each.role));
+    const truth = parts?.truth?.length ? el("li", {}, sample("truth"), "truth") : null;
     const items = entries.map(({ role, title, factor }) => {
       const flat = factor.type === "gaussian" && !factor.moments;
       const missing = factor.type === "none" || flat || (drawn && !drawn.has(role));
@@ -152,7 +159,7 @@ class Inspector {
       const why = flat ? el("span", { class: "aside" }, "no moments") : null;
       return el("li", { class: missing ? "missing" : "" }, sample(role), name, why);
     });
-    return el("ul", { class: "legend" }, ...items);
+    return el("ul", { class: "legend" }, ...items, truth);
   }
 
   section({ role, title, key, factor, from, wide }) {
@@ -162,10 +169,20 @@ class Inspector {
       if (!wide) this.open[kind] = details.open;
     });
     details.append(el("summary", {}, sample(role), el("span", {}, title[0].toUpperCase() + title.slice(1))));
-    details.append(...numbersOf(factor));
+    details.append(...numbersOf(factor, role === "belief" ? (name) => this.source.truth(name) : () => null));
     if (from !== undefined && this.source.node(from)) details.append(el("p", { class: "ends" }, this.link(from)));
     return details;
   }
+}
+
+// A variable: whether it was linearised anew, or how far evidence moved it.
+function chip(name, { anew, moved }) {
+  if (anew?.has(name)) return el("li", { class: "anew", title: "linearised anew by the last addition" }, `${name} anew`);
+  if (!moved?.has(name)) return el("li", {}, name);
+  const nats = moved.get(name);
+  const found = el("li", { class: "moved", title: `the evidence moved it by ${short(nats)} nats from its prior` }, name);
+  found.style.setProperty("--share", `${Math.round(100 * movedShare(nats))}%`);
+  return found;
 }
 
 function sample(role) {
@@ -185,23 +202,42 @@ function product(a, b) {
 }
 
 // All numbers of a factor.
-function numbersOf(factor) {
+function numbersOf(factor, truth) {
   if (factor.type === "none") return [el("p", { class: "aside" }, factor.why)];
-  if (factor.type === "gaussian") return gaussianNumbers(factor);
-  return tableNumbers(factor);
+  if (factor.type === "gaussian") return gaussianNumbers(factor, truth);
+  return tableNumbers(factor, truth);
 }
 
-function gaussianNumbers(factor) {
+// The true values of a factor's components, and the errors of its means in deviations, as columns
+// of a table; none where none is known.
+function truthColumns(factor, truth) {
+  const { mean, cov } = factor.moments;
+  const n = mean.length;
+  const values = factor.variables.flatMap(({ name, components }) => [...(truth(name) ?? components.map(() => NaN))]);
+  if (values.every((value) => value === null || Number.isNaN(value))) return [];
+  const turns = factor.variables.flatMap(({ angles }) => angles);
+  const errors = values.map((value, k) => {
+    if (value === null) return NaN;
+    const off = mean[k] - value;
+    const wrapped = turns[k] ? off - 2 * Math.PI * Math.round(off / (2 * Math.PI)) : off;
+    return wrapped / Math.sqrt(Math.max(cov[k * n + k], 0));
+  });
+  return [{ name: "truth", values }, { name: "error / deviation", values: errors }];
+}
+
+function gaussianNumbers(factor, truth) {
   const found = [];
   const n = factor.labels.length;
   if (!n) return [el("p", { class: "aside" }, "over no variable"), ...(factor.canonical ? [scalar("g", factor.canonical.g)] : [])];
   if (factor.moments) {
     const { mean, cov } = factor.moments;
     const std = Float64Array.from(mean, (_, k) => Math.sqrt(Math.max(cov[k * n + k], 0)));
-    const [means, stds] = [aligned([...mean]), aligned([...std])];
-    const rows = factor.labels.map((label, k) => el("tr", {}, el("th", { scope: "row" }, label), cell(mean[k], means[k]), cell(std[k], stds[k])));
+    const columns = [{ name: "mean", values: [...mean] }, { name: "deviation", values: [...std] }, ...truthColumns(factor, truth)];
+    for (const column of columns) column.texts = aligned(column.values);
+    const rows = factor.labels.map((label, k) => (
+      el("tr", {}, el("th", { scope: "row" }, label), ...columns.map(({ values, texts }) => cell(values[k], texts[k])))));
     found.push(el("h3", {}, "Moments"), wrapped(el("table", { "data-part": "mean" },
-      el("thead", {}, el("tr", {}, el("th", {}), el("th", { scope: "col" }, "mean"), el("th", { scope: "col" }, "deviation"))), el("tbody", {}, ...rows))));
+      el("thead", {}, el("tr", {}, el("th", {}), ...columns.map(({ name }) => el("th", { scope: "col" }, name)))), el("tbody", {}, ...rows))));
     found.push(el("h4", {}, "covariance"), matrix(factor.labels, cov, "cov"));
   } else {
     found.push(el("p", { class: "aside" }, "no moments: its information is singular, so that it says nothing of some direction"));
@@ -237,7 +273,7 @@ function matrix(labels, values, part) {
 // The factors over some variable.
 const having = (entries, name) => entries.filter(({ factor }) => factor.variables.some((v) => v.name === name));
 
-function tableNumbers(factor) {
+function tableNumbers(factor, truth) {
   const sparse = factor.type === "largest";
   const total = sparse ? 0 : sum(factor.values);
   const order = Array.from(factor.values.keys());
@@ -264,7 +300,9 @@ function tableNumbers(factor) {
   const aside = (...content) => found.push(el("p", { class: "aside" }, ...content));
   if (!sparse && order.length > MOST_ROWS) aside(`the ${MOST_ROWS} largest of ${thousands(order.length)} entries`);
   if (factor.why) aside(factor.why);
+  const known = factor.variables.map((variable) => [variable, truth(variable.name)?.[0]]).filter(([, state]) => Number.isFinite(state));
+  if (known.length) aside("truth: ", known.map(([{ name, states }, state]) => `${name} = ${states[state]}`).join(", "));
   found.push(el("p", { class: "aside", "data-part": "scale", "data-value": factor.scale },
-    "values times exp(", el("span", { class: "number" }, shown(factor.scale)), ")"));
+    "values times exp(", el("span", { class: "number" }, nats(factor.scale)), ")"));
   return found;
 }

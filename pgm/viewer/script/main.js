@@ -17,7 +17,7 @@ async function started() {
     const { log_evidence: evidence } = data.runs[source.run];
     const edges = chain ? [] : [el("span", {}, counted(data.edges.length, "edge"))];
     const about = data.touched ? touchedFacts(data) : [
-      el("span", {}, "ln p(evidence) ", el("span", { class: "number" }, shown(evidence)), ` ${data.evidence}`)];
+      el("span", {}, "ln p(evidence) ", el("span", { class: "number" }, nats(evidence)), ` ${data.evidence}`)];
     at("facts").replaceChildren(el("span", {}, counted(count, "cluster")), ...edges, ...about);
   };
   at("notes").replaceChildren(...data.notes.map((note) => el("p", {}, note)));
@@ -51,8 +51,9 @@ async function started() {
     if (source.last > source.first) steps = stepControls(bar, source, choose);
   }
   const residuals = data.runs.some((run) => run.edges);
-  if (residuals) at("graph-box").append(residualKey());
-  if (data.touched) at("graph-box").append(touchedKey());
+  if (data.runs.some((run) => Object.keys(run.moved ?? {}).length)) at("keys").append(movedKey());
+  if (residuals) at("keys").append(residualKey());
+  if (data.touched) at("keys").append(touchedKey());
   const iterations = iterationControls(bar, source, (values) => {
     drawing.showResiduals(values);
     if (selection?.edge) inspector.show(selection);

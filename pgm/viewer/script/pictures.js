@@ -51,6 +51,18 @@ function partsOf(entries, axes, wanted) {
   return found.filter((each) => [...each.mean, ...each.cov].every(Number.isFinite));
 }
 
+// The true values of the widest factor's variables on the axes of a picture, those that are known.
+function truthPoints(entries, axes, wanted, truth) {
+  if (!entries.length) return [];
+  const { variables, labels } = entries.reduce((a, b) => (b.factor.variables.length > a.factor.variables.length ? b : a)).factor;
+  const missing = (variable) => variable.components.map(() => NaN);
+  const known = variables.map((variable) => truth(variable.name) ?? missing(variable));
+  const points = axes.shared
+    ? variables.map(({ components }, v) => wanted.map((name) => known[v][components.length === 1 ? 0 : components.indexOf(name)]))
+    : [wanted.map((name) => known.flatMap((each) => [...each])[labels.indexOf(name)])];
+  return points.filter((point) => point.every((value) => value !== null && Number.isFinite(value)));
+}
+
 function part(entry, name, factor, n, places) {
   const { mean, cov } = factor.moments;
   return { role: entry.role, title: entry.title, name, mean: pick(mean, places), cov: submatrix(cov, n, places) };
@@ -123,8 +135,8 @@ function ellipses(parts, names, alike) {
     const size = Math.max(...lead.map((each) => reach(each, k)));
     // Messages much wider than the beliefs run out of the picture.
     const near = parts.filter((each) => lead.includes(each) || reach(each, k) < 2.5 * size);
-    const low = Math.min(...near.map((each) => each.mean[k] - reach(each, k)));
-    const high = Math.max(...near.map((each) => each.mean[k] + reach(each, k)));
+    const low = Math.min(...near.map((each) => each.mean[k] - reach(each, k)), ...parts.truth.map((point) => point[k]));
+    const high = Math.max(...near.map((each) => each.mean[k] + reach(each, k)), ...parts.truth.map((point) => point[k]));
     const pad = 0.08 * (high - low) || 1;
     return [low - pad, high + pad];
   });
@@ -158,6 +170,10 @@ function ellipses(parts, names, alike) {
       frame.clip.append(svg("text", { class: "mark", ...place, "text-anchor": across >= 0 ? "start" : "end" }, clipped(each.name, 16)));
     }
   }
+  for (const [a, b] of parts.truth) {
+    const place = `translate(${spot(frame.x(a))} ${spot(frame.y(b))})`;
+    frame.clip.append(svg("path", { class: "shape truth", transform: place.replaceAll(" ", ","), d: "M-5 -5L5 5M-5 5L5 -5" }, svg("title", {}, "truth")));
+  }
   return frame.root;
 }
 
@@ -167,8 +183,8 @@ function bells(parts, name) {
   const lead = main.length ? main : parts;
   const size = Math.max(...lead.map(std));
   const near = parts.filter((each) => lead.includes(each) || std(each) < 6 * size);
-  const low = Math.min(...near.map((each) => each.mean[0] - 3.2 * std(each)));
-  const high = Math.max(...near.map((each) => each.mean[0] + 3.2 * std(each)));
+  const low = Math.min(...near.map((each) => each.mean[0] - 3.2 * std(each)), ...parts.truth.flat());
+  const high = Math.max(...near.map((each) => each.mean[0] + 3.2 * std(each)), ...parts.truth.flat());
   const least = Math.min(...parts.map(std).filter((value) => value > 0));
   const limits = low < high ? [low, high] : [low - 1, low + 1];
   const frame = framed(limits, [0, 1.08], name, null, `densities of ${name}`);
@@ -183,11 +199,14 @@ function bells(parts, name) {
     }
     frame.clip.append(svg("path", { class: `shape ${each.role}`, d: `M${points.join("L")}` }, svg("title", {}, `${each.title} ${each.name}`)));
   }
+  for (const [value] of parts.truth) {
+    frame.clip.append(svg("path", { class: "shape truth", d: `M${spot(frame.x(value))} ${spot(frame.y(0))}L${spot(frame.x(value))} ${spot(frame.y(1.08))}` }, svg("title", {}, "truth")));
+  }
   return frame.root;
 }
 
-// Bars of the states of one variable, for each factor that has it.
-function bars(entries, name, states) {
+// Bars of the states of one variable, for each factor that has it; the true one is named so.
+function bars(entries, name, states, truth) {
   const rows = el("div", { class: "bars", role: "img", "aria-label": `probabilities of ${name}` });
   const found = [];
   for (const entry of entries) {
@@ -203,7 +222,7 @@ function bars(entries, name, states) {
       bar.style.width = `${100 * values[k]}%`;
       stack.append(bar);
     }
-    rows.append(el("div", { class: "state" }, clipped(state, 18)), stack, el("div", { class: "number" }, found.length ? values3(found[0].values[k]) : ""));
+    rows.append(el("div", { class: k === truth ? "state true" : "state" }, clipped(state, 18), k === truth ? " (truth)" : ""), stack, el("div", { class: "number" }, found.length ? values3(found[0].values[k]) : ""));
   });
   if (states.length > 60) rows.append(el("div", { class: "state" }, `+${states.length - 60} states`));
   return rows;

@@ -154,5 +154,5 @@ function spanOf(values, variances) {
 function colours(node) {
   const style = getComputedStyle(node);
   const of = (name) => style.getPropertyValue(`--${name}`).trim();
-  return { text: of("belief"), muted: of("muted"), grid: of("grid"), first: of("first"), second: of("second"), third: of("third"), soft: of("soft"), paper: of("paper") };
+  return { text: of("belief"), muted: of("muted"), grid: of("grid"), first: of("first"), second: of("second"), third: of("third"), fourth: of("fourth"), soft: of("soft"), paper: of("paper") };
 }

@@ -32,6 +32,11 @@ function shown(value) {
   return text.replaceAll("-", "−").replace("e+", "e");
 }
 
+// A logarithm of a probability; what rounding left of zero is zero.
+function nats(value) {
+  return shown(Math.abs(value) < 1e-12 ? 0 : value);
+}
+
 function short(value) {
   if (!Number.isFinite(value)) return shown(value);
   return String(Number(value.toPrecision(3))).replaceAll("-", "−");
@@ -76,15 +81,21 @@ function measured(text, size = 12) {
   return ruler.measureText(text).width;
 }
 
-// As many names as fit a width, and how many others there are.
+// As many names as fit a width, and how many others there are; a long one is cut to eight letters
+// or more, and nothing is said where they do not fit.
 function fittedNames(names, width, size = 12) {
-  let most = 40;
-  let text = listedNames(names, most);
-  while (measured(text, size) > width && most > 4) {
-    most -= 1;
-    text = listedNames(names, most);
+  if (!names.length) return "∅";
+  const fits = (text) => measured(text, size) <= width;
+  const others = (count) => (count < names.length ? ` +${names.length - count}` : "");
+  for (let count = Math.min(names.length, 8); count > 0; count--) {
+    const text = names.slice(0, count).join(", ") + others(count);
+    if (text.length <= 40 && fits(text)) return text;
   }
-  return text;
+  for (let most = 26; most >= 8; most--) {
+    const text = clipped(names[0], most) + others(1);
+    if (fits(text)) return text;
+  }
+  return "";
 }
 
 // As many names as fit, and how many others there are.

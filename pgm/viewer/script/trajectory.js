@@ -24,29 +24,35 @@ class Trajectory extends Plot {
     this.step = source.first;
   }
 
-  // The ways to draw: two components of a variable, each component over time, states over time.
+  // The ways to draw: the places of a variable, each component and states over time, controls after
+  // states; and last two components that are no place, one against the other.
   choices() {
-    const found = [];
+    const places = [];
     const overTime = [];
+    const phases = [];
     let at = 0;
     for (const variable of this.source.hidden) {
       if (variable.states) {
-        overTime.push({ kind: "states", text: `${variable.name} over time`, variable });
+        overTime.push({ kind: "states", state: variable.state, text: `${variable.name} over time`, variable });
         continue;
       }
       const { components } = variable;
       const label = (k) => (components.length === 1 ? variable.name : `${variable.name} ${components[k]}`);
       if (variable.state && components.length > 1) {
-        const flat = components.map((_, k) => k).filter((k) => !variable.angles[k]);
-        const [a, b] = flat.length > 1 ? flat : [0, 1];
-        const wanted = ["x", "y", "east", "north"].map((name) => components.indexOf(name)).filter((k) => k >= 0);
-        const [x, y] = wanted.length >= 2 ? wanted : [a, b];
-        found.push({ kind: "plane", text: `${variable.name}: ${components[x]}, ${components[y]}`, places: [at + x, at + y], components: [components[x], components[y]], names: [label(x), label(y)], alike: !variable.angles[x] && !variable.angles[y] });
+        const place = placeOf(variable);
+        const [x, y] = place ?? [0, 1];
+        (place ? places : phases).push({ kind: "plane", text: `${variable.name}: ${components[x]}, ${components[y]}`, variable: variable.name, own: [x, y], places: [at + x, at + y], components: [components[x], components[y]], names: [label(x), label(y)], alike: Boolean(place) });
       }
-      for (let k = 0; k < components.length; k++) overTime.push({ kind: "time", text: `${label(k)} over time`, place: at + k, name: label(k) });
+      for (let k = 0; k < components.length; k++) overTime.push({ kind: "time", state: variable.state, text: `${label(k)} over time`, variable: variable.name, own: k, place: at + k, name: label(k) });
       at += components.length;
     }
-    return [...found, ...overTime];
+    overTime.sort((a, b) => Number(b.state) - Number(a.state));
+    return [...places, ...overTime, ...phases];
+  }
+
+  // The true values of a component of what is drawn, at each step of the arrays; null of none.
+  truth(component) {
+    return this.source.true.get(this.option.variable)?.column(component) ?? null;
   }
 
   get option() {
@@ -80,7 +86,7 @@ class Trajectory extends Plot {
     const xs = this.column(a);
     const ys = this.column(b);
     const [vxx, vxy, vyy] = [this.entry(a, a), this.entry(a, b), this.entry(b, b)];
-    let limits = this.zoomed ?? [spanOf(xs, vxx), spanOf(ys, vyy)].map((span, k) => this.widened(span, k));
+    let limits = this.zoomed ?? [spanOf(xs, vxx), spanOf(ys, vyy)].map((span, k) => this.widened(spanned(span, this.truth(this.option.own[k])), k));
     if (alike) {
       const room = [this.size.width - 74, this.size.height - 48];
       const scale = Math.max(...limits.map(([low, high], k) => (high - low) / room[k]));
@@ -92,6 +98,7 @@ class Trajectory extends Plot {
     const columns = there ? this.source.stateColumns : [];
     const [fx, fy] = [columns.indexOf(a), columns.indexOf(b)];
     const filtered = fx >= 0 && fy >= 0;
+    const [tx, ty] = this.option.own.map((k) => this.truth(k));
     if (filtered) this.line(there.column(fx), there.column(fy), ink.first, [4, 3], 1, this.offset);
     const draws = this.source.arrays.draws;
     if (draws) this.cloud(draws, a, b);
@@ -118,13 +125,14 @@ class Trajectory extends Plot {
     };
     for (let step = this.source.first; step <= this.source.last; step += every) show(step, false);
     this.line(xs, ys, ink.text, [], 1.6, this.offset);
+    if (tx) this.line(tx, ty, ink.fourth, [], 1.4, this.offset);
     for (let step = this.step - 2; step <= this.step + 2; step++) {
       if (step !== this.step && step >= this.source.first && step <= this.source.last) show(step, false);
     }
     show(this.step, true);
     this.mark(at.x(xs[this.step - this.source.base]), at.y(ys[this.step - this.source.base]));
     pen.restore();
-    this.explain([["belief", String(this.source.data.about)], ...(filtered ? [["first", "filtered"]] : []), ...(draws ? [["cloud", "draws"]] : []), ...(seen ? [["third", "sighted at this step"]] : [])]);
+    this.explain([["belief", String(this.source.data.about)], ...(filtered ? [["first", "filtered"]] : []), ...(tx ? [["truth", "truth"]] : []), ...(draws ? [["cloud", "draws"]] : []), ...(seen ? [["third", "sighted at this step"]] : [])]);
   }
 
   // A span with the places of what was seen, where they are not much further away.
@@ -205,12 +213,9 @@ class Trajectory extends Plot {
     const x = this.steps;
     const there = this.source.arrays["there.mean"];
     const own = there ? this.source.stateColumns.indexOf(place) : -1;
-    const limits = spanOf(values, variance);
-    if (own >= 0) {
-      const other = spanOf(there.column(own), new Float64Array(values.length));
-      limits[0] = Math.min(limits[0], other[0]);
-      limits[1] = Math.max(limits[1], other[1]);
-    }
+    const truth = this.truth(this.option.own);
+    let limits = spanned(spanOf(values, variance), truth);
+    if (own >= 0) limits = spanned(limits, there.column(own));
     this.frame(x, this.zoomed?.[1] ?? limits, "step", name);
     const { pen, at, ink } = this;
     const { base } = this.source;
@@ -225,6 +230,7 @@ class Trajectory extends Plot {
     const steps = Float64Array.from(values, (_, k) => k + base);
     if (own >= 0) this.line(steps, there.column(own), ink.first, [4, 3], 1, this.offset);
     this.line(steps, values, ink.text, [], 1.6, this.offset);
+    if (truth) this.line(steps, truth, ink.fourth, [], 1.4, this.offset);
     pen.strokeStyle = ink.second;
     pen.lineWidth = 1;
     pen.beginPath();
@@ -234,7 +240,7 @@ class Trajectory extends Plot {
     const value = values[this.step - base];
     if (!Number.isNaN(value)) this.mark(at.x(this.step), at.y(value));
     pen.restore();
-    this.explain([["belief", `${this.source.data.about}, 95 %`], ...(own >= 0 ? [["first", "filtered"]] : [])]);
+    this.explain([["belief", `${this.source.data.about}, 95 %`], ...(own >= 0 ? [["first", "filtered"]] : []), ...(truth ? [["truth", "truth"]] : [])]);
   }
 
   // The probability of each state at each step, darker where it is larger.
@@ -262,6 +268,18 @@ class Trajectory extends Plot {
       }
     }
     pen.globalAlpha = 1;
+    const truth = this.source.true.get(variable.name)?.column(0);
+    pen.strokeStyle = ink.fourth;
+    pen.lineWidth = 2;
+    for (let step = from; truth && step <= to; step += every) {
+      const state = truth[step - this.source.base];
+      if (!Number.isFinite(state)) continue;
+      const y = at.pad.top + (state + 0.5) * tall;
+      pen.beginPath();
+      pen.moveTo(at.x(step - 0.5), y);
+      pen.lineTo(at.x(step - 0.5) + wide, y);
+      pen.stroke();
+    }
     pen.strokeStyle = ink.second;
     pen.lineWidth = 2;
     pen.strokeRect(at.x(this.step - 0.5), at.pad.top + 1, Math.max(at.x(1) - at.x(0), 3), at.down - 2);
@@ -272,7 +290,7 @@ class Trajectory extends Plot {
     pen.textAlign = "right";
     const skip = Math.max(1, Math.ceil(count / (at.down / 14)));
     for (let k = 0; k < count; k += skip) pen.fillText(clipped(variable.states[k], 8), at.pad.left - 7, at.pad.top + (k + 0.5) * tall + 4);
-    this.explain([[null, `${this.source.data.about}: the stronger, the more probable`]]);
+    this.explain([[null, `${this.source.data.about}: the stronger, the more probable`], ...(truth ? [["truth", "truth"]] : [])]);
   }
 
   explain(items) {
@@ -303,4 +321,27 @@ class Trajectory extends Plot {
     this.step = step;
     this.draw();
   }
+}
+
+// The two components in which a variable is a place: named as such, lengths of one unit, or what a
+// pose has beside its angle; null of one that is no place, as a level and its trend.
+const PLANES = [["x", "y"], ["east", "north"], ["px", "py"], ["e", "n"]];
+const LENGTHS = ["mm", "cm", "m", "km", "ft"];
+
+function placeOf({ components, angles, units }) {
+  for (const names of PLANES) {
+    const found = names.map((name) => components.indexOf(name));
+    if (found.every((k) => k >= 0)) return found;
+  }
+  const flat = components.map((_, k) => k).filter((k) => !angles[k]);
+  if (flat.length === 2 && angles.length === 3) return flat;
+  const lengths = flat.filter((k) => LENGTHS.includes(units[k]));
+  return lengths.length > 1 && units[lengths[0]] === units[lengths[1]] ? lengths.slice(0, 2) : null;
+}
+
+// A span that holds other values, too.
+function spanned([low, high], values) {
+  if (!values) return [low, high];
+  const other = spanOf(values, new Float64Array(values.length));
+  return values.some(Number.isFinite) ? [Math.min(low, other[0]), Math.max(high, other[1])] : [low, high];
 }
