@@ -12,6 +12,7 @@ name              what it is                           what returns it
 `ParticleFigures` what that of particles has besides   `Status`, as attributes and ``numbers``
 `GridBelief`      probabilities of cells               ``posterior[x]``, of a `Grid`
 `ParticleBelief`  weighted draws                       ``posterior[x]``, of `Particles`
+`PointMixture`    a measurement, of either of these    ``posterior.predicted[z]``, ``left_out[z]``
 `Innovations`     measurements less predictions        ``posterior.innovations[z]``
 `Predictions`     beliefs of readings to be taken      ``belief.predicted``, in a loop
 `StepInnovations` those of a step in a robot's loop    ``belief.innovations[z]``
@@ -63,6 +64,7 @@ from pgm.inference import (
     OnlineBelief,
     ParticleBelief,
     ParticleFigures,
+    PointMixture,
     Posterior,
     Predictions,
     Rejections,
@@ -120,6 +122,7 @@ __all__ = [
     "OnlineBelief",
     "ParticleBelief",
     "ParticleFigures",
+    "PointMixture",
     "Posterior",
     "Predictions",
     "ReadingReport",

@@ -23,6 +23,7 @@ from pgm.beliefs.particles.figures import ParticleFigures
 from pgm.beliefs.particles.number import KLDSampling, LikelihoodSampling
 from pgm.beliefs.particles.settings import Injection
 from pgm.beliefs.points.particle_belief import ParticleBelief
+from pgm.beliefs.points.point_mixture import PointMixture
 from pgm.inference.audit import Audit, audit
 from pgm.inference.dynamic import filter, smooth
 from pgm.inference.engine import infer
@@ -101,6 +102,7 @@ __all__ = [
     "ParticleBelief",
     "ParticleFigures",
     "Particles",
+    "PointMixture",
     "Posterior",
     "Predictions",
     "Prepared",

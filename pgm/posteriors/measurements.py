@@ -10,7 +10,7 @@ import numpy as np
 
 from pgm.compile import SliceLayout
 from pgm.errors import EvidenceError
-from pgm.evidence import Reading
+from pgm.evidence import BoundEvidence, Reading
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.variables import Variable
 
@@ -38,6 +38,30 @@ def where_unread(
                 inputs={v: values[1:] for v, values in reading.inputs.items()},
             )
     return None
+
+
+def read_by(bound: BoundEvidence, variable: Variable) -> Reading | None:
+    """The readings of a sensor, ``z`` or ``z.at(3)``; None if it has no evidence."""
+    template = variable.template
+    return next((each for each in bound.readings if each.cpd.child == template), None)
+
+
+def rows_of(
+    bound: BoundEvidence, layout: SliceLayout, variable: Variable
+) -> tuple[Reading, Integers]:
+    """The measurements of a sensor that have beliefs, and their rows in the order of the evidence.
+
+    Of ``z.at(3)`` that is the one row of the step. An EvidenceError refuses a sensor whose observed
+    parents are not known.
+    """
+    reading = where_unread(bound.unread, layout, variable.template)
+    reading = read_by(bound, variable) if reading is None else reading
+    if reading is None:
+        raise untold(layout, variable.template)
+    rows = np.argsort(reading.order)
+    if variable.step is not None:
+        rows = rows[[one_row(reading.step[rows], variable)]]
+    return reading, rows
 
 
 def one_row(steps: Integers, variable: Variable) -> int:

@@ -58,8 +58,7 @@ class OnlineBelief(Shown, NoArray):
         beliefs. They are found when they are asked for, by making the update again.
     predicted : Predictions
         Of a belief that `predict` returned, those of measurements before they are taken:
-        ``predicted[z]``, or ``predicted.of(z, given={m: ...})`` with observed parents; of Gaussian
-        beliefs and tables.
+        ``predicted[z]``, or ``predicted.of(z, given={m: ...})`` with observed parents.
     rejected : mapping of Variable to Rejections
         The decisions of the gates at the last update, by sensor; of Gaussian beliefs.
     lost, lost_since : ndarray

@@ -453,10 +453,7 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
         A fixed-lag smoother that iterates slides a window of lag + 1 steps along the chain: then
         they are the marginals of each window at its newest step.
         """
-        found = self._ask("filtered")
-        if isinstance(found, Outcome):
-            found = self if found is self._outcome else Posterior(found)
-        return found  # type: ignore[no-any-return]
+        return self._over_time("filtered")
 
     @property
     def predicted(self) -> OverTime[B]:
@@ -483,6 +480,10 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
         Robust noise counts with the `cov` of its CPD. Under a flat prior a component that depends
         on a direction of which nothing is known has an infinite variance, and no covariances.
 
+        Of particles and grids ``predicted[z]`` is a `PointMixture`, the sum of the sensor's density
+        over the points, with angles within half a turn of zero. Particles of a proposal have looked
+        at their step's readings, and their weights make up for it.
+
         Raises
         ------
         EvidenceError
@@ -496,7 +497,7 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
         >>> filtered.predicted[z].mean.ravel(), filtered.predicted[z].std.ravel().round(3)
         (array([0., 2., 2.]), array([2.   , 2.   , 2.236]))
         """
-        return self._ask("predicted")  # type: ignore[no-any-return]
+        return self._over_time("predicted")
 
     @property
     def left_out(self) -> Mapping[Variable, Any]:
@@ -508,12 +509,15 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
         running again: leave-one-out cross-validation of a model, and of each of its readings, noise
         included. Rows are the readings in the order of the evidence, as in `innovations`.
         Nonlinear sensors stay linearised, and robust noise weighed, as they were with the reading.
+        Grids multiply all densities but the reading's own. Particles divide their weights by its
+        density, which fails where it tells more than all others do: ``.pareto`` is the shape of
+        their weights, and a `ParticleWarning` tells where it is above 0.7.
 
         Returns
         -------
-        mapping of Variable to Gaussian or Table
-            (*runs, M, d): the belief of M readings of d components; a `Gaussian` has their steps
-            as ``.steps``. A `Table` has rows (*runs, M) alone.
+        mapping of Variable to Gaussian, Table or PointMixture
+            (*runs, M, d): the belief of M readings of d components; ``.steps`` are those of a
+            `Gaussian` or a `PointMixture`. A `Table` has rows (*runs, M) alone.
 
         Raises
         ------
@@ -522,9 +526,15 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
         NumericalError
             If a reading without noise, or one that alone tells what it measures, cannot be removed.
 
+        Warns
+        -----
+        ParticleWarning
+            If particles cannot leave out a reading.
+
         References
         ----------
-        de Jong, A cross-validation filter for time series models, 1988.
+        de Jong, A cross-validation filter for time series models, 1988. Vehtari, Gelman & Gabry,
+        Practical Bayesian model evaluation using leave-one-out cross-validation and WAIC, 2017.
 
         Examples
         --------
@@ -592,6 +602,13 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
         if not hasattr(type(outcome), question) and question not in vars(outcome):
             raise outcome.refusal(question)
         return getattr(outcome, question)
+
+    def _over_time(self, question: str) -> OverTime[B]:
+        """The marginals of a pass that a question is about: a posterior, if they are an outcome."""
+        found = self._ask(question)
+        if isinstance(found, Outcome):
+            found = self if found is self._outcome else Posterior(found)
+        return found  # type: ignore[no-any-return]
 
     def _moments(self, variable: Variable) -> Any:
         return self._about((variable,))._moments(variable)

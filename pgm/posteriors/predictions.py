@@ -61,8 +61,9 @@ class Predictions(Shown, NoArray):
 
         Returns
         -------
-        Gaussian or Table
-            Leading axes are runs, followed by the rows M where `given` has any.
+        Gaussian, GaussianMixture, Table or PointMixture
+            Leading axes are runs, followed by the rows M where `given` has any. Of a hidden Markov
+            model a table or a mixture, of particles and grids a `PointMixture`.
 
         Raises
         ------

@@ -11,6 +11,7 @@ at a step.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from math import isfinite
 from typing import Any, Protocol
 
@@ -110,17 +111,30 @@ def readings(
     return _same_runs(belief, bound)
 
 
-def unread(variable: Variable, given: Mapping[Variable, Any]) -> tuple[Sightings, bool]:
-    """Sightings of a sensor of which nothing was read, and whether they stand for one by itself.
+def unread(
+    model: DynamicBayesianNetwork,
+    belief: Place,
+    variable: Variable,
+    given: Mapping[Variable, Any],
+) -> tuple[BoundEvidence, bool]:
+    """Sightings of a sensor that are to be read, as of `readings`, and whether one stands alone.
 
     `given` has the sensor's observed parents, of which there are as many rows as sightings, or
-    constants. Without rows there is one sighting, by itself.
+    constants. Without rows there is one sighting, alone.
     """
     rows = [v for v, each in given.items() if not isinstance(each, Constant)]
     count = max((rows_of(v, given[v], "M").shape[-2] for v in rows), default=1)
     discrete = isinstance(variable, Discrete)
     nothing = np.full(count, -1) if discrete else np.full((count, variable.dimension), np.nan)
-    return Sightings(nothing, None, given), not rows
+    asked = {variable: Sightings(nothing, None, given)}
+    return readings(model, belief, asked), not rows
+
+
+def at_step(bound: BoundEvidence, step: int) -> BoundEvidence:
+    """The evidence of an update at its step of the chain, not at step 0 of its own."""
+    return replace(
+        bound, readings=tuple(replace(each, step=each.step + step) for each in bound.readings)
+    )
 
 
 def _same_runs(belief: Place, bound: BoundEvidence) -> BoundEvidence:

@@ -5,7 +5,7 @@ runs. The work on one run is done by its `GridSlices`, which has the run's prior
 measurements. Weights of measurements are densities divided by e^s, s being their log-scale.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, reduce
 from typing import Any, ClassVar, TypeVar
@@ -14,13 +14,17 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.beliefs.grid.belief import GridBelief, scope_axes
+from pgm.beliefs.grid.cloud import cloud_of
 from pgm.beliefs.grid.cut_off import Tails
 from pgm.beliefs.grid.figures import GridFigures
 from pgm.beliefs.grid.lattice import Lattice, resolve
-from pgm.beliefs.grid.run import require_room
+from pgm.beliefs.grid.room import require_room
 from pgm.beliefs.grid.settings import GridSettings
 from pgm.beliefs.grid.slices import GridModel, GridSlices, Tested, Worst
 from pgm.beliefs.points.filter import PointFilter
+from pgm.beliefs.points.measurements import online
+from pgm.beliefs.points.model import ParticleModel
+from pgm.beliefs.points.point_mixture import PointMixture
 from pgm.display import Summary
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence
@@ -30,8 +34,10 @@ from pgm.networks import DynamicBayesianNetwork
 from pgm.posteriors.belief_kind import FILTERED, PREDICTED, Kind
 from pgm.posteriors.online_belief import OnlineBelief
 from pgm.posteriors.posterior import require_variable
+from pgm.posteriors.predictions import require_parents
 from pgm.posteriors.status import Status
 from pgm.posteriors.summaries import at_a_step
+from pgm.schedules import step_evidence
 from pgm.variables import Variable
 
 
@@ -105,6 +111,19 @@ class OnlineGridBelief(OnlineBelief):
             )
         places = scope_axes(lattice.axes, (template,))
         return GridBelief(lattice.axes, self._values)._over(places)
+
+    def _measurement(
+        self, variable: Variable, given: Mapping[Variable, Any]
+    ) -> GridBelief | PointMixture:
+        if variable in self._lattice.states:
+            return self[variable]
+        require_parents(self._model, variable, given, self.step)
+        bound, alone = step_evidence.unread(self._model, self, variable, given)
+        bound = step_evidence.at_step(bound, self.step)
+        model = ParticleModel(self._model, bound, np.float64, self.step)
+        runs = _broadcast(np.arange(len(self._tails)), self.lead, bound)
+        values = self._values.reshape(-1, *self._lattice.shape)[runs]
+        return online(model, cloud_of(self._lattice, values), variable, alone=alone)
 
     @property
     def _title(self) -> str:

@@ -12,21 +12,26 @@ import numpy.typing as npt
 
 from pgm.beliefs.grid.associations import associations
 from pgm.beliefs.grid.belief import GridBelief, scope_axes
+from pgm.beliefs.grid.cloud import CellClouds
 from pgm.beliefs.grid.draws import draws
 from pgm.beliefs.grid.figures import GridFigures
 from pgm.beliefs.grid.lattice import Lattice
+from pgm.beliefs.grid.measurements import predicted, without_each
+from pgm.beliefs.grid.room import require_room
 from pgm.beliefs.grid.settings import GridSettings
+from pgm.beliefs.points.measurements import expected, readings_of, unread
+from pgm.beliefs.points.model import ParticleModel
 from pgm.compile import DynamicGraph
 from pgm.display import Summary
 from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.factors.scope import Scope, as_scope, listed
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, Integers
 from pgm.posteriors.associations import Found
-from pgm.posteriors.belief_kind import FILTERED, Kind, require_smoothed
-from pgm.posteriors.hidden import require_step
+from pgm.posteriors.belief_kind import FILTERED, PREDICTED, Kind, require_smoothed
+from pgm.posteriors.hidden import measured, require_step
+from pgm.posteriors.left_out import LeftOut, require_all
 from pgm.posteriors.outcome import Outcome
-from pgm.posteriors.posterior import require_variable
 from pgm.posteriors.status import Status
 from pgm.posteriors.summaries import over_time
 from pgm.variables import Variable
@@ -51,6 +56,8 @@ class GridOutcome(Outcome[GridBelief]):
         The figures by which to judge the posterior: losses at the bounds, cells too wide.
     filtered : GridOutcome
         The posterior with the beliefs of the forward sweep; of a filter, the posterior itself.
+    predicted : GridOutcome
+        The posterior with the beliefs before each step's measurements.
     """
 
     graph: DynamicGraph
@@ -82,9 +89,26 @@ class GridOutcome(Outcome[GridBelief]):
         """The measurements, sensor by sensor."""
         return self._bound.readings
 
-    def __getitem__(self, variable: Variable) -> GridBelief:
-        """The marginal of a state, at all steps or at one."""
-        return self.joint(require_variable(variable))
+    def __getitem__(self, variable: Variable) -> Any:
+        """The marginal of a state, or of a measurement not taken, at all steps or at one."""
+        layout = self.graph.layout
+        if measured(layout, variable) is None:
+            return self.joint(variable)
+        belief = expected if self.kind == PREDICTED else unread
+        clouds = CellClouds(self._lattice, self._by_run(self._values))
+        return belief(self._points, layout, variable, clouds)
+
+    def _readings_of(self, variable: Variable) -> tuple[Integers, Array]:
+        return readings_of(self._points, variable)
+
+    @cached_property
+    def _points(self) -> ParticleModel:
+        """The network with its evidence, whose CPDs are evaluated at centres of cells."""
+        return ParticleModel(self.graph.model, self._bound, np.float64)
+
+    def _by_run(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Beliefs (*runs, T + 1, *cells) with one axis of runs."""
+        return values.reshape(-1, *values.shape[self.log_evidence.ndim :])
 
     @property
     def figures(self) -> GridFigures:
@@ -109,8 +133,7 @@ class GridOutcome(Outcome[GridBelief]):
         They have for each such measurement the probability of each candidate, that it is spurious,
         and that it is of a new thing.
         """
-        values = self._values.reshape(-1, *self._values.shape[self.log_evidence.ndim :])
-        return associations(self._lattice, self._bound, values)
+        return associations(self._lattice, self._bound, self._by_run(self._values))
 
     @property
     def filtered(self) -> GridOutcome:
@@ -118,6 +141,26 @@ class GridOutcome(Outcome[GridBelief]):
         if self._filtered is None:
             return self
         return replace(self, kind=FILTERED, _values=self._filtered, _filtered=None)
+
+    @cached_property
+    def predicted(self) -> GridOutcome:
+        """The beliefs before each step's measurements, of these too; made when first asked for."""
+        filtered = self._by_run(self.filtered._values)
+        runs, steps = filtered.shape[:2]
+        require_room(self._lattice, self.grid, steps, runs, 2)
+        values = predicted(self._lattice, self.graph, self._bound, filtered)
+        shape = self._values.shape
+        known = self.filtered._values
+        return replace(self, kind=PREDICTED, _values=values.reshape(shape), _filtered=known)
+
+    @cached_property
+    def left_out(self) -> LeftOut:
+        """The beliefs of readings given all but their own, by sensor."""
+        require_all(self.kind)
+        lattice, bound, ahead = self._lattice, self._bound, self._by_run(self.predicted._values)
+        rows = sum(len(reading.step) for reading in bound.readings)
+        require_room(lattice, self.grid, rows + len(ahead[0]), bound.runs, 1)
+        return LeftOut(without_each(lattice, self.graph, bound, ahead))
 
     def joint(self, *variables: Variable) -> GridBelief:
         """The joint belief of some states of one slice.

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from pgm.beliefs.grid.figures import GridFigures, Refinement
-from pgm.beliefs.grid.lattice import Lattice, resolve
+from pgm.beliefs.grid.lattice import resolve
 from pgm.beliefs.grid.outcome import GridOutcome
+from pgm.beliefs.grid.room import require_room
 from pgm.beliefs.grid.settings import GridSettings
 from pgm.beliefs.grid.slices import GridModel, GridSlices, Worst
 from pgm.beliefs.markov.chain import StateChain
@@ -27,11 +28,7 @@ from pgm.posteriors.belief_kind import SMOOTHED, Kind
 from pgm.posteriors.posterior import Posterior
 from pgm.posteriors.status import Status
 from pgm.progress import counted
-from pgm.resources import NUMBER, gibibytes, require_memory
 from pgm.schedules.schedule import Schedule, kind_of
-
-# Arrays of one belief's size that a step works with.
-_WORK = 12
 
 
 def run(
@@ -175,22 +172,3 @@ class _Kept(StateChain):
         `like`, a belief whose shape a new array would have, is not used.
         """
         return self._made
-
-
-def require_room(lattice: Lattice, grid: GridSettings, steps: int, runs: int, sets: int) -> None:
-    """Refuse a grid whose beliefs would not fit memory, by a ModelError, before any is made.
-
-    steps: How many beliefs a run has, T + 1.
-    sets: How many sets of beliefs are kept, of all steps and runs: 1 of a filter, 3 of a smoother.
-    """
-    share = np.dtype(grid.dtype).itemsize / NUMBER
-    kept = int(sets * steps * runs * lattice.size * share)
-    cells = " × ".join(str(axis.cells) for axis in lattice.axes)
-    over = f"{steps} steps" + (f" of {runs} runs" if runs > 1 else "")
-    narrower = "" if grid.dtype == np.float32 else ", or dtype=np.float32"
-    require_memory(
-        kept + _WORK * lattice.size,
-        f"the beliefs of {cells} = {lattice.size:,} cells ({gibibytes(lattice.size)} each) at "
-        f"{over}",
-        f"take wider cells or closer bounds, fewer steps or runs to a call{narrower}",
-    )

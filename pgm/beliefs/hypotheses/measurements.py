@@ -26,7 +26,7 @@ from pgm.evidence import BoundEvidence, Reading
 from pgm.factors import Gaussian, GaussianMixture, Table
 from pgm.kernels.arrays import Array, Integers, components_last
 from pgm.kernels.semirings import log_sum
-from pgm.posteriors.measurements import one_row, require_unread, untold, where_unread
+from pgm.posteriors.measurements import read_by, require_unread, rows_of
 from pgm.variables import Variable
 
 
@@ -79,14 +79,8 @@ def measurement(
 
     Rows are as of `Posterior.predicted`. Each case of the CPD is linearised at each member.
     """
-    bound, template = given.bound, variable.template
-    reading = where_unread(bound.unread, layout, template)
-    reading = _read(bound, template) if reading is None else reading
-    if reading is None:
-        raise untold(layout, template)
-    rows = np.argsort(reading.order)
-    if variable.step is not None:
-        rows = rows[[one_row(reading.step[rows], variable)]]
+    bound = given.bound
+    reading, rows = rows_of(bound, layout, variable)
     if is_regime_sensor(layout.model, reading.cpd):
         shares = np.exp(members.regimes - log_sum(members.regimes, 1)[:, None])
         shares = shares.reshape(len(shares), *regimes.shape, -1)
@@ -112,14 +106,10 @@ def unread(
     layout: SliceLayout, given: Given, regimes: Regimes, members: Members, variable: Variable
 ) -> Table | GaussianMixture:
     """The belief of a measurement that was not taken, as of `measurement`."""
-    reading = _read(given.bound, variable.template)
+    reading = read_by(given.bound, variable)
     if reading is not None:
         require_unread(variable, reading.step, reading.taken)
     return measurement(layout, given, regimes, members, variable)
-
-
-def _read(bound: BoundEvidence, variable: Variable) -> Reading | None:
-    return next((each for each in bound.readings if each.cpd.child == variable), None)
 
 
 def _moments(

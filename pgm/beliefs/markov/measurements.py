@@ -25,7 +25,7 @@ from pgm.kernels.arrays import Array, Integers, frozen
 from pgm.kernels.semirings import SUM_PRODUCT
 from pgm.linearisation.family import Family
 from pgm.linearisers import Taylor
-from pgm.posteriors.measurements import one_row, require_unread, untold, where_unread
+from pgm.posteriors.measurements import read_by, require_unread, rows_of
 from pgm.variables import Variable
 
 
@@ -37,14 +37,7 @@ def expected(
     They are a table (*lead, rows, size), or of a continuous sensor whose cases are Gaussian a
     mixture. `beliefs` are those over the slices, by step.
     """
-    template = variable.template
-    reading = where_unread(bound.unread, plan.layout, template)
-    reading = _read(bound, template) if reading is None else reading
-    if reading is None:
-        raise untold(plan.layout, template)
-    rows = np.argsort(reading.order)
-    if variable.step is not None:
-        rows = rows[[one_row(reading.step[rows], variable)]]
+    reading, rows = rows_of(bound, plan.layout, variable)
     return at_rows(plan, bound, reading, variable, rows, [beliefs[t] for t in reading.step[rows]])
 
 
@@ -68,15 +61,10 @@ def unread(
     plan: SlicePlan, bound: BoundEvidence, variable: Variable, beliefs: Any
 ) -> Table | GaussianMixture:
     """The belief of a measurement that was not taken, as of `expected`; an EvidenceError else."""
-    reading = _read(bound, variable.template)
+    reading = read_by(bound, variable)
     if reading is not None:
         require_unread(variable, reading.step, reading.taken)
     return expected(plan, bound, variable, beliefs)
-
-
-def _read(bound: BoundEvidence, variable: Variable) -> Reading | None:
-    """The readings of a sensor, if it has evidence."""
-    return next((each for each in bound.readings if each.cpd.child == variable), None)
 
 
 def _table(

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -130,8 +129,7 @@ class TableSteps(InCode, Immutable):
         given = step_evidence.mapping(readings, "update", "sensors to measurements")
         bound = step_evidence.readings(self.model, belief, given)
         step = belief.step
-        shifted = tuple(replace(r, step=r.step + step) for r in bound.readings)
-        slices = TableSlices(self._plan, replace(bound, readings=shifted), first=step)
+        slices = TableSlices(self._plan, step_evidence.at_step(bound, step), first=step)
         before = self._spread(belief, bound.lead)
 
         def taken(own: TableSlices, known: Held) -> tuple[Array, Array | None, Array | float]:
@@ -167,10 +165,9 @@ class TableSteps(InCode, Immutable):
 
         `given` has the values of the sensor's observed parents, in rows or constant.
         """
-        step, (nothing, alone) = belief.step, step_evidence.unread(variable, given)
-        bound = step_evidence.readings(self.model, belief, {variable: nothing})
-        shifted = tuple(replace(r, step=r.step + step) for r in bound.readings)
-        bound, before = replace(bound, readings=shifted), self._spread(belief, bound.lead)
+        bound, alone = step_evidence.unread(self.model, belief, variable, given)
+        step, before = belief.step, self._spread(belief, bound.lead)
+        bound = step_evidence.at_step(bound, step)
         asked = variable.at(step) if alone else variable
         (reading,), known = bound.readings, before._held.numbers
         rows = np.argsort(reading.order)

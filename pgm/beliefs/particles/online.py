@@ -12,6 +12,7 @@ since particles have no such window.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -26,8 +27,10 @@ from pgm.beliefs.particles.settings import ParticleSettings
 from pgm.beliefs.points.cloud import Cloud
 from pgm.beliefs.points.components import parts
 from pgm.beliefs.points.filter import PointFilter
+from pgm.beliefs.points.measurements import online
 from pgm.beliefs.points.model import ParticleModel
 from pgm.beliefs.points.particle_belief import ParticleBelief
+from pgm.beliefs.points.point_mixture import PointMixture
 from pgm.compile import DynamicGraph, SliceGraph
 from pgm.display import Summary
 from pgm.errors import EvidenceError
@@ -38,8 +41,10 @@ from pgm.networks import DynamicBayesianNetwork
 from pgm.posteriors.belief_kind import FILTERED, PREDICTED, Kind
 from pgm.posteriors.online_belief import OnlineBelief
 from pgm.posteriors.posterior import require_variable
+from pgm.posteriors.predictions import require_parents
 from pgm.posteriors.status import Status
 from pgm.posteriors.summaries import at_a_step
+from pgm.schedules import step_evidence
 from pgm.variables import Variable
 
 
@@ -109,6 +114,14 @@ class OnlineParticleBelief(OnlineBelief):
             )
         return ParticleBelief(parts([(template, places[template].start)]), [self._cloud], self.lead)
 
+    def _measurement(
+        self, variable: Variable, given: Mapping[Variable, Any]
+    ) -> ParticleBelief | PointMixture:
+        if variable in self._model.places:
+            return self[variable]
+        require_parents(self._filter.model, variable, given, self.step)
+        return self._filter.measurement(self, variable, given)
+
     @property
     def _title(self) -> str:
         runs = f", runs {self.lead}" if self.lead else ""
@@ -167,6 +180,19 @@ class ParticleSteps(PointFilter[OnlineParticleBelief]):
         cloud = chain.start()
         zero = np.zeros(bound.runs)
         return self._belief(0, PREDICTED, cloud, chain.model, bound, zero, record)
+
+    def measurement(
+        self, belief: OnlineParticleBelief, variable: Variable, given: Mapping[Variable, Any]
+    ) -> PointMixture:
+        """The belief of a sensor's measurement at the step of a predicted belief.
+
+        `given` has the values of the sensor's observed parents, in rows or constant.
+        """
+        bound, alone = step_evidence.unread(self.model, belief, variable, given)
+        bound = step_evidence.at_step(bound, belief.step)
+        cloud = self._spread(belief, bound)
+        model = ParticleModel(self.model, bound, self.belief.dtype, belief.step)
+        return online(model, cloud.normalised(cloud.log_weights)[0], variable, alone=alone)
 
     def _predicted(
         self, belief: OnlineParticleBelief, bound: BoundEvidence

@@ -1,8 +1,8 @@
 """The answer of a particle filter or smoother: beliefs at all steps, log-evidence and status.
 
 A *cloud* has the particles of all runs at one step, with their weights. A posterior has, of each
-step, a cloud of the answer in `_clouds`, and one of the forward sweep in `_filtered`. `_model` is
-the network with its evidence.
+step, a cloud of the answer in `_clouds`, and those of the forward sweep: in `_ahead` before the
+step's measurements, and in `_filtered` given them. `_model` is the network with its evidence.
 """
 
 from __future__ import annotations
@@ -12,14 +12,16 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from types import MappingProxyType
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
+from pgm.beliefs.particles.left_out import without_each
 from pgm.beliefs.particles.settings import ParticleSettings
 from pgm.beliefs.points.cloud import Cloud
 from pgm.beliefs.points.components import parts
 from pgm.beliefs.points.laws import Some
+from pgm.beliefs.points.measurements import expected, readings_of, unread
 from pgm.beliefs.points.model import ParticleModel, Sensor
 from pgm.beliefs.points.particle_belief import ParticleBelief
 from pgm.compile import DynamicGraph
@@ -28,13 +30,13 @@ from pgm.display import Summary
 from pgm.errors import EvidenceError
 from pgm.evidence import Reading
 from pgm.factors.scope import Scope, as_scope, listed
-from pgm.kernels.arrays import Array
+from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.stochastic import Dense
 from pgm.posteriors.associations import Found, collected
-from pgm.posteriors.belief_kind import FILTERED, Kind, require_smoothed
-from pgm.posteriors.hidden import require_step
+from pgm.posteriors.belief_kind import FILTERED, PREDICTED, Kind, require_smoothed
+from pgm.posteriors.hidden import measured, require_step
+from pgm.posteriors.left_out import LeftOut, require_all
 from pgm.posteriors.outcome import Outcome
-from pgm.posteriors.posterior import require_variable
 from pgm.posteriors.status import Status
 from pgm.posteriors.summaries import over_time
 from pgm.resources import require_memory
@@ -58,8 +60,8 @@ class ParticleOutcome(Outcome[ParticleBelief]):
         (*runs): the logarithm of an unbiased estimate of p(measurements).
     status : Status
         How many particles are effective, and where measurements were impossible.
-    filtered : ParticleOutcome
-        The beliefs of the forward sweep; of a filter, the posterior itself.
+    filtered, predicted : ParticleOutcome
+        The beliefs of the forward sweep, given each step's measurements and before them.
 
     Examples
     --------
@@ -79,10 +81,11 @@ class ParticleOutcome(Outcome[ParticleBelief]):
     _model: ParticleModel
     _clouds: tuple[Cloud, ...]
     _filtered: tuple[Cloud, ...]
+    _ahead: tuple[Cloud, ...]
 
     def __post_init__(self) -> None:
         self.log_evidence.flags.writeable = False
-        for cloud in (*self._clouds, *self._filtered):
+        for cloud in (*self._clouds, *self._filtered, *self._ahead):
             cloud.states.flags.writeable = cloud.log_weights.flags.writeable = False
 
     beliefs: ClassVar[str] = "particles"
@@ -100,9 +103,16 @@ class ParticleOutcome(Outcome[ParticleBelief]):
         """The measurements, sensor by sensor."""
         return [sensor.reading for sensor in self._model.sensors]
 
-    def __getitem__(self, variable: Variable) -> ParticleBelief:
-        """The marginal of a hidden variable, at all steps or at one."""
-        return self.joint(require_variable(variable))
+    def __getitem__(self, variable: Variable) -> Any:
+        """The marginal of a hidden variable, or of a measurement not taken, by step or of one."""
+        layout = self.graph.layout
+        if measured(layout, variable) is None:
+            return self.joint(variable)
+        belief = expected if self.kind == PREDICTED else unread
+        return belief(self._model, layout, variable, self._clouds)
+
+    def _readings_of(self, variable: Variable) -> tuple[Integers, Array]:
+        return readings_of(self._model, variable)
 
     @property
     def _hidden(self) -> Scope:
@@ -180,6 +190,23 @@ class ParticleOutcome(Outcome[ParticleBelief]):
         if self.kind == FILTERED:
             return self
         return replace(self, kind=FILTERED, _clouds=self._filtered)
+
+    @cached_property
+    def predicted(self) -> ParticleOutcome:
+        """The beliefs before each step's measurements, of these too; those of the forward sweep."""
+        clouds = tuple(cloud.normalised(cloud.log_weights)[0] for cloud in self._ahead)
+        return replace(self, kind=PREDICTED, _clouds=clouds)
+
+    @cached_property
+    def left_out(self) -> LeftOut:
+        """The beliefs of readings given all but their own, by sensor."""
+        require_all(self.kind)
+        return LeftOut(
+            {
+                sensor.reading.cpd.child: without_each(self._model, sensor, self._clouds)
+                for sensor in self._model.sensors
+            }
+        )
 
     def joint(self, *variables: Variable) -> ParticleBelief:
         """The joint belief of variables at one step; of a smoother, also of several steps.

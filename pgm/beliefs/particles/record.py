@@ -19,6 +19,7 @@ class Record:
 
     clouds: The weighted particles given the measurements up to each step, one cloud for each call
         of `keep`.
+    predicted: Those given the measurements before each step, with weights not yet normalised.
     log_density: ln p(z_t | z_0..t−1), estimated; z_t are the measurements of step t.
     effective, number: The number of effective particles, 1 / Σ w² with the weights w, and of all.
     resampled: Whether the particles were drawn anew on the way to the step.
@@ -26,12 +27,13 @@ class Record:
     ignored, restarted: Whether no particle explained the step's measurements, so that these were
         ignored, or the run was restarted from the prior.
 
-    The arrays, all but `clouds`, are (T+1, runs), and zero until they are written.
+    The arrays, all but the clouds, are (T+1, runs), and zero until they are written.
     """
 
     def __init__(self, steps: int, runs: int) -> None:
         shape = steps + 1, runs
         self.clouds: list[Cloud] = []
+        self.predicted: list[Cloud] = []
         self.log_density, self.effective = np.zeros(shape), np.zeros(shape)
         self.number, self.injected = np.zeros(shape, dtype=int), np.zeros(shape, dtype=int)
         self.resampled = np.zeros(shape, dtype=bool)
@@ -42,11 +44,11 @@ class Record:
 
         The number of its particles, and their effective number, are written, too.
 
-        predicted: The cloud before the measurements, which a sweep gives to any record; not kept.
+        predicted: The cloud before the measurements.
         known: The cloud given the measurements.
         log_density: ln p(z_t | z_0..t−1), (runs,), or 0 at a step without measurements.
         """
-        del predicted
+        self.predicted.append(predicted)
         self.clouds.append(known)
         self.log_density[step] = log_density
         self.effective[step], self.number[step] = known.effective, known.counts

@@ -54,7 +54,8 @@ def run(
     status = Status.of_figures(figures, bound.lead)
     log_evidence = record.log_density.sum(axis=0).reshape(bound.lead)
     told = kind, log_evidence, status
-    return ParticleOutcome(graph, particles, *told, model, clouds, filtered)
+    swept = filtered, tuple(record.predicted)
+    return ParticleOutcome(graph, particles, *told, model, clouds, *swept)
 
 
 def require_fitting(particles: ParticleSettings, model: DynamicBayesianNetwork) -> None:
@@ -97,8 +98,9 @@ def require_room(size: int, particles: ParticleSettings, steps: int, runs: int, 
     kind: The kind of the posterior; unless it is filtered, trajectories take room, too.
     """
     share = np.dtype(particles.dtype).itemsize / 8
-    # States, weights and ancestors of the filter; states and weights of trajectories.
-    each = (size * share + 2) * particles.most
+    # States, weights and ancestors of the filter, and weights before measurements, with states of
+    # their own where some are injected; states and weights of trajectories.
+    each = (size * share * (1 + (particles.injection is not None)) + 3) * particles.most
     if kind != FILTERED:
         each += (size * share + 1) * particles.trajectories
     entries = int(each * steps * runs)

@@ -99,10 +99,17 @@ class Cloud:
         log_weights: The logarithms of the weights, (particles,), not yet normalised. The second
             result, (runs,), is the logarithm of their sum in each run.
         """
-        largest = np.maximum.reduceat(log_weights, self.starts[:-1])
-        each = log_weights - self.spread(largest)
-        log_total = largest + np.log(self.summed(np.exp(each, out=each)))
+        log_total = self.log_total(log_weights)
         return self.weighed(log_weights - self.spread(log_total)), log_total
+
+    def log_total(self, log_weights: Array) -> Array:
+        """The logarithm of the sum of each run's weights, (runs,), from logarithms (particles,)."""
+        largest = np.maximum.reduceat(log_weights, self.starts[:-1])
+        about = np.where(np.isneginf(largest), 0.0, largest)
+        each = log_weights - self.spread(about)
+        with np.errstate(divide="ignore"):  # a sum of zero
+            found: Array = about + np.log(self.summed(np.exp(each, out=each)))
+        return found
 
     @cached_property
     def effective(self) -> Array:

@@ -1,7 +1,6 @@
 """Filtering with point masses, cells or particles, in a robot's loop."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any, ClassVar, Generic, TypeVar
 
 from pgm.boundary import as_mapping
@@ -81,8 +80,7 @@ class PointFilter(InCode, Immutable, Generic[Belief]):
         self._check(belief)
         given = step_evidence.mapping(readings, "update", "sensors to measurements")
         bound = by_density(step_evidence.readings(self.model, belief, given))
-        shifted = (replace(r, step=r.step + belief.step) for r in bound.readings)
-        return self._updated(belief, replace(bound, readings=tuple(shifted)))
+        return self._updated(belief, step_evidence.at_step(bound, belief.step))
 
     def _check(self, belief: Any) -> None:
         """Refuse, by a ModelError, a belief of another model, or of other cells or particles."""

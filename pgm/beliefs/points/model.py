@@ -75,13 +75,13 @@ class ParticleModel:
     @cached_property
     def prior(self) -> list[Law]:
         """The laws of the states' priors."""
-        return [self._law(by_run(cpd, self.bound.lead), {}) for cpd in self.model.prior]
+        return [self.law(cpd, {}) for cpd in self.model.prior]
 
     @cached_property
     def transition(self) -> list[Law]:
         """The laws of the transition's CPDs; row k of their inputs is of step first + k + 1."""
         pairs = zip(self.model.transition, self.bound.transition, strict=True)
-        return [self._law(by_run(cpd, self.bound.lead), inputs) for cpd, inputs in pairs]
+        return [self.law(cpd, inputs) for cpd, inputs in pairs]
 
     @cached_property
     def sensors(self) -> list[Sensor]:
@@ -89,13 +89,14 @@ class ParticleModel:
         found = []
         for reading in self.bound.readings:
             cpd = by_run(reading.cpd, self.bound.lead)
-            found.append(Sensor(self._law(cpd, reading.inputs), replace(reading, cpd=cpd)))
+            found.append(Sensor(self.law(cpd, reading.inputs), replace(reading, cpd=cpd)))
             if self.weighed:
                 found[-1].require_noise()
         return found
 
-    def _law(self, cpd: CPD, inputs: Mapping[Variable, Any]) -> Law:
+    def law(self, cpd: CPD, inputs: Mapping[Variable, Any]) -> Law:
         """The law of a CPD; `inputs` are its observed parents' values (rows, runs or 1, d)."""
+        cpd = by_run(cpd, self.bound.lead)
         return law(cpd, inputs, self.places, self.dtype, self.bound.first_run, self.weighed)
 
     def row(self, step: int) -> int:

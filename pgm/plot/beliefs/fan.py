@@ -52,7 +52,8 @@ def forecast(
     The bands hold 50, 80 and 95 % of ``posterior.predicted[sensor]``, whose mean is the line: up to
     the last reading, which a dotted line marks, each step knows the readings before it, and later
     steps know them all. About so many readings should lie in each band. Where a flat prior leaves
-    all open there is no band. Angles go on beyond half a turn, the readings along with the line.
+    all open there is no band. Angles go on beyond half a turn, the readings along with the line. Of
+    mixtures, particles and grids the bands are those of the Gaussian of their mean and covariance.
 
     Parameters
     ----------

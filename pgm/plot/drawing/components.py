@@ -13,13 +13,15 @@ from pgm.errors import ModelError
 from pgm.evidence.degrees import in_degrees
 from pgm.factors import Gaussian, GaussianMixture
 from pgm.factors.scope import labels, names
+from pgm.inference import PointMixture
 from pgm.kernels.arrays import Array
 
 
 def as_gaussian(belief: Any) -> Gaussian:
     """A belief as a Gaussian; particles and mixtures by their moments; others are refused."""
-    drawn = getattr(belief, "states", None) is not None or isinstance(belief, GaussianMixture)
-    return belief.gaussian() if drawn else check_gaussian(belief)
+    drawn = getattr(belief, "states", None) is not None
+    moments = drawn or isinstance(belief, GaussianMixture | PointMixture)
+    return belief.gaussian() if moments else check_gaussian(belief)
 
 
 def one_run(belief: Any) -> Gaussian:

@@ -403,7 +403,7 @@ def test_noise_over_too_many_cells():
 def test_results_name_what_is_not_there():
     found = pgm.filter(MODEL, GIVEN, belief=grid())
     with pytest.raises(EvidenceError, match="no state that the grid covers"):
-        found[z]
+        found.joint(z)
     with pytest.raises(EvidenceError, match="by variable"):
         found["x"]
     with pytest.raises(ModelError, match="after the last step"):

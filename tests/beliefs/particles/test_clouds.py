@@ -225,7 +225,7 @@ def test_what_posteriors_refuse():
     given = cart().sample({}, steps=3, rng=1).evidence
     found = pgm.filter(cart(), given, belief=few())
     with pytest.raises(pgm.EvidenceError, match="no hidden variable"):
-        found[z]
+        found.joint(z)
     with pytest.raises(pgm.ModelError, match="after the last step"):
         found[x.at(9)]
     with pytest.raises(pgm.EvidenceError, match="not drawn together"):

@@ -506,9 +506,8 @@ class MomentSteps(InCode, Immutable):
 
         `given` has the values of the sensor's observed parents, in rows or constant.
         """
-        nothing, alone = step_evidence.unread(variable, given)
-        asked = {variable: nothing}
-        plan = self._plan(step_evidence.readings(self.model, belief, asked), belief.step)
+        bound, alone = step_evidence.unread(self.model, belief, variable, given)
+        plan = self._plan(bound, belief.step)
         (sensor,) = plan.sensors
         mean, ahead = self._before(belief, plan)
         proper(sensor.family, belief.step, ahead.shown)
