@@ -43,6 +43,7 @@ QUESTIONS: dict[str, tuple[str, type[PgmError]]] = {
     "left_out": ("beliefs of readings given all others", Unanswered),
     "lost": ("innovations, which tell where a belief was lost", Unanswered),
     "message": ("messages", GraphError),
+    "nonlinearity": ("nonlinearities of CPDs that were linearised", Unanswered),
     "potential": ("potentials of clusters", GraphError),
     "predicted": ("marginals given the measurements before each step", Unanswered),
     "rejected": ("rejections by gates", Unanswered),

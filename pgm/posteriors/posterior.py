@@ -556,6 +556,43 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
         return self._ask("lost")  # type: ignore[no-any-return]
 
     @property
+    def nonlinearity(self) -> Mapping[Variable, Array]:
+        r"""How nonlinear CPDs are over the beliefs where they were linearised, by their children.
+
+        .. math:: \operatorname{tr} \Sigma_n (\Sigma_n + R)^{-1}
+
+        R is the covariance of the CPD's own noise, and Σₙ that of what the best line through its
+        function leaves over the belief of its hidden parents. The trace lies between 0 and the
+        number of components measured: so many of them does the error govern, rather than the noise.
+        Above ½ no line at this belief is to be trusted, whichever rule has found it: iterate, so
+        that lines are found at narrower beliefs, or take a `Grid` or `Particles`.
+
+        The belief is that before the reading or the motion, where CPDs were linearised once; where
+        they were linearised again, the one that the posterior has.
+
+        Returns
+        -------
+        mapping of Variable to ndarray
+            (*runs, M) of a sensor, a figure for each of its M readings, NaN where nothing was read;
+            (*runs, T) of a state, for the steps 1..T. Affine CPDs have none.
+
+        References
+        ----------
+        García-Fernández, Svensson, Morelande & Särkkä, Posterior linearization filter, 2015.
+
+        Examples
+        --------
+        >>> from pgm.examples import squares, z
+        >>> print(pgm.filter(squares, {z: [[9.0]]}).nonlinearity)
+        Nonlinearities(z)
+          z: 1 to 1, median 1; 1 of 1 above 0.5
+        >>> print(pgm.smooth(squares, {z: [[9.0]]}, iterations=20).nonlinearity)
+        Nonlinearities(z)
+          z: 1.54e-09 to 1.54e-09, median 1.54e-09; 0 of 1 above 0.5
+        """
+        return self._ask("nonlinearity")  # type: ignore[no-any-return]
+
+    @property
     def rejected(self) -> Mapping[Variable, Rejections]:
         """By sensor with a gate, the `Rejections`: which measurements it left out."""
         return self._ask("rejected")  # type: ignore[no-any-return]

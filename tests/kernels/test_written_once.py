@@ -420,7 +420,10 @@ SOLUTIONS = listed(
         "learning/residuals.py": "_expected _robust",
         "recordings/drives/pose_graph.py": "covariances",
     },
-    {"beliefs/moments/outcomes/families.py": "_cut"},
+    {
+        "beliefs/moments/outcomes/families.py": "_cut",
+        "linearisation/nonlinearity.py": "nonlinearity",
+    },
     {"plot/diagrams/layering.py": "along", "viewer/placing.py": "_stressed"},
     # A step of a control, whose function has the name `solve`.
     {"kernels/machine/sweeps/control.py": "step"},

@@ -30,6 +30,7 @@ from pgm.beliefs.moments.outcomes.innovated import Innovated
 from pgm.beliefs.moments.outcomes.left_out import left_out
 from pgm.beliefs.moments.outcomes.marginals import Marginals, Predicted
 from pgm.beliefs.moments.outcomes.measurements import unread
+from pgm.beliefs.moments.outcomes.nonlinear import nonlinearities
 from pgm.beliefs.moments.outcomes.shown_slices import ShownMoments
 from pgm.beliefs.moments.passes import backward
 from pgm.beliefs.moments.passes.backward import Beliefs, Reverse
@@ -53,6 +54,7 @@ from pgm.posteriors.belief_kind import FILTERED, PREDICTED, SMOOTHED, Kind, requ
 from pgm.posteriors.hidden import measured, require_at_steps
 from pgm.posteriors.left_out import LeftOut, require_all
 from pgm.posteriors.measurements import as_read, no_readings
+from pgm.posteriors.nonlinearity import Nonlinearities
 from pgm.posteriors.outcome import CHAIN, Outcome
 from pgm.posteriors.shown_slices import Room
 from pgm.posteriors.status import Status
@@ -223,6 +225,12 @@ class ChainOutcome(Innovated, Outcome[Gaussian]):
         require_all(self.kind)
         plan, mean, spread = self._plan, self._beliefs.mean, self._spread
         return LeftOut({s.variable: left_out(plan, s, mean, spread) for s in plan.sensors})
+
+    @cached_property
+    @quiet()
+    def nonlinearity(self) -> Nonlinearities:
+        """How nonlinear CPDs are over the beliefs where they were linearised, by their children."""
+        return Nonlinearities(nonlinearities(self))
 
     @property
     def filtered(self) -> Marginals:
