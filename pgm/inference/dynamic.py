@@ -102,7 +102,8 @@ def filter(
         Whether the sweep along the chain runs in machine code, by LLVM. If not given, it does
         where the chain is long enough for that to be quicker; see `compile`.
     keep : collection of Variable, optional
-        The variables whose marginals are kept, so that many runs fit in memory; see `infer`.
+        The variables whose marginals are kept, so that many runs fit in memory, and sensors, whose
+        ``predicted`` and ``innovations`` are; see `infer`.
     executor : concurrent.futures.Executor, optional
         A pool of processes or threads that works on parts of the runs; see `infer`.
     belief : BeliefFamily, optional

@@ -82,10 +82,11 @@ def infer(
         reckoning, where motion alone leads from the prior mean.
     keep : collection of Variable, optional
         For a dynamic network, the hidden variables whose marginals at all steps are kept,
-        ``keep=[x]``, with log-evidence and status; without, everything is. The runs are then
-        worked through in parts of some hundreds or thousands, and only the parts at work are in
-        memory, so that a study of 100,000 simulations fits. With a lineariser that draws points
-        afresh for each run all runs are one part.
+        ``keep=[x]``, with log-evidence and status; without, everything is. Of sensors among them,
+        ``keep=[x, z]``, Gaussian chains keep ``posterior.predicted[z]`` and
+        ``posterior.innovations[z]``. The runs are then worked through in parts of some hundreds or
+        thousands, and only the parts at work are in memory, so that a study of 100,000 simulations
+        fits. With a lineariser that draws points afresh for each run all runs are one part.
     executor : concurrent.futures.Executor, optional
         For a dynamic network: a process pool, a thread pool, a Dask client's `get_executor()`, an
         MPI pool. Workers are handed about equally many parts of the runs. Results are those of one

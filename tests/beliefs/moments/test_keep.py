@@ -235,8 +235,8 @@ def test_what_was_not_kept_says_so():
 
 def test_what_keep_refuses():
     model, evidence = network(SIGHT.cpd()), recording()
-    for keep in ([z], [x, m], [x.previous], [x.at(1)], [pgm.Variable("y")]):
-        with pytest.raises(pgm.EvidenceError, match=r"not hidden; it takes x$"):
+    for keep in ([z.at(1)], [x, m], [x.previous], [x.at(1)], [pgm.Variable("y")]):
+        with pytest.raises(pgm.EvidenceError, match=r"hidden nor measured; it takes x, z$"):
             pgm.filter(model, evidence, keep=keep)
     with pytest.raises(pgm.ModelError, match="keep holds variables, not 'x'"):
         pgm.filter(model, evidence, keep="x")
@@ -294,3 +294,41 @@ def test_balanced_trees_are_parted_too(noticed):
     shared = pgm.infer(graph, evidence, executor=ThreadPoolExecutor(2))
     same(shared, whole)
     assert_allclose(shared.belief(12).h, whole.belief(12).h, atol=1e-9)
+
+
+@pytest.mark.parametrize("run", [pgm.filter, pgm.smooth])
+def test_sensors_keep_their_forecasts_and_innovations(run, noticed):
+    model, evidence = network(SIGHT.cpd()), recording()
+    whole = run(model, evidence)
+    for asked in ({}, {"executor": ThreadPoolExecutor(2)}):
+        noticed.clear()
+        kept = run(model, evidence, keep=[z, x], **asked)
+        assert len(noticed) > 3
+        same(kept, whole)
+        one, other = kept.predicted[z], whole.predicted[z]
+        assert_array_equal(one.steps, other.steps)
+        assert_allclose(one.mean, other.mean, rtol=1e-11, atol=1e-12)
+        assert_allclose(one.cov, other.cov, rtol=1e-10, atol=1e-13)
+        assert_allclose(kept.predicted[z.at(3)].mean, other.mean[:, 3], rtol=1e-11, atol=1e-12)
+        found, due = kept.innovations[z], whole.innovations[z]
+        assert_array_equal(found.step, due.step)
+        assert_array_equal(found.dof, due.dof)
+        assert_array_equal(found.rejected, due.rejected)
+        for name in ("residual", "cov", "nis"):
+            one, other = getattr(found, name), getattr(due, name)
+            assert_allclose(one, other, rtol=1e-9, atol=1e-11)
+    assert "kept [x, z]" in repr(kept)
+    with pytest.raises(pgm.EvidenceError, match=r"predicted\[x\] was not kept.*\[z\] were"):
+        kept.predicted[x]
+    with pytest.raises(pgm.EvidenceError, match=r"keeps predicted.* alone; leave keep= out"):
+        kept[z.at(1)]
+
+
+def test_forecasts_of_sensors_that_were_not_read_are_kept():
+    model = network(SIGHT.cpd())
+    evidence = {u: recording()[u], m: pgm.constant(LANDMARKS[0])}
+    kept = pgm.filter(model, evidence, keep=[z])
+    assert_allclose(kept.predicted[z].mean, pgm.filter(model, evidence).predicted[z].mean)
+    assert not kept.innovations
+    with pytest.raises(pgm.EvidenceError, match="no belief, as evidence does not tell"):
+        pgm.filter(model, {u: recording()[u]}, keep=[z])

@@ -1,7 +1,8 @@
 """Posteriors of dynamic networks that keep the marginals of some variables alone.
 
-They take less memory than a `ChainOutcome`, which keeps the beliefs over all hidden variables,
-and answers for joints, messages and innovations too. The steps are 0..T.
+Of sensors among these they keep the beliefs of measurements before they are taken, and their
+innovations. They take less memory than a `ChainOutcome`, which keeps the beliefs over all hidden
+variables, and answers for joints, messages and innovations too. The steps are 0..T.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
+from pgm.beliefs.moments.outcomes.kept_sensor import KeptPredictions, KeptSensor
 from pgm.compile import DynamicGraph
 from pgm.display import Summary
 from pgm.errors import EvidenceError, PgmError
@@ -18,7 +20,8 @@ from pgm.factors.scope import Scope, listed
 from pgm.kernels.arrays import Array
 from pgm.posteriors.associations import Found
 from pgm.posteriors.belief_kind import FILTERED, Kind
-from pgm.posteriors.hidden import located
+from pgm.posteriors.hidden import located, measured
+from pgm.posteriors.innovations import BySensor
 from pgm.posteriors.outcome import QUESTIONS, Outcome
 from pgm.posteriors.status import Status
 from pgm.posteriors.summaries import over_time
@@ -31,7 +34,8 @@ class KeptOutcome(Outcome[Gaussian]):
 
     `filter`, `smooth` and `infer` return it with ``keep=[x]``. ``posterior[x]`` has means
     (..., T+1, d) of a state and (..., T, d) of a hidden control, of d components, and
-    ``posterior[x.at(3)]`` is the marginal at one step. Leading axes are runs.
+    ``posterior[x.at(3)]`` is the marginal at one step. With ``keep=[z]``, z being a sensor, it has
+    ``posterior.predicted[z]`` and ``posterior.innovations[z]``. Leading axes are runs.
 
     Attributes
     ----------
@@ -74,6 +78,7 @@ class KeptOutcome(Outcome[Gaussian]):
     _kept: Mapping[Variable, Gaussian]
     _log_evidence: Array
     _log_evidence_kind: str
+    _sensors: Mapping[Variable, KeptSensor]
     associations: Found = field(default_factory=dict)
 
     def __getitem__(self, variable: Variable) -> Gaussian:
@@ -84,7 +89,14 @@ class KeptOutcome(Outcome[Gaussian]):
         EvidenceError
             If it was not kept, is not hidden, or has no such step.
         """
-        template, first = located(self.graph.layout, variable, self.graph.steps)
+        layout = self.graph.layout
+        if measured(layout, variable) in self._sensors:
+            raise EvidenceError(
+                f"{variable!r} is a measurement, of which keep= keeps predicted[{variable!r}] and "
+                "innovations alone; leave keep= out to have its belief where nothing was read",
+                variable=variable,
+            )
+        template, first = located(layout, variable, self.graph.steps)
         if template not in self._kept:
             wanted = ", ".join(v.name for v in (*self._kept, template))
             raise EvidenceError(
@@ -95,6 +107,21 @@ class KeptOutcome(Outcome[Gaussian]):
             return found
         at = variable.step - first
         return Gaussian._make((variable,), found.mean[..., at, :], found.cov[..., at, :, :])
+
+    @property
+    def predicted(self) -> KeptPredictions:
+        """The beliefs of measurements before they are taken, of sensors that were kept."""
+        if not self._sensors:
+            raise self.refusal("predicted")
+        return KeptPredictions({v: kept.predicted for v, kept in self._sensors.items()})
+
+    @property
+    def innovations(self) -> BySensor:
+        """The innovations of sensors that were kept."""
+        if not self._sensors:
+            raise self.refusal("innovations")
+        every = {v: kept.innovations for v, kept in self._sensors.items()}
+        return BySensor({v: found for v, found in every.items() if found is not None})
 
     @property
     def _hidden(self) -> Scope:
@@ -118,6 +145,8 @@ class KeptOutcome(Outcome[Gaussian]):
             f"{what}: not kept, since keep= keeps {self.kind} marginals, log-evidence and status "
             "alone; leave keep= out to have everything"
         )
+        if question in ("predicted", "innovations"):
+            text += "; those of measurements z are kept by keep=[..., z]"
         if question == "filtered":
             here = self.kind == FILTERED
             text += "; filtered marginals "
@@ -128,7 +157,8 @@ class KeptOutcome(Outcome[Gaussian]):
     def _title(self) -> str:
         runs = self._log_evidence.shape
         return (
-            f"Posterior({self.kind}, kept [{listed(self._kept)}], steps 0..{self.graph.steps}"
+            f"Posterior({self.kind}, kept [{listed((*self._kept, *self._sensors))}], "
+            f"steps 0..{self.graph.steps}"
             f"{f', runs {runs}' if runs else ''})"
         )
 

@@ -21,6 +21,7 @@ from pgm.beliefs.moments.association.association import associated
 from pgm.beliefs.moments.bound.binding import bound_to
 from pgm.beliefs.moments.digits import last_places
 from pgm.beliefs.moments.outcomes.kept_outcome import KeptOutcome
+from pgm.beliefs.moments.outcomes.kept_sensor import KeptSensor
 from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
 from pgm.beliefs.moments.parts.join import joined, one_status, swept_once
 from pgm.beliefs.moments.parts.split import Part, split
@@ -55,7 +56,8 @@ def run(graph: DynamicGraph, bound: BoundEvidence, call: Call) -> ChainOutcome |
     warning is given for all runs together.
 
     Of its options `start` has the means by variable at which CPDs are linearised first. `keep` has
-    the variables whose marginals alone are held, with the log-evidence, which bounds memory.
+    the variables whose marginals alone are held, with the log-evidence, which bounds memory; and
+    sensors, of which beliefs of measurements and innovations are held.
     Workers of `executor` share the runs. With an executor, or with `keep`, runs are worked through
     in parts.
     """
@@ -72,8 +74,8 @@ def run(graph: DynamicGraph, bound: BoundEvidence, call: Call) -> ChainOutcome |
         posterior = run(graph, bound, call)
         status = posterior.status.with_compilation(_both(posterior.status.compilation, how))
         return posterior._changed(status=status, associations=found)
-    kept = None if keep is None else _hidden(graph.layout, keep)
-    _require_memory(graph.layout, bound, schedule, kept)
+    kept, sensors = (None, ()) if keep is None else _kept(graph.layout, keep)
+    _require_memory(graph.layout, bound, schedule, kept, sensors)
     workers = Workers(executor)
     whole = Part(slice(0, bound.runs), graph, bound, start)
     parts = [whole]
@@ -83,7 +85,7 @@ def run(graph: DynamicGraph, bound: BoundEvidence, call: Call) -> ChainOutcome |
         if kept is None:
             return _told(run_chain(graph, bound, schedule, lineariser, start))
         workers = Workers(None)
-    share = Share.of(graph, schedule, start, kept)
+    share = Share.of(graph, schedule, start, kept, sensors)
     room = workers.room(share.shapes(graph, bound))
     results = _results(workers, whole, parts, schedule, lineariser, share, room)
     if kept is None and any(result.careful for result in results):
@@ -101,6 +103,12 @@ def run(graph: DynamicGraph, bound: BoundEvidence, call: Call) -> ChainOutcome |
             _gaussians(kept, room, bound),
             frozen(room[-1].reshape(bound.lead).copy()),
             kinds.pop() if len(kinds) == 1 else "linearised",  # a fixed point is one of all runs
+            {
+                sensor: KeptSensor.joined(each, bound.lead)
+                for sensor, *each in zip(
+                    sensors, *(result.sensors for result in results), strict=True
+                )
+            },
         )
     if share.beliefs:
         return swept_once(graph, bound, lineariser, status, room)
@@ -202,15 +210,20 @@ def _of(room: Sequence[Array], part: Part) -> list[Array]:
 
 
 def _require_memory(
-    layout: SliceLayout, bound: BoundEvidence, schedule: Schedule | None, kept: Scope | None
+    layout: SliceLayout,
+    bound: BoundEvidence,
+    schedule: Schedule | None,
+    kept: Scope | None,
+    sensors: Scope,
 ) -> None:
     """Refuse beliefs that would not fit in memory, by a `GraphError`.
 
-    What is counted are means and covariances at all steps: of the `kept` variables alone, or, if
-    that is None, of the whole slices, once for a filter and four times for a smoother, which keeps
-    the moments of its passes.
+    What is counted are means and covariances at all steps: of the `kept` variables alone and, as
+    beliefs and as innovations, of the `sensors`; or, if `kept` is None, of the whole slices, once
+    for a filter and four times for a smoother, which keeps the moments of its passes.
     """
     sizes = [layout.slice_size] if kept is None else [v.dimension for v in kept]
+    sizes += [v.dimension for v in sensors] * 2
     sets = 4 if kept is None and not isinstance(schedule, Filtering) else 1
     require_memory(
         sets * (bound.steps + 1) * bound.runs * sum(size * (size + 1) for size in sizes),
@@ -221,17 +234,18 @@ def _require_memory(
     )
 
 
-def _hidden(layout: SliceLayout, keep: Keep) -> Scope:
-    """The variables that the user's `keep` names; an `EvidenceError` if one is not hidden."""
-    kept = as_scope(keep, "keep", ordered=False)
+def _kept(layout: SliceLayout, keep: Keep) -> tuple[Scope, Scope]:
+    """The hidden variables and the sensors that the user's `keep` names; an EvidenceError else."""
+    kept, taken = as_scope(keep, "keep", ordered=False), (*layout.slice, *layout.model.sensors)
     for variable in kept:
-        if variable not in layout.slice:
+        if variable not in taken:
             raise EvidenceError(
-                f"keep has {variable!r}, which is not hidden; it takes {listed(layout.slice)}"
-                f"{namesake(variable, layout.slice)}",
+                f"keep has {variable!r}, which is neither hidden nor measured; it takes "
+                f"{listed(taken)}{namesake(variable, taken)}",
                 variable=variable,
             )
-    return kept
+    hidden = tuple(variable for variable in kept if variable in layout.slice)
+    return hidden, tuple(variable for variable in kept if variable not in layout.slice)
 
 
 def _gaussians(
@@ -262,22 +276,29 @@ class Share:
     beliefs: Whether the filtered moments and log-densities of all steps are sent. If this is False,
         and `kept` is None, the posterior itself is sent.
     smoothed: Whether the smoothed moments are sent with these beliefs.
+    sensors: Those of which beliefs of measurements and innovations are sent with kept marginals.
     """
 
     kept: Scope | None
     beliefs: bool
     smoothed: bool
+    sensors: Scope
 
     @classmethod
     def of(
-        cls, graph: DynamicGraph, schedule: Schedule | None, start: Start | None, kept: Scope | None
+        cls,
+        graph: DynamicGraph,
+        schedule: Schedule | None,
+        start: Start | None,
+        kept: Scope | None,
+        sensors: Scope,
     ) -> Share:
         """The share for a call: kept marginals, beliefs alone, or the whole posterior.
 
-        Marginals are sent if there are `kept` variables. Beliefs suffice if every CPD was
-        linearised once, along the filter: the schedule has one iteration, is no fixed lag and none
-        of a user's own, and there is no start, no balanced tree and no gate. Another sweep then
-        finds everything else. A posterior of any other call is sent whole.
+        Marginals are sent if there are `kept` variables, or `sensors`. Beliefs suffice if every CPD
+        was linearised once, along the filter: the schedule has one iteration, is no fixed lag and
+        none of a user's own, and there is no start, no balanced tree and no gate. Another sweep
+        then finds everything else. A posterior of any other call is sent whole.
         """
         once = schedule is None or (
             isinstance(schedule, Filtering | Calibration)
@@ -287,7 +308,8 @@ class Share:
         plain = start is None and not isinstance(graph, BalancedGraph)
         # What gates have decided is in all of it.
         plain = plain and getattr(schedule, "gate", None) is None
-        return cls(kept, kept is None and once and plain, not isinstance(schedule, Filtering))
+        alone = kept is None and once and plain
+        return cls(kept, alone, not isinstance(schedule, Filtering), sensors)
 
     def shapes(self, graph: DynamicGraph, bound: BoundEvidence) -> list[Shape]:
         """The shapes of the arrays sent back, for all runs: ((steps, runs), lengths of own axes).
@@ -370,6 +392,7 @@ class Result(NamedTuple):
         together.
     arrays: The arrays of the share; None where they have been written to the room.
     found: The posterior, where it is sent whole.
+    sensors: What is kept of each sensor of the share.
     """
 
     status: Status
@@ -378,6 +401,7 @@ class Result(NamedTuple):
     careful: bool
     arrays: Sequence[Array] | None = None
     found: ChainOutcome | None = None
+    sensors: Sequence[KeptSensor] = ()
 
 
 def run_job(job: Job) -> Result:
@@ -394,6 +418,7 @@ def run_job(job: Job) -> Result:
     if share.kept is None and not share.beliefs:
         return result._replace(found=found)
     arrays = share.arrays(found, part.bound.runs)
+    result = result._replace(sensors=[KeptSensor.of(found, v) for v in share.sensors])
     if job.room is None:
         return result._replace(arrays=arrays)
     write(job.room, arrays)
