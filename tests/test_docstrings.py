@@ -58,3 +58,37 @@ def test_each_name_that_is_called_has_an_example_that_is_run(module):
     names = dict(called(module))
     assert names
     assert not [name for name, value in names.items() if not has_example(value)]
+
+
+def explained(value):
+    """The parameters of a docstring's section, each with the words that explain it."""
+    lines = inspect.getdoc(value).split("Parameters\n----------\n")[1].split("\n\n")[0].split("\n")
+    found = {}
+    for line in lines:
+        if not line.startswith(" "):
+            found[name := line.partition(" :")[0]] = ""
+        else:
+            found[name] += line.strip() + " "
+    return found
+
+
+@pytest.mark.parametrize("value", [pgm.filter, pgm.smooth, pgm.OnlineFilter, pgm.infer, pgm.audit])
+def test_each_parameter_is_explained_where_it_stands(value):
+    found = explained(value)
+    assert list(found) == list(inspect.signature(value).parameters)
+    for name, words in found.items():
+        assert len(words) > 20, name
+        assert not words.startswith(("See ", "As ")), name
+
+
+@pytest.mark.parametrize(
+    ("value", "names"),
+    [
+        (pgm.filter, "Kalman extended unscented cubature iterated"),
+        (pgm.smooth, "Kalman Rauch–Tung–Striebel extended unscented cubature Gauss–Newton"),
+        (pgm.OnlineFilter, "Kalman extended unscented Rauch–Tung–Striebel"),
+    ],
+)
+def test_filters_are_found_by_their_names(value, names):
+    told = inspect.getdoc(value).split("Parameters\n")[0]
+    assert [name for name in names.split() if name not in told] == []

@@ -1,29 +1,4 @@
-"""Filtering and smoothing: a dynamic network is compiled, and a schedule run on its graph.
-
-The options of all functions are these, in a few words; `filter` and `infer` tell more:
-
-- `lineariser` is for the nonlinear CPDs that have none of their own.
-- `steps` is T, the last step, where no plain array in the evidence tells it, or goes on beyond it.
-- `iterations` is the most linearisations that are made. They end early once no mean moves by more
-  than `tolerance` standard deviations.
-- `damping` is the share of the old point of linearisation that is kept in the next one, or a
-  `LevenbergMarquardt`, which takes no step that raises the weighted sum of squared residuals.
-- `gate` is a probability: a measurement is left out if its innovation ν, of covariance S, has a
-  νᵀS⁻¹ν beyond the χ² quantile of that probability. It is one number for all sensors, or a mapping
-  from sensors to theirs; None leaves nothing out.
-- `start` has means, by variable, at which everything is linearised first; None for the beliefs of a
-  filter, or on a balanced tree for dead reckoning.
-- `lag` is the number of later steps whose measurements each belief knows; None for all.
-- `method` is `Balanced()` for a balanced tree; None for a chain.
-- `keep` names the variables whose marginals are kept; None for all.
-- `executor` is a pool of processes or threads that works on parts of the runs; None for none.
-- `belief` is a family of beliefs, `Grid`, `Particles` or one of the user's own; None for Gaussians,
-  or for tables of discrete variables.
-- `compiled` says whether sweeps run in machine code; with None they do where they are long.
-- `progress` says whether bars show how far the work is.
-- `impossible` says what is done with runs whose evidence has probability zero, if the network is
-  of tables: ``"raise"`` refuses the evidence; ``"allow"`` gives such runs NaN.
-"""
+"""Filtering and smoothing: a dynamic network is compiled, and a schedule run on its graph."""
 
 from __future__ import annotations
 
@@ -75,48 +50,60 @@ def filter(
     progress: Progress = False,
     impossible: str = RAISE,
 ) -> Posterior[B]:
-    r"""Compile a network and filter: `infer` with `Filtering(iterations, tolerance, damping)`.
+    r"""Kalman filters: the belief of the states at each step, given the measurements up to it.
 
     .. math:: p(x_t \mid \text{measurements up to } t), \quad t = 0, \ldots, T
+
+    Of a linear model with Gaussian noise that is the Kalman filter, which is exact. Nonlinear CPDs
+    are linearised at each incoming belief: with `Taylor` it is the extended Kalman filter, with
+    `Unscented` the unscented, with `Cubature` the cubature Kalman filter. Two or more iterations
+    make iterated filters of these, which linearise the sensors of a step again where they lead. Of
+    discrete states it is the forward algorithm of hidden Markov models. The schedule, for `infer`,
+    is `Filtering`.
 
     Parameters
     ----------
     model : DynamicBayesianNetwork
+        The prior of the states, their motion and the sensors, as CPDs.
     evidence : mapping of Variable
         Values of sensors and inputs, by variable: arrays (..., T, d) of the steps 1 to T,
-        `constant` or `sightings`. Leading axes are runs; see `infer`.
+        `constant` or `sightings`. Leading axes are runs; NaN was not measured.
     lineariser : Lineariser, optional
-        For every nonlinear CPD that has none of its own; `Taylor()` if not given.
+        The rule for nonlinear CPDs that have none of their own, such as ``pgm.Unscented()``; by
+        default `Taylor`, which takes Jacobians.
     steps : int, optional
-        T, the last step: needed if the evidence has no plain array, whose length would tell it.
-        Arrays of sensors may be shorter: nothing was read at the steps after them, which are a
-        forecast; see `Posterior.predicted`.
-    iterations, tolerance, damping
-        The most linearisations of a step's sensors; they end early once no mean moves by more than
-        ``tolerance`` standard deviations. ``damping`` is the share of the old point of
-        linearisation that is kept in the next, or a `LevenbergMarquardt`. See `Filtering`.
+        T, the last step: needed where no array in the evidence tells it. Arrays of sensors may be
+        shorter; the steps after them are a forecast.
+    iterations : int
+        How often the sensors of a step are linearised, at the most: 1 is the plain filter. More
+        start again from the predicted belief, so that no measurement counts twice.
+    tolerance : float
+        Iterations of a step end once no mean is further from where it was linearised than so many
+        standard deviations; with 0 all are made.
+    damping : float or LevenbergMarquardt
+        The share of the old point of linearisation that is kept in the next, in [0, 1); or
+        ``pgm.LevenbergMarquardt()``, which takes no step that raises the cost.
     gate : float or mapping of Variable to float, optional
         A probability, of all sensors or by sensor. A measurement is left out if its innovation ν,
-        of covariance S, has a νᵀS⁻¹ν beyond the χ² quantile of this probability; see `Filtering`.
-    compiled : bool or Compiled, optional
-        Whether the sweep along the chain runs in machine code, by LLVM. If not given, it does
-        where the chain is long enough for that to be quicker; see `compile`.
+        of covariance S, has a νᵀS⁻¹ν beyond the χ² quantile of it; see ``posterior.rejected``.
     keep : collection of Variable, optional
-        The variables whose marginals are kept, so that many runs fit in memory, and sensors, whose
-        ``predicted`` and ``innovations`` are; see `infer`.
+        The variables whose marginals are kept, ``keep=[x]``, so that a study of 100,000 runs fits
+        in memory, and sensors whose ``predicted`` and ``innovations`` are; all, if not given.
     executor : concurrent.futures.Executor, optional
-        A pool of processes or threads that works on parts of the runs; see `infer`.
+        A pool of processes or threads, which works on parts of the runs; the results are the same.
     belief : BeliefFamily, optional
-        Beliefs on a `Grid`, by `Particles`, or of a family of your own, in place of Gaussians; or
-        how many Gaussians a mixture has, ``pgm.Gaussians(8)``, which is what switching models,
-        mixtures of CPDs and sightings that leave open what was seen have.
+        What beliefs are in place of Gaussians: a `Grid` of cells, `Particles`, ``pgm.Gaussians(8)``
+        (mixtures, of switching models and ambiguous sightings), or a family of your own.
+    compiled : bool or Compiled, optional
+        Whether sweeps run in machine code, by LLVM; if not given, where they are long enough for
+        that to be quicker. ``posterior.status.compilation`` says what was compiled.
     progress : bool or callable
-        Whether bars show how far the work is, or a function that is told; see `infer`.
+        Whether bars show how far the work is, on a terminal or in a notebook; or a function,
+        ``progress(done, total)``, that is told.
     impossible : str
-        For a network of tables, what is done with a run of which a measurement has probability
-        zero given those before: ``"raise"`` an error, or ``"allow"`` it. The run then has a
-        log-evidence of −∞, and NaN for its filtered beliefs from that step on, and for the
-        smoothed ones at all steps.
+        Of a model of tables, what is done with a run whose evidence has probability zero:
+        ``"raise"`` an error, or ``"allow"`` it: its log-evidence is then −∞, and its beliefs are
+        NaN from that step on.
 
     Returns
     -------
@@ -131,6 +118,8 @@ def filter(
     -----
     ConvergenceWarning
         If ``iterations`` of two or more end before they settle, in any run.
+    PrecisionWarning
+        If rounding leaves fewer than six digits of a mean.
 
     Raises
     ------
@@ -173,52 +162,71 @@ def smooth(
     progress: Progress = False,
     impossible: str = RAISE,
 ) -> Posterior[B]:
-    r"""Compile a network and smooth: `infer` with `Smoothing(iterations, tolerance, damping)`.
+    r"""Rauch–Tung–Striebel smoothers: the belief at each step, given all measurements.
 
     .. math:: p(x_t \mid \text{all measurements}), \quad t = 0, \ldots, T
 
-    With a lag the schedule is `FixedLag(lag, iterations, tolerance, damping)`: each belief knows
-    the measurements up to `lag` steps later.
+    A Kalman filter goes forward, and a pass back takes in what comes later. Of a linear model that
+    is exact. Nonlinear CPDs are linearised as the filter does it: with `Taylor` it is the extended,
+    with `Unscented` the unscented, with `Cubature` the cubature RTS smoother. Two or more
+    iterations linearise everything again at the smoothed beliefs: with `Taylor` that is
+    Gauss–Newton (the iterated extended Kalman smoother), with sigma points the iterated posterior
+    linearisation smoother. Of discrete states it is the forward–backward algorithm. The schedule,
+    for `infer`, is `Smoothing`, with a lag `FixedLag`.
 
     Parameters
     ----------
     model : DynamicBayesianNetwork
+        The prior of the states, their motion and the sensors, as CPDs.
     evidence : mapping of Variable
         Values of sensors and inputs, by variable: arrays (..., T, d) of the steps 1 to T,
-        `constant` or `sightings`. Leading axes are runs; see `infer`.
+        `constant` or `sightings`. Leading axes are runs; NaN was not measured.
     lineariser : Lineariser, optional
-        For every nonlinear CPD that has none of its own; `Taylor()` if not given.
+        The rule for nonlinear CPDs that have none of their own, such as ``pgm.Unscented()``; by
+        default `Taylor`, which takes Jacobians.
     steps : int, optional
-        T, the last step: needed if the evidence has no plain array, whose length would tell it.
-        Arrays of sensors may be shorter: nothing was read at the steps after them, which are a
-        forecast; see `Posterior.predicted`.
+        T, the last step: needed where no array in the evidence tells it. Arrays of sensors may be
+        shorter; the steps after them are a forecast.
     start : mapping of Variable to array_like, optional
         Means (..., T+1, d) of states, (..., T, d) of hidden controls, at which everything is
-        linearised first; not with a lag.
+        linearised first, in place of the filter's beliefs; not with a lag.
     lag : int, optional
-        The number of later steps whose measurements each belief knows; see `FixedLag`.
-    iterations, tolerance, damping
-        The most linearisations; they end early once no smoothed mean moves by more than
-        ``tolerance`` standard deviations. ``damping`` is the share of the old point of
-        linearisation that is kept in the next, or a `LevenbergMarquardt`. See `Smoothing` and
-        `FixedLag`.
+        A fixed lag: each belief knows the measurements up to so many steps later. All, if not
+        given.
+    iterations : int
+        How often CPDs are linearised, at the most: 1 is the plain smoother. It pays where the
+        filter's beliefs are wide, as from an unknown start.
+    tolerance : float
+        Iterations of a run end once no smoothed mean is further from where it was linearised than
+        so many standard deviations; with 0 all are made.
+    damping : float or LevenbergMarquardt
+        The share of the old point of linearisation that is kept in the next, in [0, 1); or
+        ``pgm.LevenbergMarquardt()``, which takes no step that raises the cost.
     gate : float or mapping of Variable to float, optional
-        A probability, of all sensors or by sensor. A measurement is left out if its innovation ν,
-        of covariance S, has a νᵀS⁻¹ν beyond the χ² quantile of this probability; see `Smoothing`.
+        A probability, of all sensors or by sensor. The filter leaves a measurement out if its
+        innovation ν, of covariance S, has a νᵀS⁻¹ν beyond the χ² quantile of it, and so it stays.
     method : Balanced, optional
-        `Balanced()` solves on a balanced tree, and starts from dead reckoning, which saves the
-        filter's sweep. If not given, the graph is a chain of slices, and the first linearisation
-        is the filter's. Each later one is of all steps at once, and the linearised model is solved
-        in one of two ways. One takes about 2 log₂ T rounds, as on a balanced tree; the other goes
-        step by step along the chain. The rounds are taken where they are faster and cost no
-        digits. They are faster from 64 steps on, if the components of a slice times the runs are
-        200 at the most. They would cost digits with measurements that are noise-free, that are
-        linearised jointly with others of their step, or that shrink a variance more than 4·10⁶
-        times. In machine code the model is always solved step by step.
-    keep, executor, belief, compiled, progress, impossible
-        The variables whose marginals are kept; a pool that works on parts of the runs; a `Grid` or
-        `Particles` in place of Gaussians; whether sweeps run in machine code; whether bars show how
-        far the work is; and what is done with evidence of probability zero. See `filter`.
+        ``pgm.Balanced()`` solves on a balanced tree of steps, and linearises first where motion
+        alone leads. If not given, the graph is a chain, the first linearisation is the filter's,
+        and later ones are solved in 2 log₂ T rounds or step by step, whichever is faster.
+    keep : collection of Variable, optional
+        The variables whose marginals are kept, ``keep=[x]``, so that a study of 100,000 runs fits
+        in memory, and sensors whose ``predicted`` and ``innovations`` are; all, if not given.
+    executor : concurrent.futures.Executor, optional
+        A pool of processes or threads, which works on parts of the runs; the results are the same.
+    belief : BeliefFamily, optional
+        What beliefs are in place of Gaussians: a `Grid` of cells, `Particles`, ``pgm.Gaussians(8)``
+        (mixtures, of switching models and ambiguous sightings), or a family of your own.
+    compiled : bool or Compiled, optional
+        Whether sweeps run in machine code, by LLVM; if not given, where they are long enough for
+        that to be quicker. ``posterior.status.compilation`` says what was compiled.
+    progress : bool or callable
+        Whether bars show how far the work is, on a terminal or in a notebook; or a function,
+        ``progress(done, total)``, that is told.
+    impossible : str
+        Of a model of tables, what is done with a run whose evidence has probability zero:
+        ``"raise"`` an error, or ``"allow"`` it: its log-evidence is then −∞, and its beliefs are
+        NaN at all steps.
 
     Returns
     -------
@@ -230,11 +238,22 @@ def smooth(
     -----
     ConvergenceWarning
         If ``iterations`` of two or more end before they settle, in any run.
+    PrecisionWarning
+        If rounding leaves fewer than six digits of a mean.
 
     Raises
     ------
     PgmError
         For the same reasons as `infer`.
+
+    Notes
+    -----
+    On a chain each linearisation after the first is of all steps at once, and the linearised model
+    is solved in one of two ways: in about 2 log₂ T rounds, as on a balanced tree, or step by step.
+    The rounds are taken where they are faster and cost no digits. They are faster from 64 steps on,
+    if the components of a slice times the runs are 200 at the most. They would cost digits with
+    measurements that are noise-free, that are linearised jointly with others of their step, or that
+    shrink a variance more than 4·10⁶ times. In machine code it is always step by step.
 
     Examples
     --------

@@ -32,42 +32,38 @@ _GENERAL = (_general, _general)
 
 @public
 class OnlineFilter(InCode, Immutable):
-    """A filter for one step at a time; immutable, and so are its beliefs.
+    """A Kalman filter for a robot's loop, one step at a time; immutable, and so are its beliefs.
 
-    Beliefs belong to the filter's own model: pickle the two together.
+    It predicts and updates as `filter` does: of a linear model it is the Kalman filter, with
+    `Taylor` the extended, with `Unscented` the unscented Kalman filter; with a lag a fixed-lag
+    Rauch–Tung–Striebel smoother besides. Beliefs belong to the filter's own model: pickle the two
+    together.
 
     Parameters
     ----------
     model : DynamicBayesianNetwork
-        Of a model of tables ``belief[x]`` are tables.
+        The prior of the states, their motion and the sensors, as CPDs. Of a model of tables
+        ``belief[x]`` are tables.
     lineariser : Lineariser, optional
-        For every CPD that has none of its own; `Taylor()` without.
+        The rule for nonlinear CPDs that have none of their own; by default `Taylor`.
     schedule : Filtering or FixedLag, optional
-        How often measurements are linearised; once if not given. With a `FixedLag`,
-        ``belief.lagged`` is the belief at the step a lag before, given everything so far. If the
-        `FixedLag` has one iteration, that belief is found when it is asked for. If it has more,
-        each update linearises the last steps, its own included, until they settle, and takes all
-        measurements of its step together, as `infer` does on recorded ones.
+        How often a step's measurements are linearised; once if not given. With a `FixedLag`,
+        ``belief.lagged`` is the belief a lag before, given everything so far; with two or more
+        iterations each update linearises the last steps again, until they settle.
     lag : int, optional
         In place of a schedule, as ``schedule=FixedLag(lag)``. Readings may then come late by so
         many steps: see `update`.
     gate : float or mapping of Variable to float, optional
-        The gate of the schedule (see `Filtering`), if no schedule is given; for its decisions see
-        ``belief.rejected[z]``.
+        The probability within which measurements are taken in, by the χ² quantile of their νᵀS⁻¹ν,
+        if no schedule is given, which has its own; ``belief.rejected[z]`` has the decisions.
     watch : bool
         Whether ``belief.lost`` is to tell if a belief is probably wrong, as `Lost` does.
     belief : Grid, Particles, or another BeliefFamily, optional
-        The family of beliefs, if they are not moments or tables. What it has no use for of the
-        other arguments it refuses.
-    compiled : bool or Compiled
-        Whether steps are made in machine code, by LLVM. The model's functions are then recorded
-        as they are when the filter is made; see `renewed` for later changes. Some steps are made
-        without machine code, with equal results: those of many runs, of a lag with iterations, of
-        Levenberg–Marquardt, in twice the digits, with noise that depends on inputs or is graduated,
-        with numbers that change from step to step, or with functions that make floats of their
-        input. Machine code runs in one thread. If not given, steps of linear models are made in it
-        after the first 1,000 of a kind for each four components of a slice, which take as long as
-        its making; those of others are not, since a function that is recorded may change unseen.
+        What beliefs are in place of Gaussians or tables. What it has no use for of the other
+        arguments it refuses.
+    compiled : bool or Compiled, optional
+        Whether steps are made in machine code, by LLVM; see the notes. If not given, those of
+        linear models are, once there are so many that it pays.
 
     Raises
     ------
@@ -75,6 +71,17 @@ class OnlineFilter(InCode, Immutable):
         If an argument is of a wrong kind, or two of them exclude each other.
     ImportError
         If steps are to be compiled where llvmlite is missing.
+
+    Notes
+    -----
+    With ``compiled=True`` the model's functions are recorded as they are when the filter is made;
+    see `renewed` for later changes. Some steps are made without machine code, with equal results:
+    those of many runs, of a lag with iterations, of Levenberg–Marquardt, in twice the digits, with
+    noise that depends on inputs or is graduated, with numbers that change from step to step, or
+    with functions that make floats of their input. Machine code runs in one thread. If `compiled`
+    is not given, steps of linear models are made in it after the first 1,000 of a kind for each
+    four components of a slice, which take as long as its making; those of others are not, since a
+    function that is recorded may change unseen.
 
     Examples
     --------
