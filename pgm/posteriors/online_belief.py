@@ -54,8 +54,9 @@ class OnlineBelief(Shown, NoArray):
     associations : mapping of Variable to Associations
         By sensor, of the update's sightings with an `unknown` parent; of Gaussian beliefs.
     innovations : mapping of Variable to StepInnovations
-        Of the last update, by sensor: residuals, their covariances, NIS and gains; of Gaussian
-        beliefs. They are found when they are asked for, by making the update again.
+        Of the last update, by sensor: residuals, their covariances and NIS; of Gaussian beliefs,
+        which have gains, too, and of mixtures of them. They are found when they are asked for, by
+        making the update again.
     predicted : Predictions
         Of a belief that `predict` returned, those of measurements before they are taken:
         ``predicted[z]``, or ``predicted.of(z, given={m: ...})`` with observed parents.

@@ -511,13 +511,14 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
         Nonlinear sensors stay linearised, and robust noise weighed, as they were with the reading.
         Grids multiply all densities but the reading's own. Particles divide their weights by its
         density, which fails where it tells more than all others do: ``.pareto`` is the shape of
-        their weights, and a `ParticleWarning` tells where it is above 0.7.
+        their weights, and a `ParticleWarning` tells where it is above 0.7. Chains that switch are
+        smoothed again, without many readings at a time, one in each copy.
 
         Returns
         -------
-        mapping of Variable to Gaussian, Table or PointMixture
-            (*runs, M, d): the belief of M readings of d components; ``.steps`` are those of a
-            `Gaussian` or a `PointMixture`. A `Table` has rows (*runs, M) alone.
+        mapping of Variable to Gaussian, GaussianMixture, Table or PointMixture
+            (*runs, M, d): the belief of M readings of d components, with their ``.steps``. A
+            `Table` has rows (*runs, M) alone.
 
         Raises
         ------
@@ -547,7 +548,11 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
 
     @property
     def innovations(self) -> Mapping[Variable, Innovations]:
-        """By sensor, the `Innovations`: how far measurements were from their prediction."""
+        """By sensor, the `Innovations`: how far measurements were from their prediction.
+
+        Of mixtures of Gaussians, as of chains that switch, they are those of the mixture, by its
+        mean and covariance: the NIS has the right mean then, and no χ² distribution.
+        """
         return self._ask("innovations")  # type: ignore[no-any-return]
 
     @property

@@ -9,11 +9,22 @@ from typing import ClassVar
 import numpy as np
 
 from pgm.display import NoArray, Shown, Summary, number
+from pgm.errors import Unanswered
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.posteriors.by_sensor import EachSensor
 from pgm.posteriors.innovations import Innovations
 from pgm.variables import Variable
+
+
+class NoGains(dict[Variable, Array]):
+    """The gains of mixtures, of which each Gaussian has its own: asked for, they are refused."""
+
+    def __missing__(self, variable: Variable) -> Array:
+        raise Unanswered(
+            "a mixture of Gaussians has no gain: each of its Gaussians has its own, and their "
+            "weights change with the reading, too"
+        )
 
 
 class StepInnovations(Shown, NoArray, Immutable):
@@ -24,6 +35,10 @@ class StepInnovations(Shown, NoArray, Immutable):
     below, M being their number and ``...`` the axes of runs. One reading, given by itself, has no
     axis M; if it is of a scalar sensor, it has no component axis either, so that all are numbers.
     Of a lag with iterations they are always those of all sightings of the step.
+
+    Of a mixture of Gaussians residual and covariance are of the mixture before the update: its mean
+    and covariance, the spread of its Gaussians included. The NIS has then the right mean, but no χ²
+    distribution.
 
     Attributes
     ----------
@@ -41,7 +56,7 @@ class StepInnovations(Shown, NoArray, Immutable):
         By hidden variable, of n components, its rows of the Kalman gain K, (..., M, n, d): the
         update moved its mean by the sum of K r over the sightings of all sensors. Zero for
         components that were not measured, and for rejected sightings; NaN while a flat prior left
-        a direction unknown.
+        a direction unknown. Refused of mixtures of Gaussians, of which each has its own.
     rejected : ndarray of bool
         (..., M): marks sightings that a gate has rejected.
 
@@ -58,7 +73,7 @@ class StepInnovations(Shown, NoArray, Immutable):
     References
     ----------
     Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001,
-    section 5.4.
+    sections 5.4 and 11.6.
     """
 
     residual: Array
@@ -84,7 +99,9 @@ class StepInnovations(Shown, NoArray, Immutable):
             "nis": whole.nis[..., 0],
             "dof": whole.dof[..., 0],
         }
-        gains = {x: rows.reshape((*front, rows.shape[-2], *own)) for x, rows in gain.items()}
+        gains = dict(gain) if not isinstance(gain, NoGains) else gain
+        for x, rows in gains.items():
+            gains[x] = rows.reshape((*front, rows.shape[-2], *own))
         for array in (*found.values(), *gains.values()):
             array.flags.writeable = False
         self._set(**found, gain=MappingProxyType(gains))

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -17,6 +18,8 @@ import numpy as np
 from pgm.beliefs.hypotheses.chain import HypothesisChain
 from pgm.beliefs.hypotheses.counts import leading
 from pgm.beliefs.hypotheses.forward import chain_of
+from pgm.beliefs.hypotheses.innovations import innovations
+from pgm.beliefs.hypotheses.measurements import Members, flow_of, of_rows
 from pgm.beliefs.hypotheses.outcome import Beliefs, Marginals
 from pgm.beliefs.hypotheses.records import Asked, Pairs
 from pgm.beliefs.hypotheses.run import associations_of
@@ -24,10 +27,12 @@ from pgm.boundary import as_mapping
 from pgm.compile import SliceLayout
 from pgm.display import InCode, Summary, titled
 from pgm.errors import EvidenceError, ModelError
-from pgm.evidence import BoundEvidence
+from pgm.evidence import BoundEvidence, Sightings
+from pgm.factors import Gaussian, GaussianMixture, Table
+from pgm.factors.axes import discrete
 from pgm.factors.scope import Scope
 from pgm.immutable import Immutable
-from pgm.kernels.arrays import Array, components_last
+from pgm.kernels.arrays import Array, components_last, quiet
 from pgm.kernels.semirings import log_sum
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
@@ -35,7 +40,9 @@ from pgm.posteriors.associations import Found
 from pgm.posteriors.belief_kind import FILTERED, PREDICTED, Kind
 from pgm.posteriors.hidden import located
 from pgm.posteriors.online_belief import OnlineBelief
+from pgm.posteriors.predictions import require_parents
 from pgm.posteriors.status import Status
+from pgm.posteriors.step_innovations import NoGains, StepInnovations, StepInnovationsBySensor
 from pgm.posteriors.summaries import at_a_step
 from pgm.schedules import step_evidence
 from pgm.schedules.online_schedule import online_schedule
@@ -71,6 +78,9 @@ class OnlineMixture(OnlineBelief):
     kind: Kind
     _marginals: Marginals
     _pairs: Pairs
+    _steps: HypothesisSteps
+    # The pairs before the last update, and its evidence, sensors by themselves among it.
+    _update: tuple[Pairs, BoundEvidence, frozenset[Variable]] | None = None
     associations: Found = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -98,6 +108,19 @@ class OnlineMixture(OnlineBelief):
                 )
             places.append(template)
         return self._marginals.of(tuple(places), tuple(places), 0, self.lead)
+
+    @cached_property
+    def innovations(self) -> StepInnovationsBySensor:
+        """The innovations of the last update by sensor: of the mixture, found when asked for."""
+        if self._update is None:
+            return StepInnovationsBySensor({})
+        return StepInnovationsBySensor(self._steps.innovations(self.step, *self._update))
+
+    def _measurement(self, variable: Variable, given: Mapping[Variable, Any]) -> Any:
+        if variable in self._marginals.layout.slice:
+            return self[variable]
+        require_parents(self._steps.model, variable, given, self.step)
+        return self._steps.measurement(self, variable, given)
 
     @property
     def _over(self) -> Scope:
@@ -188,7 +211,46 @@ class HypothesisSteps(InCode, Immutable):
         chain = self._chain(bound, belief.step)
         pairs, density = chain.observe(0, belief._pairs)
         total = belief.log_evidence.reshape(-1) + density
-        return self._belief(chain, belief.step, FILTERED, pairs, total)
+        alone = frozenset(v for v, each in given.items() if not isinstance(each, Sightings))
+        update = belief._pairs, bound, alone
+        return self._belief(chain, belief.step, FILTERED, pairs, total, update)
+
+    @quiet()
+    def measurement(
+        self, belief: OnlineMixture, variable: Variable, given: Mapping[Variable, Any]
+    ) -> Table | GaussianMixture:
+        """The belief of a sensor's measurement at the step of a predicted belief.
+
+        `given` has the values of the sensor's observed parents, in rows or constant.
+        """
+        bound, alone = step_evidence.unread(self.model, belief, variable, given)
+        belief = self._of_runs(belief, bound.lead)
+        chain = self._chain(bound, belief.step)
+        members, (reading,) = Members.of(chain, [flow_of(belief._pairs)]), bound.readings
+        rows, asked = np.argsort(reading.order), variable.at(belief.step) if alone else variable
+        layout = belief._marginals.layout
+        found = of_rows(layout, chain.given, chain.regimes, members, asked, reading, rows)
+        if isinstance(found, Table):
+            return Table._plain(discrete((variable,)), found.values)
+        of = found.components
+        return GaussianMixture._make(found.weights, Gaussian._make((variable,), of.mean, of.cov))
+
+    @quiet()
+    def innovations(
+        self, step: int, before: Pairs, bound: BoundEvidence, alone: frozenset[Variable]
+    ) -> dict[Variable, StepInnovations]:
+        """The innovations of an update by continuous sensor, at the pairs before it."""
+        chain = self._chain(bound, step)
+        members = Members.of(chain, [flow_of(before)])
+        return {
+            reading.cpd.child: StepInnovations(
+                innovations(chain.given, chain.regimes, members, reading),
+                NoGains(),
+                alone=reading.cpd.child in alone,
+            )
+            for reading in bound.readings
+            if not reading.cpd.discrete
+        }
 
     def _chain(self, bound: BoundEvidence, first: int) -> HypothesisChain:
         """The forward pass of one step, whose evidence begins at step `first`."""
@@ -197,7 +259,13 @@ class HypothesisSteps(InCode, Immutable):
         return chain_of(self.model, bound, self.asked, self.lineariser, filtering, first=first)
 
     def _belief(
-        self, chain: HypothesisChain, step: int, kind: Kind, pairs: Pairs, total: Array
+        self,
+        chain: HypothesisChain,
+        step: int,
+        kind: Kind,
+        pairs: Pairs,
+        total: Array,
+        update: tuple[Pairs, BoundEvidence, frozenset[Variable]] | None = None,
     ) -> OnlineMixture:
         """The belief of some pairs; `total` is ln p of all measurements so far, (runs,)."""
         lead = chain.given.bound.lead
@@ -217,7 +285,15 @@ class HypothesisSteps(InCode, Immutable):
         status = Status.of(residuals, converged, lead)
         found = associations_of(chain)
         return OnlineMixture(
-            step, np.array(total).reshape(lead), status, kind, marginals, pairs, found
+            step,
+            np.array(total).reshape(lead),
+            status,
+            kind,
+            marginals,
+            pairs,
+            self,
+            update,
+            found,
         )
 
     def _of_runs(self, belief: OnlineMixture, lead: tuple[int, ...]) -> OnlineMixture:
@@ -235,7 +311,7 @@ class HypothesisSteps(InCode, Immutable):
         wide = belief._pairs.repeated(math.prod(lead))
         total = np.broadcast_to(belief.log_evidence, lead).copy()
         return OnlineMixture(
-            belief.step, total, belief.status, belief.kind, belief._marginals, wide
+            belief.step, total, belief.status, belief.kind, belief._marginals, wide, self
         )
 
     def _check(self, belief: Any) -> None:

@@ -12,7 +12,9 @@ from pgm.beliefs.hypotheses.back import BackwardChain
 from pgm.beliefs.hypotheses.cases import Given
 from pgm.beliefs.hypotheses.draws import draws
 from pgm.beliefs.hypotheses.forward import again
-from pgm.beliefs.hypotheses.measurements import Members, measurement, unread
+from pgm.beliefs.hypotheses.innovations import innovations
+from pgm.beliefs.hypotheses.left_out import without_each
+from pgm.beliefs.hypotheses.measurements import Members, is_chosen, measurement, unread
 from pgm.beliefs.hypotheses.records import Asked
 from pgm.beliefs.hypotheses.regimes import Regimes
 from pgm.compile import DynamicGraph, SliceLayout
@@ -24,8 +26,10 @@ from pgm.factors.axes import discrete
 from pgm.factors.scope import Scope, as_scope, listed, positions
 from pgm.kernels.arrays import Array, Integers, frozen, quiet
 from pgm.posteriors.associations import Found
-from pgm.posteriors.belief_kind import PREDICTED, Kind, require_smoothed
+from pgm.posteriors.belief_kind import FILTERED, PREDICTED, SMOOTHED, Kind, require_smoothed
 from pgm.posteriors.hidden import located, measured
+from pgm.posteriors.innovations import BySensor
+from pgm.posteriors.left_out import LeftOut, require_all
 from pgm.posteriors.measurements import as_read, no_readings
 from pgm.posteriors.outcome import SWITCHING, Outcome
 from pgm.posteriors.status import Status
@@ -235,11 +239,57 @@ class HypothesisOutcome(Outcome[Any]):
     @quiet()
     def _unread(self, variable: Variable) -> Table | GaussianMixture:
         """The belief of a measurement that was not taken, given all that the beliefs know."""
-        own, chain = self._beliefs, self._forward_again.chain
-        with np.errstate(divide="ignore"):
-            logs, regimes = np.log(own.weights), np.log(own.regimes)
-        members = Members(logs, own.mean, own.cov, regimes, None)
-        return unread(self.graph.layout, chain.given, self._regimes, members, variable)
+        own, backward = self._beliefs, self._forward_again
+        members = self._by_regime if is_chosen(self.graph.layout, variable) else None
+        if members is None:
+            with np.errstate(divide="ignore"):
+                logs, regimes = np.log(own.weights), np.log(own.regimes)
+            members = Members(logs, own.mean, own.cov, regimes, None)
+        given = backward.chain.given
+        return unread(self.graph.layout, given, self._regimes, members, variable)
+
+    @cached_property
+    def _by_regime(self) -> Members | None:
+        """The Gaussians of each step, each of one regime; None of a fixed lag, which has none."""
+        backward = self._forward_again
+        if self.kind == FILTERED:
+            return Members.filtered(backward.chain)
+        return Members.smoothed(backward) if self.kind == SMOOTHED else None
+
+    @cached_property
+    @quiet()
+    def innovations(self) -> BySensor:
+        """The innovations of each continuous sensor with evidence: of the mixture of Gaussians."""
+        chain = self._forward_again.chain
+        members = Members.predicted(chain)
+        return BySensor(
+            {
+                reading.cpd.child: innovations(chain.given, chain.regimes, members, reading)
+                for reading in chain.given.bound.readings
+                if not reading.cpd.discrete
+            }
+        )
+
+    @cached_property
+    @quiet()
+    def left_out(self) -> LeftOut:
+        """The beliefs of readings given all but their own, by sensor."""
+        require_all(self.kind)
+        self._forward_again  # noqa: B018  which refuses
+        bound, call, asked = self._asked
+
+        def smoothed(some: BoundEvidence) -> tuple[Given, Members]:
+            """The evidence and the Gaussians of a smoother of other evidence."""
+            backward = again(self.graph, some, call, asked)
+            return backward.chain.given, Members.smoothed(backward)
+
+        found = (self.graph.layout, self._regimes, bound)
+        return LeftOut(
+            {
+                reading.cpd.child: without_each(*found, place, smoothed)
+                for place, reading in enumerate(bound.readings)
+            }
+        )
 
     @property
     def _forward_again(self) -> BackwardChain:

@@ -16,6 +16,7 @@ import numpy as np
 
 from pgm.beliefs.markov.plan import RowTables, SlicePlan
 from pgm.cpds import ConditionalGaussian, TableCPD
+from pgm.cpds.caused import flat
 from pgm.elimination import TableAlgebra, eliminate, next_smallest
 from pgm.errors import Unanswered
 from pgm.evidence import BoundEvidence, Reading
@@ -108,11 +109,13 @@ def _mixture(
     cpd: Any = reading.cpd  # a SwitchingCPD
     switches = [v for v in cpd.switches if v in plan.labels]
     weights, means, covs = [], [], []
-    for case, part in cpd.cases.items():
+    every = [(case, own) for case, whole in cpd.cases.items() for own in flat(whole)]
+    for case, (part, share, _) in every:
         if not isinstance(part, ConditionalGaussian):
             raise Unanswered(
                 f"{variable!r}: {part!r}, a case of its CPD, is not Gaussian, and a measurement's "
-                "belief is a mixture of Gaussians"
+                "belief is a mixture of Gaussians; the CPD's own sample() draws, given states of "
+                "posterior.predicted"
             )
         inputs = {v: reading.inputs[v] for v in part.parents}
         lineariser = part.lineariser or Taylor() if hasattr(part, "lineariser") else Taylor()
@@ -128,7 +131,7 @@ def _mixture(
         for observed in set(cpd.switches) - set(switches):
             chosen = reading.inputs[observed][rows, :, 0] == state[observed]
             weight = weight * chosen
-        weights.append(weight)
+        weights.append(share * weight)
         means.append(family.value(slice(None), none)[rows])
         covs.append(np.broadcast_to(family.noise, (*none.shape[:2], *family.noise.shape[2:]))[rows])
     lead, one = bound.lead, variable.step is not None

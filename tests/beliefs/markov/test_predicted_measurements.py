@@ -170,3 +170,29 @@ def test_in_a_loop_with_observed_parents():
     assert_allclose(found.probabilities, [FIRST @ TOLD[1], FIRST @ TOLD[0]], rtol=1e-12)
     with pytest.raises(pgm.EvidenceError, match=r"depends on \[u\], which nothing tells"):
         belief.predicted[o]
+
+
+def test_mixtures_that_states_choose():
+    """A sensor's mixture of CPDs counts by its components, as drawn readings do."""
+    place, read = pgm.Discrete("place", 2), pgm.Variable("read")
+    means, noises, shares = ((0.0, 5.0), (2.0, 7.0)), (1.0, 4.0), (0.7, 0.3)
+    cases = {
+        k: pgm.MixtureCPD(
+            [pgm.GaussianCPD(read, m, v) for m, v in zip(own, noises, strict=True)], shares
+        )
+        for k, own in enumerate(means)
+    }
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.TableCPD(place, table=[0.6, 0.4])],
+        [pgm.TableCPD(place, place.previous, table=[[0.8, 0.2], [0.3, 0.7]])],
+        [pgm.SwitchingCPD(read, place, cases)],
+    )
+    found = pgm.smooth(model, {read: [[0.5], [3.0]]}, steps=3)
+    ahead, states = found.predicted[read], found.predicted[place].probabilities[1:]
+    each = states[:, :, None] * shares
+    mean = np.einsum("tkc,kc->t", each, means)
+    square = np.einsum("tkc,kc->t", each, np.square(means) + noises)
+    assert_allclose(ahead.mean[:, 0], mean, rtol=1e-12)
+    assert_allclose(ahead.cov[:, 0, 0], square - mean**2, rtol=1e-12)
+    less = pgm.smooth(model, {read: [[np.nan], [3.0]]}, steps=3)
+    assert_allclose(found.left_out[read].mean[0], less[read.at(1)].mean, rtol=1e-12)
