@@ -507,8 +507,10 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
 
         It is found from the smoothed beliefs, by removing the reading's own likelihood, without
         running again: leave-one-out cross-validation of a model, and of each of its readings, noise
-        included. Rows are the readings in the order of the evidence, as in `innovations`.
-        Nonlinear sensors stay linearised, and robust noise weighed, as they were with the reading.
+        included. A reading without noise, or one that tells nearly all that is known of what it
+        measures, is left out by a pass of its own. Rows are the readings in the order of the
+        evidence, as in `innovations`. Nonlinear sensors stay linearised, and robust noise weighed,
+        as they were with the reading.
         Grids multiply all densities but the reading's own. Particles divide their weights by its
         density, which fails where it tells more than all others do: ``.pareto`` is the shape of
         their weights, and a `ParticleWarning` tells where it is above 0.7. Chains that switch are
@@ -525,7 +527,7 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
         EvidenceError
             If the posterior is of a filter or a fixed lag, or the variable was not read.
         NumericalError
-            If a reading without noise, or one that alone tells what it measures, cannot be removed.
+            If without a reading even twice the digits of float64 are too few.
 
         Warns
         -----

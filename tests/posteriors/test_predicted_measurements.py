@@ -299,11 +299,68 @@ def test_sightings_left_out_of_many_runs(prior):
         assert_allclose(found.cov[:, row], H @ at.cov @ H.T + R, rtol=1e-10)
 
 
-def test_what_cannot_be_left_out_is_refused():
+@pytest.mark.parametrize("runs", [(), (3,)])
+@pytest.mark.parametrize("prior", [COV, np.inf])
+def test_exact_readings_are_left_out_by_smoothing_again(prior, runs):
+    """Without noise in a component, in two that are one, or in all; some components not read."""
+    steps, rng = 4, np.random.default_rng(8)
+    for noise in (np.zeros((2, 2)), [[0.3, 0.3], [0.3, 0.3]], np.diag([0.0, 0.2])):
+        exact = model(prior).replace(
+            observation=[
+                pgm.LinearGaussianCPD(z, {x: H}, cov=R),
+                pgm.LinearGaussianCPD(y, {x: np.eye(2)}, cov=noise),
+            ]
+        )
+        evidence = {z: rng.normal(size=(*runs, steps, 1)), y: rng.normal(size=(*runs, steps, 2))}
+        evidence[y][..., 1, 0] = evidence[y][..., 2, :] = np.nan
+        found = pgm.smooth(exact, evidence).left_out[y]
+        for row in (0, 1):
+            values = evidence[y].copy()
+            values[..., row, :] = np.nan
+            again = pgm.smooth(exact, evidence | {y: values})[y.at(row + 1)]
+            assert_allclose(found.mean[..., row, :], again.mean, rtol=1e-10, atol=1e-12)
+            assert_allclose(found.cov[..., row, :, :], again.cov, rtol=1e-10, atol=1e-12)
+
+
+def test_a_reading_that_alone_tells_is_left_out():
+    """Nothing tells of it then, and its variance is infinite; a bearing stays on its branch."""
+    found = pgm.smooth(model(np.inf), {z: [[1.0], [2.0]]}).left_out[z]
+    assert_array_equal(found.cov.ravel(), [np.inf, np.inf])
+    turned = pgm.Variable("turned", angles=("turned",))
+    exact = model().replace(
+        observation=[
+            pgm.NonlinearGaussianCPD(turned, x, lambda x: x[..., :1] + 0.1 * x[..., 1:] ** 2, 0.0)
+        ]
+    )
+    values = np.array([[0.4], [0.2 + 2.0 * np.pi], [0.1]])
+    smoothed = pgm.smooth(exact, {turned: values}, iterations=20)
+    at = smoothed.left_out[turned]
+    assert (np.abs(values - at.mean) < 3.0).all()
+    # The linearisation is that with the reading: a linear model of it, by running again.
+    slope = np.array([[1.0, 0.2 * smoothed[x.at(t)].mean[1]] for t in (1, 2, 3)])
+    bend = [0.1 * smoothed[x.at(t)].mean[1] ** 2 for t in (1, 2, 3)]
+    for row in range(3):
+        at_steps = [
+            pgm.LinearGaussianCPD(v, {x: [slope[k]]}, 0.0, offset=-bend[k])
+            for k, v in enumerate(pgm.variables("a b c"))
+        ]
+        read = {
+            cpd.child: pgm.sightings([[w]], step=[k + 1])
+            for k, (cpd, w) in enumerate(zip(at_steps, np.unwrap([0.4, 0.2, 0.1]), strict=True))
+            if k != row
+        }
+        linear = model().replace(observation=at_steps)
+        states = pgm.smooth(linear, read, steps=3)[x.at(row + 1)]
+        due = slope[row] @ states.cov @ slope[row]
+        assert_allclose(at.cov[row, 0, 0], due, rtol=1e-5)
+
+
+def test_what_cannot_be_left_out_is_refused(monkeypatch):
     with pytest.raises(pgm.EvidenceError, match=r"knows all readings but one.*is filtered"):
         pgm.filter(model(), EVIDENCE, steps=T).left_out[z]
+    monkeypatch.setattr("pgm.beliefs.moments.outcomes.left_out._WORST", -1.0)
     one = pgm.smooth(model(np.inf), {z: [[1.0], [2.0]]})
-    with pytest.raises(pgm.NumericalError, match=r"left_out\[z\]: the reading at step 1 .*tells"):
+    with pytest.raises(pgm.NumericalError, match=r"left_out\[z\]: .* step 1 .*fewer than six"):
         one.left_out[z]
     with pytest.raises(pgm.EvidenceError, match="y"):
         pgm.smooth(model(), {z: ZS}).left_out[y]

@@ -7,7 +7,9 @@ an update by a covariance −R:
 .. math:: D = R - S, \quad m^- = m + S D^{-1} (m - z), \quad S^- = S + S D^{-1} S,
 
 and what would be read is N(m⁻, S⁻ + R). With R = L Lᵀ the eigenvalues of L⁻¹ D L⁻ᵀ are between 0
-and 1: they are the shares R / (S⁻ + R), and the digits that are lost are their logarithms.
+and 1: they are the shares R / (S⁻ + R), and the digits that are lost are their logarithms. Where
+too many are lost, as of a reading without noise or of one that alone tells what it measures, the
+chain is smoothed again without it, as it was linearised, in twice the digits.
 
 References
 ----------
@@ -16,8 +18,12 @@ de Jong, A cross-validation filter for time series models, 1988.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from pgm.beliefs.moments.digits import adjoint, careful
+from pgm.beliefs.moments.digits.careful_belief import rounded_belief
 from pgm.beliefs.moments.outcomes.measurements import Expected, read, unweighed
 from pgm.beliefs.moments.steps.diffuse import Diffuse
 from pgm.beliefs.moments.steps.plan import ChainPlan
@@ -26,24 +32,28 @@ from pgm.errors import NumericalError, Unanswered
 from pgm.factors import Gaussian
 from pgm.factors.scope import in_run
 from pgm.kernels import roots, solving
-from pgm.kernels.arrays import Array, Mask, independent, transpose
+from pgm.kernels.arrays import Array, Integers, Mask, independent, transpose
+from pgm.progress import counted
 
 # A share R / (S⁻ + R) below this leaves fewer than six digits of what is found.
 _LEAST = 1e-9
+# The rounding error of a mean, in standard deviations, from which on fewer than six are left.
+_WORST = 1e-6
 
 
 def left_out(plan: ChainPlan, sensor: Sensor, mean: Array, spread: Diffuse) -> Gaussian:
     """The belief of each reading of a sensor given all others, in the order of the evidence.
 
     `mean` (T+1, runs, n) and `spread` are the smoothed beliefs over slices. Readings are as they
-    were linearised and weighed for these. A NumericalError refuses a reading that alone tells what
-    it measures, or that is read without noise.
+    were linearised and weighed for these. A NumericalError refuses a reading without which too few
+    digits are left.
     """
     family = sensor.family
     if sensor.is_correlated:
         raise Unanswered(
             f"left_out[{sensor.variable!r}]: its sightings of a step are linearised as one vector, "
-            "whose errors are correlated, and none can be left out by itself"
+            "whose errors are correlated, and none can be left out by itself; smooth again without "
+            "it, NaN in its place"
         )
     found = read(sensor, mean, spread)
     at = spread.at(family.step).of(sensor.parents)
@@ -57,8 +67,7 @@ def left_out(plan: ChainPlan, sensor: Sensor, mean: Array, spread: Diffuse) -> G
     share = np.eye(sensor.height) - 0.5 * (white + transpose(white))
     least = np.linalg.eigvalsh(np.where(np.isfinite(share), share, 0.0))[..., 0]
     singular = roots.determined(root).any(axis=-1) | ~(least > _LEAST)
-    if singular.any():
-        raise _refusal(plan, sensor, singular)
+    share = independent(share, np.broadcast_to(~singular[..., None], share.shape[:-1]))
     away = np.where(taken, found.mean - sensor.values, 0.0)
     off = solving.solve_lower(root, away[..., None])
     gain = transpose(solving.solve(roots.root(share), cross))
@@ -69,18 +78,73 @@ def left_out(plan: ChainPlan, sensor: Sensor, mean: Array, spread: Diffuse) -> G
         found.mean + (gain @ off)[..., 0],
         found.spread._replace(cov=0.5 * (cov + transpose(cov))),
     )
+    again = np.flatnonzero(singular.any(axis=-1))
+    if again.size:
+        rows = _smoothed_again(plan, sensor, rows, singular, noise, again)
     return rows.at(np.argsort(sensor.order)).gaussian(sensor.variable, plan.lead)
 
 
-def _refusal(plan: ChainPlan, sensor: Sensor, singular: Mask) -> NumericalError:
-    """The error for readings (rows, runs) that a mask marks, which cannot be left out."""
-    row = int(singular.any(axis=-1).argmax())
+def _smoothed_again(
+    plan: ChainPlan,
+    sensor: Sensor,
+    rows: Expected,
+    singular: Mask,
+    noise: Array,
+    again: Integers,
+) -> Expected:
+    """The beliefs of readings, some of them by smoothing without each.
+
+    `rows` are those of all, right but where `singular` (rows, runs) marks them; `again` are the
+    rows that it marks in some run. `noise` is that of what would be read.
+    """
+    family, mean = sensor.family, rows.mean.copy()
+    every = [part.copy() for part in rows.spread]
+    # Angles of a reading stay on its branch.
+    turned = sensor.moved - sensor.values
+    for row in counted(again.tolist(), "readings left out"):
+        own, step = singular[row], int(family.step[row])
+        at, spread, error = _without(plan, sensor, row, step - plan.first)
+        if (~(error <= _WORST) & own).any():
+            raise _refusal(plan, sensor, row, ~(error <= _WORST) & own)
+        value = family.value(row, at[:, sensor.parents])
+        if sensor.variable.angles:
+            value = np.where(np.isfinite(turned[row]), value - turned[row], value)
+        measured = spread.of(sensor.parents).measured(family.matrix[row], noise[row])
+        mean[row] = np.where(own[:, None], value, mean[row])
+        wide = max(every[1].shape[-1], measured.open.shape[-1])
+        for k, new in enumerate(measured):
+            if k:  # open directions, of which other rows may have fewer
+                every[k], new = _widened(every[k], wide), _widened(new, wide)
+            every[k][row] = np.where(own[:, None, None], new, every[k][row])
+    return Expected(rows.step, mean, Diffuse(*every))
+
+
+def _widened(columns: Array, wide: int) -> Array:
+    """Columns (..., d, q) with further ones of zeros, (..., d, wide)."""
+    more = wide - columns.shape[-1]
+    return np.concatenate([columns, np.zeros((*columns.shape[:-1], more))], axis=-1)
+
+
+def _without(plan: ChainPlan, sensor: Sensor, row: int, step: int) -> tuple[Array, Diffuse, Array]:
+    """The belief over the slice of a reading's step without it, and the error of its means.
+
+    The chain is as it was linearised and weighed. Moments are (runs, n) and (runs, n, n); the error
+    (runs,) is in standard deviations.
+    """
+    sensors = [each.without(row) if each is sensor else each for each in plan.sensors]
+    swept, _ = careful.sweep(replace(plan, sensors=sensors))
+    known = adjoint.smoothed(swept, plan.steps, step)[0]
+    mean, spread = rounded_belief(known.belief, swept.steps[-1].taken.unknown)
+    return mean, spread, known.belief.error(known.parts)
+
+
+def _refusal(plan: ChainPlan, sensor: Sensor, row: int, lost: Mask) -> NumericalError:
+    """The error for a reading that cannot be left out in the runs (runs,) that a mask marks."""
     step = int(sensor.family.step[row])
     return NumericalError(
-        f"left_out[{sensor.variable!r}]: the reading at step {step}"
-        f"{in_run(singular[row].reshape(plan.lead))} has no noise, or tells by itself nearly all "
-        "that is known of what it measures, and removing it leaves too few digits; smooth again "
-        "without it, NaN in its place",
+        f"left_out[{sensor.variable!r}]: without the reading at step {step}"
+        f"{in_run(lost.reshape(plan.lead))} twice the digits of float64 leave fewer than six of "
+        "what the others tell of it; give the priors and the units less wide numbers",
         variable=sensor.variable,
         step=step,
     )

@@ -282,6 +282,14 @@ class Sensor:
         part.cross = {k - first: self.cross[k] for k in steps if k in self.cross}
         return part
 
+    def without(self, row: int) -> Sensor:
+        """The sensor without one of its sightings, linearised and weighed as it was."""
+        part = copy(self)
+        part.taken = np.broadcast_to(True if self.taken is None else self.taken, self.moved.shape)
+        part.taken = part.taken.copy()
+        part.taken[row] = False
+        return part
+
     def put(self, first: int, part: Sensor, *, after: bool) -> None:
         """Copy into this sensor the linearisations, weights and gate decisions of a window `part`.
 
