@@ -287,8 +287,10 @@ _EQUATIONS = "parameters and weights are at a fixed point, of which there is no 
 _ROUNDED, _WITHIN = "rounding alone was left", "a step was within the tolerance"
 
 
-# Smoothers of each E step: weights of robust noise are found by iterations.
+# Smoothers of each E step, or posteriors of records: weights of robust noise are found by
+# iterations.
 _ONCE, _WEIGHED = Smoothing(), Smoothing(iterations=100)
+_RECORDS_WEIGHED = Calibration(iterations=100)
 # Its weights raise the bound of the evidence, as parameters do.
 _EXPECTED = Taylor(expected=True)
 
@@ -423,12 +425,17 @@ def fit(
         raise ModelError(f"accelerate= is True or False, not {accelerate!r}")
     require_lineariser(lineariser)
     learner: Learner
+    weighed = _is_weighed(model)
+    if lineariser == TAYLOR and weighed:
+        lineariser = _EXPECTED
     if isinstance(model, BayesianNetwork):
         _require_records(schedule, belief, steps)
         rows = [weights] if single or weights is None else list(weights)  # type: ignore[arg-type]
         rows = rows * len(recordings) if weights is None else rows
         if len(rows) != len(recordings):
             raise ModelError(f"weights= has {len(rows)} entries for {len(recordings)} of evidence")
+        if schedule is None and weighed:
+            schedule = _RECORDS_WEIGHED
         learner = RecordLearner(
             model, recordings, rows, learn, lineariser, schedule, None, every, single=single
         )
@@ -436,11 +443,9 @@ def fit(
         if weights is not None:
             raise ModelError("weights= are of records of networks without time; leave them out")
         if schedule is None:
-            schedule = _WEIGHED if _is_weighed(model) else _ONCE
+            schedule = _WEIGHED if weighed else _ONCE
         if not isinstance(schedule, Smoothing):
             raise ModelError(f"schedule= is pgm.Smoothing(...), not {titled(schedule)}")
-        if lineariser == TAYLOR and _is_weighed(model):
-            lineariser = _EXPECTED
         if belief is not None:
             require_family(belief, model)
         learner = Learner(
@@ -473,10 +478,10 @@ def _require_records(schedule: object, belief: object, steps: object) -> None:
             )
 
 
-def _is_weighed(model: DynamicBayesianNetwork) -> bool:
+def _is_weighed(model: DynamicBayesianNetwork | BayesianNetwork) -> bool:
     """Whether measurements are weighed by robust noise, as they are where beliefs are Gaussian."""
     gaussian = not (model.discrete or model.mixed)
-    return gaussian and any(getattr(cpd, "noise", None) is not None for cpd in model.observation)
+    return gaussian and any(getattr(cpd, "noise", None) is not None for cpd in model.cpds)
 
 
 def _tell(found: Fit, *, searched: bool, smoothed: bool) -> None:

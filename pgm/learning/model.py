@@ -296,8 +296,8 @@ class Learner:
             if cpd.noise is not None and any(belief.robust is None for belief in beliefs):
                 raise ModelError(
                     f"{cpd!r} has robust noise, {cpd.noise!r}, of which nothing is learnt beside "
-                    "discrete variables, where mixtures are the beliefs, and in networks without "
-                    "time; learn it with Gaussian noise, noise=None, or name it not in learn=",
+                    "discrete variables, where mixtures are the beliefs; learn it with Gaussian "
+                    "noise, noise=None, or name it not in learn=",
                     cpd=cpd,
                 )
             image, slope = block.improved(beliefs, point.parameters, known)

@@ -19,18 +19,21 @@ from pgm.compile import compile
 from pgm.cpds import CPD, SwitchingCPD, TableCPD
 from pgm.errors import EvidenceError, ModelError, PgmError
 from pgm.evidence import Evidence
-from pgm.evidence.rows import as_rows, no_evidence_for
+from pgm.evidence.rows import as_log_weights, as_rows, no_evidence_for
 from pgm.evidence.values import Constant, Soft
 from pgm.factors.arrays import common_runs, flat
 from pgm.factors.axes import as_indices
 from pgm.factors.scope import Scope
 from pgm.inference.engine import send
+from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.learning.model import Learner, Point
 from pgm.learning.places import NETWORK, Place
+from pgm.learning.residuals import lines
 from pgm.linearisation.family import Family
+from pgm.linearisation.weights import Weights
 from pgm.networks import BayesianNetwork
-from pgm.posteriors.expectations import Expectations, FamilyBelief, Learnable
+from pgm.posteriors.expectations import Expectations, FamilyBelief, Learnable, RobustWeights
 from pgm.schedules.options import Call
 from pgm.variables import Discrete, Variable
 
@@ -40,8 +43,9 @@ class Records:
     """Evidence of N records, some of them alike, and their weights (N,).
 
     `states` (N,) are of discrete variables, −1 where hidden, `values` (N, d) of others, NaN where
-    hidden. `told` says of each CPD's child, (N,), whether it or anything that depends on it was
-    observed. `given` is the evidence as it was given, of runs `lead`.
+    hidden. `soft` (N, K) are the logarithms of the weights that soft evidence gives to the K states
+    of a variable, which stays hidden. `told` says of each CPD's child, (N,), whether it or anything
+    that depends on it was observed. `given` is the evidence as it was given, of runs `lead`.
     """
 
     given: Evidence
@@ -49,6 +53,7 @@ class Records:
     weights: Array
     states: Mapping[Any, Integers]
     values: Mapping[Variable, Array]
+    soft: Mapping[Discrete, Array]
     told: Mapping[Variable, Mask]
 
     @classmethod
@@ -56,35 +61,38 @@ class Records:
         """The records of a network's evidence, checked."""
         states: dict[Discrete, Integers] = {}
         values: dict[Variable, Array] = {}
+        soft: dict[Discrete, Array] = {}
         for variable, value in evidence.items():
             if variable not in model.variables:
                 raise no_evidence_for(variable, frozenset(model.variables))
-            if isinstance(value, Soft):
-                raise EvidenceError(
-                    f"soft evidence for {variable!r}: records are learnt from states that were "
-                    "observed, or were not; give a child with a table of its own evidence instead",
-                    variable=variable,
-                )
-            if isinstance(variable, Discrete):
+            if isinstance(variable, Discrete) and isinstance(value, Soft):
+                soft[variable] = as_log_weights(variable, value)
+            elif isinstance(variable, Discrete):
                 states[variable] = as_indices(variable, value)
             else:
                 given = value.value if isinstance(value, Constant) else value
                 values[variable] = as_rows(variable, given, None)
         shapes: list[tuple[Variable, tuple[int, ...]]] = [(v, a.shape) for v, a in states.items()]
-        shapes += [(v, a.shape[:-1]) for v, a in values.items()]
+        shapes += [(v, a.shape[:-1]) for v, a in (*values.items(), *soft.items())]
         lead = common_runs(shapes)
         count = int(np.prod(lead, dtype=int))
         own = _weights(weights, lead)
         wide = {v: np.broadcast_to(flat(a, lead, 0), count) for v, a in states.items()}
-        if model.discrete and wide:
-            every, place = np.unique(np.stack(list(wide.values())), axis=1, return_inverse=True)
-            wide = dict(zip(wide, every, strict=True))
-            own = np.asarray(np.bincount(place.ravel(), own, every.shape[1]), dtype=np.float64)
-            count = every.shape[1]
+        logs = {v: np.broadcast_to(flat(a, lead, 1), (count, v.size)) for v, a in soft.items()}
+        if model.discrete and (wide or logs):
+            cells = [*(a[:, None] for a in wide.values()), *logs.values()]
+            _, first, place = np.unique(
+                np.concatenate(cells, axis=1), axis=0, return_index=True, return_inverse=True
+            )
+            wide = {v: a[first] for v, a in wide.items()}
+            logs = {v: a[first] for v, a in logs.items()}
+            count = len(first)
+            own = np.asarray(np.bincount(place.ravel(), own, count), dtype=np.float64)
         rows = {
             v: np.broadcast_to(flat(a, lead, 1), (count, v.dimension)) for v, a in values.items()
         }
         known: dict[Variable, Mask] = {v: a >= 0 for v, a in wide.items()}
+        known |= {v: (a != a[:, :1]).any(axis=1) for v, a in logs.items()}
         known |= {v: ~np.isnan(a).all(axis=1) for v, a in rows.items()}
         told: dict[Variable, Mask] = {}
         none = np.zeros(count, dtype=bool)
@@ -92,12 +100,13 @@ class Records:
             told[cpd.child] = told.get(cpd.child, none) | known.get(cpd.child, none)
             for parent in cpd.parents:
                 told[parent] = told.get(parent, none) | told[cpd.child]
-        return cls(evidence, lead, own, wide, rows, told)
+        return cls(evidence, lead, own, wide, rows, logs, told)
 
     @property
     def evidence(self) -> dict[Variable, Any]:
         """The evidence, records that are alike being one."""
-        return {**self.states, **self.values}
+        soft = {v: Soft(logs, log=True) for v, logs in self.soft.items()}
+        return {**self.states, **self.values, **soft}
 
     def hidden(self, variables: Scope) -> Mask:
         """Whether any part of some variables is hidden, (N,)."""
@@ -316,6 +325,9 @@ def _belief(
     for variable in family:
         if variable in records.values:
             mean[:, places[variable]] = records.values[variable][rows]
+    weighed = own.noise is not None and not isinstance(part.cpd, SwitchingCPD)
+    if weighed:  # what was measured of the child is told apart, and none of it is hidden
+        family = hidden
     unknown = tuple(v for v in family if records.hidden((v,)).any())
     if records.hidden(family)[rows].any():
         joint = posterior.joint(*unknown)
@@ -329,4 +341,34 @@ def _belief(
     made = Family.make(
         own, hidden, np.zeros(1, dtype=np.intp), inputs, lineariser, (len(rows),), timed=False
     )
-    return FamilyBelief(made, mean[None], cov[None], None, None, weights[rows][None])
+    found = FamilyBelief(made, mean[None], cov[None], None, None, weights[rows][None])
+    return _weighed(found, records.values[own.child][rows]) if weighed else found
+
+
+def _weighed(belief: FamilyBelief, values: Array) -> FamilyBelief:
+    """The belief over the parents of a CPD of robust noise, its measurements (N, d), and weights.
+
+    Weights are those at the squares that the belief expects, which raise the bound once more.
+    """
+    cpd = belief.family.cpd
+    assert cpd.noise is not None
+    known = ~np.isnan(values)[None]
+    taken = None if known.all() else known
+    measured, (value, matrix, error) = np.where(known, values, 0.0), lines(belief, {})
+    residual = nearest_branch(measured, value, cpd.child.angle_mask) - value
+    weights = Weights.of(cpd, belief.family.own_noise, taken, residual.shape[:2])
+    if belief.family.expects:
+        cov = belief.cov[..., : matrix.shape[-1], : matrix.shape[-1]]
+        matrix = np.broadcast_to(matrix, (*residual.shape, matrix.shape[-1]))
+        square = weights.squares(residual, matrix, cov, error)
+    else:
+        square = weights.squares(residual)
+    weight = cpd.noise.weight(square, weights.count)
+    size = belief.family.shape[-1]
+    return belief._replace(
+        mean=belief.mean[..., :size],
+        cov=belief.cov[..., :size, :size],
+        values=measured,
+        taken=taken,
+        robust=RobustWeights(weight, square, weights.count),
+    )

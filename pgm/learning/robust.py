@@ -123,13 +123,14 @@ class DegreesOfFreedomStep:
 
 
 def _bound(log_dof: float, beliefs: list[FamilyBelief]) -> float:
-    """The bound Σ ln c(ν) − ρ(s; ν) over all measurements."""
+    """The bound Σ ln c(ν) − ρ(s; ν) over all measurements, times the weights of their rows."""
     noise, total = StudentT(math.exp(log_dof)), 0.0
     for belief in beliefs:
         assert belief.robust is not None
         square = belief.robust.square
         count: Integers = np.broadcast_to(belief.robust.components, square.shape)
         each = noise.log_scale(count) - noise.loss(square, count)
+        each = each if belief.weights is None else belief.weights * each
         total += float(each[count > 0].sum())
     return total
 
