@@ -13,6 +13,7 @@ import numpy.typing as npt
 from pgm.arguments import public
 from pgm.beliefs.own.family import BeliefFamily, require_family
 from pgm.boundary import is_number, is_whole
+from pgm.cpds import CPD
 from pgm.display import titled
 from pgm.errors import (
     ConvergenceWarning,
@@ -159,16 +160,15 @@ class Search:
             there = self._accelerated(here, x, gradient, y - x) or self._plain(here, image, x, y)
             if there is None:
                 converged = self.stopped in (_ROUNDED, _WITHIN)
+                if not converged and (cpd := learner.vanishing(here, stuck=True)) is not None:
+                    self.stopped = _endless(cpd)
                 break
             here = there
             trace.append(here.log_evidence)
             priors.append(here.log_prior)
             gained = here.objective - before.objective
-            if gained > _ENDLESS and (cpd := learner.vanishing(here.point)) is not None:
-                self.stopped = (
-                    f"the noise of {cpd!r} vanishes, and the log-evidence rises with it without "
-                    "end: something is explained exactly; bound it, pgm.learning.Covariance(lower=)"
-                )
+            if gained > _ENDLESS and (cpd := learner.vanishing(here)) is not None:
+                self.stopped = _endless(cpd)
                 break
             moved = np.abs(learner.vector(here.point) - x) / (1.0 + np.abs(x))
             if gained <= self.tolerance and moved.max(initial=0.0) <= _STILL:
@@ -201,17 +201,15 @@ class Search:
 
         The second M step makes up for what sums lose in rounding at a start that is far away.
         """
-        learner = self.learner
-        image, _ = learner.improved(here)
-        if learner.vanishing(image) is None:
-            image, _ = learner.improved(
-                replace(here, point=image, expectations=learner.again(image))
-            )
+        cpd: Any = None
         try:
-            if (cpd := learner.vanishing(image)) is None:
+            for _ in range(2):
+                image, _ = self.learner.improved(here)
+                here = replace(here, point=image, expectations=self.learner.again(image))
+            if (cpd := self.learner.vanishing(here)) is None:
                 return self._expected(image)
         except NumericalError:
-            cpd = None
+            pass
         raise ModelError(
             f"the likeliest noise of {'a CPD' if cpd is None else repr(cpd)} vanishes: its records "
             "are explained exactly, or are too few; bound it, pgm.learning.Covariance(lower=)",
@@ -285,6 +283,14 @@ class Search:
 _CLOSED = "all that is learnt was observed: a closed form, no search was needed"
 _EQUATIONS = "parameters and weights are at a fixed point, of which there is no likelihood"
 _ROUNDED, _WITHIN = "rounding alone was left", "a step was within the tolerance"
+
+
+def _endless(cpd: CPD) -> str:
+    """Why a search stops where a noise vanishes."""
+    return (
+        f"the noise of {cpd!r} vanishes, and the log-evidence rises with it without end: something "
+        "is explained exactly; bound it, pgm.learning.Covariance(lower=)"
+    )
 
 
 # Smoothers of each E step, or posteriors of records: weights of robust noise are found by

@@ -13,7 +13,7 @@ from pgm.errors import ModelError
 from pgm.factors.scope import Scope, labels, listed, namesake
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, Mask, deviation, transpose
-from pgm.learning.residuals import Known, Residuals, residuals
+from pgm.learning.residuals import Known, Residuals, residuals, rounded
 from pgm.learning.robust import DegreesOfFreedomStep, reweighed, with_noise
 from pgm.learning.steps import CovarianceStep
 from pgm.learning.values import Coefficients, Covariance, DegreesOfFreedom, Offset
@@ -282,8 +282,24 @@ class GaussianStep:
                 float(np.sum(weight * _left(own, change, cross, gram)))
                 for own, cross, gram, weight in sums.moments
             )
+            # Of sums that cancel rounding is left, from which another step begins.
+            whole = sum(float(np.sum(weight * own)) for own, *_, weight in sums.moments)
+            total = max(total, 2.0**-52 * whole)
             cov = self.noise.scaled(self.noise.factor(cpd) * total / sums.ranks)
         return self._changed(cpd, change, cov)
+
+    def vanishes(self, beliefs: Sequence[FamilyBelief], known: Known, *, stuck: bool) -> bool:
+        """Whether the noise that is learnt is next to none beside the readings' rounding.
+
+        Deviations are the largest of any row; see `CovarianceStep.vanishes`.
+        """
+        if self.noise is None:
+            return False
+        noises = [np.diagonal(each.family.own_noise, axis1=-2, axis2=-1) for each in beliefs]
+        std = np.sqrt(np.max([each.max(axis=(0, 1)) for each in noises], axis=0))
+        rounding = np.max([rounded(each, known) for each in beliefs], axis=0)
+        cpd = beliefs[0].family.cpd
+        return self.noise.vanishes(cpd, std, rounding, stuck=stuck)
 
     def gradient(self, sums: Expected) -> Array:
         """The derivatives of the expected log-density by the coordinates."""

@@ -314,12 +314,23 @@ class Learner:
                     if any(variable in part.own.given for variable in self.parameters):
                         yield part
 
-    def vanishing(self, point: Point) -> CPD | None:
-        """A CPD whose noise has shrunk to almost nothing, if any."""
-        for block, cpd in zip(self.blocks, self._cpds(point), strict=True):
-            if isinstance(block, GaussianStep) and block.noise and block.noise.vanishes(cpd):
-                found: CPD = cpd
-                return found
+    def vanishing(self, expected: Expected, *, stuck: bool = False) -> CPD | None:
+        """A CPD whose noise has shrunk to the rounding of readings, if any.
+
+        Where the search is `stuck`, to what beliefs cannot tell from that.
+        """
+        point = expected.point
+        learnable = self._learnable(point)
+        wanted = [
+            part
+            for block, part in zip(self.blocks, learnable, strict=True)
+            if isinstance(block, GaussianStep) and block.noise
+        ]
+        every = [expect(wanted).families for expect in expected.expectations]
+        for block, part in zip(self.blocks, learnable, strict=True):
+            beliefs = [each[part] for each in every if part in each]
+            if beliefs and block.vanishes(beliefs, point.parameters, stuck=stuck):
+                return part.own
         return None
 
     def vector(self, point: Point) -> Array:

@@ -35,6 +35,7 @@ from pgm.posteriors.expectations import FamilyBelief, RobustWeights
 from pgm.variables import Variable
 
 Known = Mapping[Variable, Array]
+_EPS = 2.0**-52
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,6 +186,17 @@ def residuals(belief: FamilyBelief, known: Known) -> Residuals:
         return found
     taken = np.broadcast_to(belief.taken, (rows, runs, height)).reshape(flat, height)
     return _expected(found, taken, belief.robust)
+
+
+@quiet()
+def rounded(belief: FamilyBelief, known: Known) -> Array:
+    """The deviations (d,) that rounding alone gives to residuals y − f: ε (max |y| + max |f|)."""
+    value, *_ = lines(belief, known)
+    hidden = belief.family.shape[-1]
+    child = belief.mean[..., hidden:] if belief.values is None else belief.values
+    child = child if belief.taken is None else np.where(belief.taken, child, 0.0)
+    largest: Array = sum(np.abs(each).max(axis=(0, 1), initial=0.0) for each in (child, value))
+    return _EPS * largest
 
 
 def _robust(found: Residuals, belief: FamilyBelief) -> Residuals:

@@ -21,8 +21,8 @@ from pgm.variables import Variable
 
 # Smaller parts of the largest variance are none of a singular covariance.
 _NONE = 1e-14
-# The part of a deviation at the start that is next to nothing.
-_GONE = 1e-12
+# How many times as much may be rounding where beliefs have lost digits.
+_LOST = 100.0
 
 
 class ScaledNoise:
@@ -108,23 +108,30 @@ class CovarianceStep:
                 cpd=cpd,
             )
 
-    def _rank(self, cov: Array) -> int:
-        """The directions in which a covariance has noise, its components in units of their own."""
+    def _rank(self, cov: Array, least: float = _NONE) -> int:
+        """The directions in which a covariance has noise, its components in units of their own.
+
+        A variance of less than the `least` part of the largest is none.
+        """
         std = np.sqrt(np.diagonal(cov)[self.there])
         alike = np.linalg.eigvalsh(cov[np.ix_(self.there, self.there)] / np.outer(std, std))
-        return int((alike > _NONE * alike[-1]).sum())
+        return int((alike > least * alike[-1]).sum())
 
-    def vanishes(self, cpd: Any) -> bool:
-        """Whether a deviation has shrunk to almost nothing of its starting value.
+    def vanishes(self, cpd: Any, std: Array, rounding: Array, *, stuck: bool) -> bool:
+        """Whether noise of deviations `std` (d,) is that of rounding alone, `rounding` (d,).
 
-        So it is of the noise in a direction, as two records leave none of a plane's.
+        So it is of the noise in a direction, as two records leave none of a plane's. Of a search
+        that is `stuck` more is taken for rounding, since beliefs lose digits on the way.
         """
+        if self.declared.lower > 0.0:
+            return False
+        gone = std <= rounding * (_LOST if stuck else 1.0)
         if self.declared.kind == "scaled":
-            return self.factor(cpd) < _GONE**2
-        kept = np.diagonal(cpd.cov)[self.there] / np.diagonal(self.start)[self.there]
-        if (kept < _GONE**2).any():
+            return bool(gone.all())
+        if gone[self.there].any():
             return True
-        return self.declared.kind == "full" and self._rank(cpd.cov) < self.range.shape[1]
+        least = _NONE * (_LOST if stuck else 1.0)
+        return self.declared.kind == "full" and self._rank(cpd.cov, least) < self.range.shape[1]
 
     def _require_within(self, cpd: ConditionalGaussian, values: Array) -> None:
         low, high = self.declared.lower, self.declared.upper

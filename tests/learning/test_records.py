@@ -285,6 +285,44 @@ def test_noise_that_vanishes_in_a_direction_is_refused():
     np.testing.assert_allclose(found.cov, line.T @ line / 50, rtol=1e-9)
 
 
+@pytest.mark.parametrize("size", [1.0, 1e-12, 1e9])
+def test_noise_is_judged_beside_the_rounding_of_readings(size):
+    """The start says nothing of it: noise of 10⁻⁹ of the readings is noise, rounding is none."""
+    rng = np.random.default_rng(0)
+    u, noise = rng.normal(size=(2, 50, 1))
+    sees = pgm.LinearGaussianCPD(V, {U: size}, cov=size**2)
+    net = pgm.BayesianNetwork([pgm.GaussianCPD(U, 0.0, 1.0), sees])
+    both = np.hstack([u, np.ones((50, 1))])
+    for part in (1e-6, 1e-8, 1e-9, 1e-13):
+        v = size * (1.0 + 2.0 * u + part * noise)
+        found = pgm.fit(net, {U: u, V: v}, learn={V: EVERY}).model.cpd(V)
+        left = part * (noise - both @ np.linalg.lstsq(both, noise)[0])
+        due = size * np.sqrt(np.mean(left**2))
+        np.testing.assert_allclose(np.sqrt(found.cov[0, 0]), due, rtol=1e-5 + 1e-15 / part)
+    for part in (1e-17, 0.0):
+        v = size * (1.0 + 2.0 * u + part * noise)
+        with pytest.raises(pgm.ModelError, match="vanishes"):
+            pgm.fit(net, {U: u, V: v}, learn={V: EVERY})
+
+
+@pytest.mark.parametrize("gaps", [0.0, 0.2])
+def test_rows_on_a_line_leave_no_noise_across_it_with_gaps_or_without(gaps):
+    rng = np.random.default_rng(0)
+    net = pgm.BayesianNetwork([pgm.GaussianCPD(X, np.zeros(2), np.eye(2))])
+    line = rng.normal(size=(50, 1)) * [0.1, 0.3]
+    rows = np.where(rng.random((50, 2)) < gaps, np.nan, line)
+    learn = {X: (Offset(), Covariance())}
+    if not gaps:
+        with pytest.raises(pgm.ModelError, match="vanishes"):
+            pgm.fit(net, {X: rows}, learn=learn)
+        return
+    with pytest.warns(pgm.ConvergenceWarning, match=r"the noise of GaussianCPD\(x\) vanishes"):
+        found = pgm.fit(net, {X: rows}, learn=learn)
+    assert not found.status.converged
+    bounded = {X: (Offset(), Covariance(lower=1e-8))}
+    assert pgm.fit(net, {X: rows}, learn=bounded).status.converged
+
+
 def test_a_data_frame_of_tables_and_pgmpy():
     """As the estimator of pgmpy, whose pseudo-counts are added."""
     estimators = pytest.importorskip("pgmpy.estimators")
