@@ -160,7 +160,7 @@ class Search:
             there = self._accelerated(here, x, gradient, y - x) or self._plain(here, image, x, y)
             if there is None:
                 converged = self.stopped in (_ROUNDED, _WITHIN)
-                if not converged and (cpd := learner.vanishing(here, stuck=True)) is not None:
+                if not converged and (cpd := learner.vanishing(here)) is not None:
                     self.stopped = _endless(cpd)
                 break
             here = there

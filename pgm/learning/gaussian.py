@@ -288,7 +288,7 @@ class GaussianStep:
             cov = self.noise.scaled(self.noise.factor(cpd) * total / sums.ranks)
         return self._changed(cpd, change, cov)
 
-    def vanishes(self, beliefs: Sequence[FamilyBelief], known: Known, *, stuck: bool) -> bool:
+    def vanishes(self, beliefs: Sequence[FamilyBelief], known: Known, *, searched: bool) -> bool:
         """Whether the noise that is learnt is next to none beside the readings' rounding.
 
         Deviations are the largest of any row; see `CovarianceStep.vanishes`.
@@ -298,8 +298,7 @@ class GaussianStep:
         noises = [np.diagonal(each.family.own_noise, axis1=-2, axis2=-1) for each in beliefs]
         std = np.sqrt(np.max([each.max(axis=(0, 1)) for each in noises], axis=0))
         rounding = np.max([rounded(each, known) for each in beliefs], axis=0)
-        cpd = beliefs[0].family.cpd
-        return self.noise.vanishes(cpd, std, rounding, stuck=stuck)
+        return self.noise.vanishes(beliefs[0].family.cpd, std, rounding, searched=searched)
 
     def gradient(self, sums: Expected) -> Array:
         """The derivatives of the expected log-density by the coordinates."""

@@ -314,11 +314,8 @@ class Learner:
                     if any(variable in part.own.given for variable in self.parameters):
                         yield part
 
-    def vanishing(self, expected: Expected, *, stuck: bool = False) -> CPD | None:
-        """A CPD whose noise has shrunk to the rounding of readings, if any.
-
-        Where the search is `stuck`, to what beliefs cannot tell from that.
-        """
+    def vanishing(self, expected: Expected) -> CPD | None:
+        """A CPD whose noise has shrunk to the rounding of readings, or of beliefs, if any."""
         point = expected.point
         learnable = self._learnable(point)
         wanted = [
@@ -329,7 +326,8 @@ class Learner:
         every = [expect(wanted).families for expect in expected.expectations]
         for block, part in zip(self.blocks, learnable, strict=True):
             beliefs = [each[part] for each in every if part in each]
-            if beliefs and block.vanishes(beliefs, point.parameters, stuck=stuck):
+            searched = not self.closed
+            if beliefs and block.vanishes(beliefs, point.parameters, searched=searched):
                 return part.own
         return None
 

@@ -21,8 +21,8 @@ from pgm.variables import Variable
 
 # Smaller parts of the largest variance are none of a singular covariance.
 _NONE = 1e-14
-# How many times as much may be rounding where beliefs have lost digits.
-_LOST = 100.0
+# How many times the rounding of readings beliefs may have, and parts of a variance that they lose.
+_LOST, _FLAT = 1e4, 1e-12
 
 
 class ScaledNoise:
@@ -117,20 +117,27 @@ class CovarianceStep:
         alike = np.linalg.eigvalsh(cov[np.ix_(self.there, self.there)] / np.outer(std, std))
         return int((alike > least * alike[-1]).sum())
 
-    def vanishes(self, cpd: Any, std: Array, rounding: Array, *, stuck: bool) -> bool:
+    def vanishes(self, cpd: Any, std: Array, rounding: Array, *, searched: bool) -> bool:
         """Whether noise of deviations `std` (d,) is that of rounding alone, `rounding` (d,).
 
-        So it is of the noise in a direction, as two records leave none of a plane's. Of a search
-        that is `stuck` more is taken for rounding, since beliefs lose digits on the way.
+        So it is of the noise in a direction, as two records leave none of a plane's. Where it is
+        `searched` more is taken for rounding, since beliefs of what is hidden lose digits. Readings
+        that are all zero have the rounding of the noise at the start.
         """
         if self.declared.lower > 0.0:
             return False
-        gone = std <= rounding * (_LOST if stuck else 1.0)
+        if isinstance(self.start, Noise):
+            factor = self.factor(cpd)
+            start = std / np.sqrt(factor) if factor > 0.0 else std
+        else:
+            start = np.sqrt(np.diagonal(self.start))
+        rounding = np.where(rounding > 0.0, rounding, 2.0**-52 * start)
+        gone = std <= rounding * (_LOST if searched else 1.0)
         if self.declared.kind == "scaled":
             return bool(gone.all())
         if gone[self.there].any():
             return True
-        least = _NONE * (_LOST if stuck else 1.0)
+        least = _FLAT if searched else _NONE
         return self.declared.kind == "full" and self._rank(cpd.cov, least) < self.range.shape[1]
 
     def _require_within(self, cpd: ConditionalGaussian, values: Array) -> None:

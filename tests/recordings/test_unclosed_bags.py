@@ -3,6 +3,7 @@
 import shutil
 import sqlite3
 import struct
+import sys
 
 import numpy as np
 import pytest
@@ -12,10 +13,16 @@ from pgm.errors import FileError
 from pgm.recordings import read_bag
 
 pytest.importorskip("rosbags")
+from lz4 import frame as lz4
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
 
 TYPES = {1: get_typestore(Stores.ROS1_NOETIC), 2: get_typestore(Stores.ROS2_HUMBLE)}
 COUNT = 40
@@ -135,6 +142,48 @@ def test_an_mcap_file_without_an_end(tmp_path, share):
     assert_array_equal(rates(found), due[: len(rates(found))])
     assert "without its end" in found.dropped[0].fate
     file.write_bytes(data[:200])
+    with pytest.raises(FileError, match="before it had written a message"):
+        read_bag(path)
+
+
+def packed(data, compression):
+    """A file of MCAP whose first chunk is compressed, as far as that chunk goes."""
+    at = 8
+    while data[at] != 6:
+        at += 9 + int.from_bytes(data[at + 1 : at + 9], "little")
+    body = data[at + 9 : at + 9 + int.from_bytes(data[at + 1 : at + 9], "little")]
+    records = body[40:]
+    made = {
+        "": lambda raw: raw,
+        "lz4": lambda raw: lz4.compress(raw, block_size=lz4.BLOCKSIZE_MAX64KB, block_linked=False),
+        "zstd": zstd.compress,
+    }[compression](records)
+    name = compression.encode()
+    again = body[:28] + struct.pack("<I", len(name)) + name + struct.pack("<Q", len(made)) + made
+    return data[:at] + b"\x06" + struct.pack("<Q", len(again)) + again
+
+
+@pytest.mark.parametrize("compression", ["", "lz4", "zstd"])
+def test_an_mcap_file_that_ends_within_its_only_chunk(tmp_path, monkeypatch, compression):
+    monkeypatch.setitem(globals(), "COUNT", 2000)  # several blocks of a compressed chunk
+    path = tmp_path / "a"
+    writer = Writer2(path, version=9, storage_plugin=StoragePlugin.MCAP)
+    kind = "geometry_msgs/msg/TwistStamped"
+    with writer:
+        connection = writer.add_connection("/twist", kind, typestore=TYPES[2])
+        for k, message in enumerate(twists(2)):
+            code = bytes(TYPES[2].serialize_cdr(message, kind))
+            writer.write(connection, (100 + k) * 10**9, code)
+    due = rates(read_bag(path))
+    file = next(path.glob("*.mcap"))
+    data = packed(file.read_bytes(), compression)
+    file.write_bytes(data[: len(data) - len(data) // 3])
+    found = read_bag(path)
+    count = len(rates(found))
+    assert 400 < count < COUNT
+    assert_array_equal(rates(found), due[:count])
+    assert f"without its end, with {count} messages of a chunk that is cut" in found.dropped[0].fate
+    file.write_bytes(data[:400])
     with pytest.raises(FileError, match="before it had written a message"):
         read_bag(path)
 

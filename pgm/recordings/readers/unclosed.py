@@ -7,6 +7,7 @@ import os
 import shutil
 import sqlite3
 import struct
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,8 @@ _MESSAGE, _CHUNK, _CONNECTION = 2, 5, 7
 # MCAP's records of the end of data and of a file without a summary, and the largest kind.
 _END = b"\x0f" + struct.pack("<QI", 4, 0) + b"\x02" + struct.pack("<QQQI", 20, 0, 0, 0)
 _KINDS = 0x0F
+# Its chunk, and the records in one that are kept: schemas, channels and messages.
+_MCAP_CHUNK, _MCAP_MESSAGE, _KEPT = 0x06, 0x05, (0x03, 0x04, 0x05)
 # What SQLite leaves beside a database that was not closed.
 _BESIDE = ("-wal", "-journal")
 
@@ -72,7 +75,7 @@ def _mended(file: Path, scratch: Path) -> tuple[str, Path]:
         return "with transactions that its database had not taken", copy
     if file.suffix == ".mcap" and _begins(file, _MCAP) and not _ends(file, _MCAP):
         copy = scratch / file.name
-        return _words("its end", _ended(file, copy)), copy
+        return _ended(file, copy), copy
     return "", file
 
 
@@ -81,21 +84,58 @@ def _words(what: str, lost: int) -> str:
     return f"without {what}{beside}"
 
 
-def _ended(file: Path, copy: Path) -> int:
-    """Copy whole records of an MCAP file, and an end; the number of bytes left out."""
+def _ended(file: Path, copy: Path) -> str:
+    """Copy whole records of an MCAP file, of a chunk that is cut too, and an end; tell it in words."""
     size = file.stat().st_size
     with file.open("rb") as source, copy.open("wb") as target:
-        end = source.seek(len(_MCAP))
+        end, cut = source.seek(len(_MCAP)), b""
         while len(head := source.read(9)) == 9:
             kind, length = head[0], struct.unpack("<Q", head[1:])[0]
-            if not 0 < kind < _KINDS or end + 9 + length > size:
+            if not 0 < kind < _KINDS:
+                break
+            if end + 9 + length > size:
+                cut = source.read() if kind == _MCAP_CHUNK else b""
                 break
             end = source.seek(end + 9 + length)
         source.seek(0)
         for part in _pieces(source, end):
             target.write(part)
-        target.write(_END + _MCAP)
-    return size - end
+        kept, messages = _of_chunk(cut)
+        target.write(kept + _END + _MCAP)
+    if messages:
+        return f"without its end, with {messages} messages of a chunk that is cut"
+    return _words("its end", size - end)
+
+
+def _of_chunk(body: bytes) -> tuple[bytes, int]:
+    """The records that are whole in a chunk of MCAP whose end is cut, and how many are messages."""
+    if len(body) < 32:
+        return b"", 0
+    begin = 32 + int.from_bytes(body[28:32], "little")
+    data = _begun(body[begin + 8 :], body[32:begin])
+    kept, messages, at = [], 0, 0
+    while at + 9 <= len(data):
+        ends = at + 9 + int.from_bytes(data[at + 1 : at + 9], "little")
+        if ends > len(data):
+            break
+        if data[at] in _KEPT:
+            kept.append(data[at:ends])
+            messages += data[at] == _MCAP_MESSAGE
+        at = ends
+    return b"".join(kept), messages
+
+
+def _begun(data: bytes, compression: bytes) -> bytes:
+    """The unpacked beginning of data whose end is cut."""
+    found: bytes
+    if compression == b"lz4":
+        found = optional("lz4.frame", "read_bag", EXTRA).LZ4FrameDecompressor().decompress(data)
+    elif compression == b"zstd":
+        module = "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd"
+        found = optional(module, "read_bag", EXTRA).ZstdDecompressor().decompress(data)
+    else:
+        found = data if not compression else b""
+    return found
 
 
 def _pieces(source: Any, size: int) -> Iterator[bytes]:
