@@ -1,20 +1,21 @@
-"""Trajectories of the EuRoC datasets: comma-separated poses, stamped in nanoseconds."""
+"""Files of the EuRoC datasets: rows of comma-separated numbers, stamped in nanoseconds."""
 
 from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from pgm.arguments import public
 from pgm.io import sources
 from pgm.io.poses import Poses, made
-from pgm.io.sources import LIMIT, Origin, Source, number
+from pgm.io.sources import LIMIT, Content, Origin, Source, number
 from pgm.kernels.arrays import Array
 
 FIELDS = 8
-# Poses are not taken more often than once in this time [s].
+# Neither poses nor inertial readings are taken more often than once in this time [s].
 _CLOSEST = 1e-6
 _DUE = "timestamp [ns], x, y, z, qw, qx, qy, qz"
 
@@ -58,6 +59,22 @@ def read_euroc(path: Source, *, limit: int = LIMIT) -> Poses:
     array([[ 4.7, -1.8,  0.9]])
     """
     content = sources.read(path, limit)
+    found, lines = table(content, FIELDS, _DUE, "poses", _require_w_first)
+    rows = found[:, [0, 1, 2, 3, 5, 6, 7, 4]]
+    return made(rows, lines, content.origin, "are they four numbers, w first?")
+
+
+def table(
+    content: Content,
+    fields: int,
+    due: str,
+    what: str,
+    told: Callable[[Sequence[str], int, Origin], None],
+) -> tuple[Array, list[int]]:
+    """The rows (n, fields) of a file, stamps in seconds first, and the line of each.
+
+    `what` rows are, of columns `due`; `told` takes the cells of each comment, and its line.
+    """
     origin, lines, rows = content.origin, [], []
     reader = csv.reader(io.StringIO(content.text(), newline=""))
     try:
@@ -65,43 +82,42 @@ def read_euroc(path: Source, *, limit: int = LIMIT) -> Poses:
             if not cells or not any(map(str.strip, cells)):
                 continue
             if cells[0].lstrip().startswith("#"):
-                _require_w_first(cells, reader.line_num, origin)
+                told(cells, reader.line_num, origin)
                 continue
-            if len(cells) < FIELDS:
+            if len(cells) < fields:
                 raise origin.fault(
-                    f"it has {len(cells)} numbers, where {_DUE}, {FIELDS} or more of them, were "
-                    "due",
+                    f"it has {len(cells)} numbers, where {due}, {fields} or more of them, were due",
                     reader.line_num,
                 )
             stamp = _seconds(cells[0].strip(), reader.line_num, origin)
-            others = (number(word.strip(), reader.line_num, origin) for word in cells[1:FIELDS])
+            others = (number(word.strip(), reader.line_num, origin) for word in cells[1:fields])
             rows.append([stamp, *others])
             lines.append(reader.line_num)
     except csv.Error as error:
         raise origin.fault(f"it is no table of values: {error}", reader.line_num) from None
     if not rows:
-        raise origin.fault(f"it has no poses, lines of {_DUE}; is it another file?")
-    table = np.array(rows)[:, [0, 1, 2, 3, 5, 6, 7, 4]]
-    _require_apart(table[:, 0], lines, origin)
-    return made(table, lines, origin, "are they four numbers, w first?")
+        raise origin.fault(f"it has no {what}, lines of {due}; is it another file?")
+    found = np.array(rows)
+    _require_apart(found[:, 0], lines, what, origin)
+    return found, lines
 
 
-def _require_w_first(cells: list[str], line: int, origin: Origin) -> None:
+def _require_w_first(cells: Sequence[str], line: int, origin: Origin) -> None:
     """Refuse a line of names in which the quaternion is in another order."""
     turns = [name.strip().partition("[")[0].strip() for name in cells if "q_" in name]
     if turns and not turns[0].endswith("w"):
         raise origin.fault(f"its quaternion is {', '.join(turns)}, where w was due first", line)
 
 
-def _require_apart(stamps: Array, lines: list[int], origin: Origin) -> None:
+def _require_apart(stamps: Array, lines: list[int], what: str, origin: Origin) -> None:
     """Refuse stamps so close that they are whole seconds or milliseconds, not nanoseconds."""
     apart = np.abs(np.diff(stamps))
     apart = apart[apart > 0.0]
     if apart.size and np.median(apart) < _CLOSEST:
         raise origin.fault(
-            f"its poses are {np.median(apart) * 1e9:.0f} ns apart: are stamps in another unit, "
-            "where nanoseconds were due? Poses with seconds are read by read_tum or "
-            "recordings.read_csv",
+            f"its {what} are {np.median(apart) * 1e9:.0f} ns apart: are stamps in another unit, "
+            "where nanoseconds were due? Files with other stamps are read by recordings.read_csv, "
+            "poses by read_tum",
             lines[0],
         )
 
@@ -113,8 +129,8 @@ def _seconds(word: str, line: int, origin: Origin) -> float:
         return int(word) / 1e9  # all digits, which a double has not
     if found != int(found):
         raise origin.fault(
-            f"t = {word}, where whole nanoseconds were due; poses with seconds are read by "
-            "read_tum or recordings.read_csv",
+            f"t = {word}, where whole nanoseconds were due; files with seconds are read by "
+            "recordings.read_csv, poses by read_tum",
             line,
         )
     return found / 1e9

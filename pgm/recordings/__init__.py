@@ -8,6 +8,7 @@ from pgm.recordings.drives.scans import Scans
 from pgm.recordings.drives.stream import Stream
 from pgm.recordings.readers.bags import read_bag
 from pgm.recordings.readers.barfoot import read_barfoot
+from pgm.recordings.readers.euroc import read_euroc_imu
 from pgm.recordings.readers.freiburg import read_freiburg
 from pgm.recordings.readers.gpx import read_gpx, write_gpx
 from pgm.recordings.readers.labyrinth import read_labyrinth
@@ -28,6 +29,7 @@ __all__ = [
     "read_bag",
     "read_barfoot",
     "read_csv",
+    "read_euroc_imu",
     "read_freiburg",
     "read_gpx",
     "read_labyrinth",

@@ -83,8 +83,8 @@ def read_bag(
     Messages without a fix, or with one at 0°, 0°, and topics of other types are left out;
     `dropped` tells of these. A bag whose recorder was killed is read as far as its records are
     whole, from a copy in a temporary folder, and `dropped` tells of that: one of ROS 1 without an
-    index, ``.bag.active`` too; one of ROS 2 without ``metadata.yaml``, an end of its MCAP file, whose
-    last chunk may be cut, compressed or not, or with transactions that its database has not taken.
+    index, ``.bag.active`` too; one of ROS 2 without ``metadata.yaml``, an MCAP file without an end
+    or cut within its last chunk, or a database that has not taken its transactions.
 
     Raises
     ------

@@ -85,7 +85,7 @@ def _words(what: str, lost: int) -> str:
 
 
 def _ended(file: Path, copy: Path) -> str:
-    """Copy whole records of an MCAP file, of a chunk that is cut too, and an end; tell it in words."""
+    """Copy an MCAP file's whole records, of a cut chunk too, and an end; tell of it in words."""
     size = file.stat().st_size
     with file.open("rb") as source, copy.open("wb") as target:
         end, cut = source.seek(len(_MCAP)), b""
