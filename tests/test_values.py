@@ -81,3 +81,14 @@ def test_a_belief_belongs_to_its_model():
     other = MODEL.replace(observation=())
     with pytest.raises(pgm.ModelError, match="no belief of this filter's model"):
         pgm.OnlineFilter(other).predict(pgm.OnlineFilter(MODEL).initial(), {u: [1.0, 0.0, 0.1]})
+
+
+def test_a_pickled_belief_goes_on_with_the_filter_beside_it():
+    robot = pgm.OnlineFilter(MODEL)
+    belief = robot.initial()
+    moved = robot.predict(belief, {u: [1.0, 0.0, 0.1]})
+    alone = pickle.loads(pickle.dumps(belief))
+    with pytest.raises(pgm.ModelError, match=r"pickle.dumps\(\(robot, belief\)\)"):
+        robot.predict(alone, {u: [1.0, 0.0, 0.1]})
+    again, twin = pickle.loads(pickle.dumps((robot, belief)))
+    np.testing.assert_array_equal(again.predict(twin, {u: [1.0, 0.0, 0.1]}).mean, moved.mean)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Generic
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Never
 
 import numpy as np
 
@@ -209,7 +209,7 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
         """The standard deviations of several variables: (*runs, k, d); see `means`."""
         return deviation(self.covs(variables))
 
-    def to_frame(self, variables: Iterable[Variable] | None = None) -> Any:
+    def to_frame(self, variables: Iterable[Variable] | None = None, *more: Never) -> Any:
         """The completed table of records, or moments of several variables, as a data frame.
 
         Without variables, of a network without time, it has a row a run, with the values that were
@@ -251,6 +251,9 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
         >>> posterior.to_frame([x, y]).loc["y"].tolist()
         [0.0, 1.0, 0.5, 0.5]
         """
+        if more:
+            every = ", ".join(map(repr, (variables, *more)))
+            raise TypeError(f"to_frame takes several variables as one list: to_frame([{every}])")
         if variables is None:
             if self._entered is None:
                 raise EvidenceError(

@@ -162,3 +162,12 @@ def test_a_frame_is_of_variables_of_one_kind():
     )
     with pytest.raises(pgm.EvidenceError, match=r"y has the components .* columns of one kind"):
         posterior.to_frame([x, y])
+
+
+def test_several_variables_are_one_list():
+    x, y = pgm.variables("x y")
+    net = pgm.BayesianNetwork([pgm.GaussianCPD(v, 0.0, 1.0) for v in (x, y)])
+    posterior = pgm.infer(pgm.compile(net), {})
+    with pytest.raises(TypeError, match=r"to_frame\(\[x, y\]\)"):
+        posterior.to_frame(x, y)
+    assert list(posterior.to_frame([x, y]).index) == ["x", "y"]

@@ -88,7 +88,8 @@ class PointFilter(InCode, Immutable, Generic[Belief]):
             kind = type(self.belief).__name__.lower()
             raise ModelError(
                 f"{titled(belief)} is no belief of this filter's model and {kind}; begin with "
-                "initial()"
+                "initial(). One that was pickled goes on with the filter pickled beside it, "
+                "pickle.dumps((robot, belief))"
             )
 
     def _owns(self, belief: Any) -> bool:

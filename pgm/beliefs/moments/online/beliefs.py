@@ -589,7 +589,8 @@ def require_own(
     """
     if not isinstance(belief, MomentBelief) or belief.layout.model is not model:
         raise ModelError(
-            f"{titled(belief)} is no belief of this filter's model; begin with initial()"
+            f"{titled(belief)} is no belief of this filter's model; begin with initial(). One that "
+            "was pickled goes on with the filter pickled beside it, pickle.dumps((robot, belief))"
         )
     if not is_like(belief.behind, behind) or belief.kind.lag > 0:
         raise ModelError(
