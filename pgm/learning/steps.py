@@ -268,8 +268,9 @@ class TableStep:
     def __init__(self, cpd: TableCPD, parts: Sequence[Table]) -> None:
         if cpd._table is None:
             raise ModelError(
-                f"{cpd!r}: its table is structured, of independent causes or a function of inputs; "
-                "one that is an array can be learnt",
+                f"{cpd!r}: its table is structured, of independent causes or a function of inputs, "
+                "and is learnt as an array, whose entries are free: give the network "
+                f"pgm.TableCPD({cpd.child!r}, parents, table=cpd.table)",
                 cpd=cpd,
             )
         counts = as_floats(parts[0].prior_counts, f"{cpd!r}: prior_counts", cpd=cpd)

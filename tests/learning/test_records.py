@@ -361,6 +361,8 @@ def test_what_records_cannot_be_learnt_from():
     refused(pgm.ModelError, "without belief=", belief=pgm.Gaussians(3))
     zero = net.replace(pgm.TableCPD(A, table=[1.0, 0.0]))
     refused(pgm.EvidenceError, "probability zero", model=zero)
+    causes = net.replace(pgm.NoisyOr(C, given=A, probabilities=[0.5]))
+    refused(pgm.ModelError, r"TableCPD\(c, parents, table=cpd.table\)", model=causes)
     line = gaussian(rng)
     two = {X: [[0.0, 1.0], [1.0, 2.0]], Y: np.ones((2, 2)), U: np.ones((2, 1))}
     refused(pgm.ModelError, "explained exactly", two, line, {Y: EVERY})
