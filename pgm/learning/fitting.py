@@ -336,7 +336,8 @@ def fit(
     until parameters stay, what is cut off being made up for as of Gaussian residuals.
 
     A network without time is learnt from records, the rows of its evidence. Where the child and the
-    parents of all that is learnt were observed, there is a closed form, and no search.
+    parents of all that is learnt were observed, there is a closed form, and no search, unless its
+    noise is robust. States told by `soft` weights count by these times their probabilities.
 
     Where discrete variables choose among CPDs (`SwitchingCPD`), each row enters the expectations of
     a case by the probability that this holds there. Where mixtures of Gaussians are merged, the
