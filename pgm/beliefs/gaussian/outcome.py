@@ -17,6 +17,7 @@ import numpy as np
 from pgm.beliefs.gaussian.beliefs import Calibrated, runs_first
 from pgm.beliefs.gaussian.draws import draws
 from pgm.beliefs.gaussian.joints import joint_moments
+from pgm.beliefs.gaussian.layout import Layout
 from pgm.beliefs.gaussian.messages import RowMessages
 from pgm.beliefs.gaussian.model import Model
 from pgm.beliefs.gaussian.reweighting import weights_shown
@@ -86,7 +87,7 @@ class GaussianOutcome(Outcome[Gaussian]):
     @quiet()
     def __getitem__(self, variable: Variable) -> Gaussian:
         """The marginal of a variable without evidence, (*runs, d)."""
-        places = self._require_hidden(variable)
+        places = places_of(self._plan.layout, variable)
         home, _ = self._done.beliefs.places.blocks.homes
         return self._read((variable,), int(home[places[0]]))
 
@@ -96,7 +97,7 @@ class GaussianOutcome(Outcome[Gaussian]):
         first = np.fromiter(map(starts.get, variables, repeat(-1)), np.intp, len(variables))
         if (first < 0).any():
             for variable in variables:
-                self._require_hidden(variable)
+                places_of(self._plan.layout, variable)
         places = first[:, None] + np.arange(variables[0].dimension)
         beliefs, lead = self._done.beliefs, self._model.lead
         homes, columns = (part[places] for part in beliefs.places.blocks.homes)
@@ -106,33 +107,6 @@ class GaussianOutcome(Outcome[Gaussian]):
             return super()._stacked(variables)  # which refuses the first that is not
         covs = np.broadcast_to(covs, (*means.shape, places.shape[1]))
         return means.reshape(*lead, *means.shape[1:]), covs.reshape(*lead, *covs.shape[1:])
-
-    def _require_hidden(self, variable: Variable) -> Integers:
-        """The indices (d,) of a hidden variable's components in the vector of all hidden ones.
-
-        Any other variable is an EvidenceError, which says why it has no belief.
-        """
-        layout = self._plan.layout
-        if require_variable(variable) in layout.places:
-            return layout.places[variable]
-        if variable in layout.observed:
-            raise EvidenceError(
-                f"{variable!r} is observed: its value is its evidence, and a component that is "
-                "NaN there is left out of the network; for a belief about it give it no evidence",
-                variable=variable,
-            )
-        if variable in layout.absent:
-            raise EvidenceError(
-                f"{variable!r} was left out, since nothing depends on it, and inputs of its CPD "
-                "have no evidence or its noise is robust, which weighs measurements alone; give "
-                "them values, or leave noise= out",
-                variable=variable,
-            )
-        raise EvidenceError(
-            f"{variable!r} is not in the network; its variables without evidence are "
-            f"{list(layout.hidden)}{namesake(variable, layout.hidden)}",
-            variable=variable,
-        )
 
     def _read(self, scope: Scope, block: int) -> Gaussian:
         """The joint of the variables in `scope`, (*runs, n), from a block that holds them all."""
@@ -169,7 +143,7 @@ class GaussianOutcome(Outcome[Gaussian]):
         if not scope:
             raise EvidenceError("joint takes one or more variables")
         for variable in scope:
-            self._require_hidden(variable)
+            places_of(self._plan.layout, variable)
         wanted = self._plan.layout.components(scope)
         blocks = self._done.beliefs.places.blocks
         holders = blocks.hold(wanted)
@@ -354,3 +328,30 @@ class GaussianOutcome(Outcome[Gaussian]):
 
     def _summary(self) -> Summary:
         return of_network(self._title, self, self._plan.layout.hidden, self._model.lead)
+
+
+def places_of(layout: Layout, variable: Variable) -> Integers:
+    """The indices (d,) of a hidden variable's components in the vector of all hidden ones.
+
+    Any other variable is an EvidenceError, which says why it has no belief.
+    """
+    if require_variable(variable) in layout.places:
+        return layout.places[variable]
+    if variable in layout.observed:
+        raise EvidenceError(
+            f"{variable!r} is observed: its value is its evidence, and a component that is "
+            "NaN there is left out of the network; for a belief about it give it no evidence",
+            variable=variable,
+        )
+    if variable in layout.absent:
+        raise EvidenceError(
+            f"{variable!r} was left out, since nothing depends on it, and inputs of its CPD "
+            "have no evidence or its noise is robust, which weighs measurements alone; give "
+            "them values, or leave noise= out",
+            variable=variable,
+        )
+    raise EvidenceError(
+        f"{variable!r} is not in the network; its variables without evidence are "
+        f"{list(layout.hidden)}{namesake(variable, layout.hidden)}",
+        variable=variable,
+    )

@@ -5,12 +5,16 @@ A start is a trajectory: a point of the prior, sent through the motion without i
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
 import numpy as np
 
 from pgm.beliefs.modes.adapted import adapt, warn_of_few
 from pgm.beliefs.modes.arrivals import arrived, chosen, patient, warn_of_unsettled
 from pgm.beliefs.modes.chain_laws import ModeBeliefs, Trajectories, laws_of
-from pgm.beliefs.modes.outcome import ChainModes, Found
+from pgm.beliefs.modes.laws import Laws
+from pgm.beliefs.modes.outcome import ChainModes, Found, Part
 from pgm.beliefs.modes.points import white_points
 from pgm.beliefs.moments.family import MOMENTS
 from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
@@ -42,73 +46,129 @@ def run(
             "starts= of a smoother finds modes of a whole record, and a fixed lag sees a part of "
             "it: leave lag= out, or use pgm.filter, whose prior is cut into pieces"
         )
-    several = graph.model.mixed or has_mixtures(graph.model.cpds)
-    if several or any(reading.unknown is not None for reading in bound.readings):
-        raise ModelError(
-            "starts= looks for modes of continuous variables, whose CPDs are nonlinear; discrete "
-            "variables, mixtures of CPDs and open sightings have hypotheses already: leave starts "
-            "out"
-        )
     schedule = patient(call, Smoothing)
-    begun = _begun(graph, bound, call, starts)
-    asked = call._replace(schedule=schedule)
+    search = ChainSearch.make(graph, bound, call._replace(schedule=schedule))
+    found = search.chosen(search.arrived(starts), count)
+    if not is_iterated(call.schedule):  # which warns itself
+        warn_of_unsettled(found, schedule.iterations)
+    if draws:
+        laws = search.laws(found)
+        adapted = adapt(search.target(laws), laws, draws)
+        warn_of_few(adapted.effective, draws)
+        beliefs = search.beliefs(adapted.laws)
+        found = found.with_draws(
+            adapted.laws.weights, adapted.log_evidence, adapted.effective, beliefs
+        )
+    return search.outcome(found)
 
-    def infer(some: Integers) -> ChainOutcome:
-        """The smoothers from some starts."""
-        start: dict[Variable, Array] = {}
-        for variable, place in graph.layout.places.items():
-            own = np.moveaxis(begun[:, some][..., place], 0, 2)
-            if variable not in graph.layout.states:
-                own = own[..., 1:, :]
-            start[variable] = own.reshape(some.size, *bound.lead, *own.shape[-2:])
-        outcome = MOMENTS.infer(graph, bound.repeated(some.size), asked._replace(start=start))
+
+@dataclass(frozen=True, eq=False)
+class ChainSearch:
+    """A chain with its evidence, in whose posterior modes are looked for; see `Search`.
+
+    call : Call
+        With the schedule of each smoother.
+    """
+
+    graph: DynamicGraph
+    bound: BoundEvidence
+    call: Call
+
+    @classmethod
+    def make(cls, graph: DynamicGraph, bound: BoundEvidence, call: Call) -> ChainSearch:
+        """The search; a ModelError refuses models that have hypotheses of their own."""
+        several = graph.model.mixed or has_mixtures(graph.model.cpds)
+        if several or any(reading.unknown is not None for reading in bound.readings):
+            raise ModelError(
+                "starts= looks for modes of continuous variables, whose CPDs are nonlinear; "
+                "discrete variables, mixtures of CPDs and open sightings have hypotheses already: "
+                "leave starts out"
+            )
+        return cls(graph, bound, call)
+
+    @property
+    def lead(self) -> tuple[int, ...]:
+        """The axes of runs."""
+        return self.bound.lead
+
+    @property
+    def runs(self) -> int:
+        """How many runs there are."""
+        return self.bound.runs
+
+    def of(self, runs: Integers) -> ChainSearch:
+        """The search in some runs."""
+        if runs.size == self.runs:
+            return self
+        cut = self.bound.mapped(lambda array: array if array.shape[1] == 1 else array[:, runs])
+        return replace(self, bound=replace(cut, lead=(runs.size,), form=None))
+
+    def arrived(self, starts: int) -> list[Part]:
+        """The smoothers from so many starts."""
+        begun = self._begun(starts)
+
+        def infer(some: Integers) -> ChainOutcome:
+            start: dict[Variable, Array] = {}
+            for variable, place in self.graph.layout.places.items():
+                own = np.moveaxis(begun[:, some][..., place], 0, 2)
+                if variable not in self.graph.layout.states:
+                    own = own[..., 1:, :]
+                start[variable] = own.reshape(some.size, *self.lead, *own.shape[-2:])
+            return self._inferred(some.size, self.call._replace(start=start))
+
+        return arrived(infer, starts)
+
+    def unled(self) -> list[Part]:
+        """The smoother that is led to no start: its first linearisation is the filter's."""
+        return arrived(lambda some: self._inferred(some.size, self.call), 1)
+
+    def _inferred(self, count: int, call: Call) -> ChainOutcome:
+        outcome = MOMENTS.infer(self.graph, self.bound.repeated(count), call)
         assert isinstance(outcome, ChainOutcome)
         return outcome
 
-    parts = arrived(infer, starts)
-    found = chosen(parts, graph.layout.slice, bound.lead, bound.first_run, count)
-    if not is_iterated(call.schedule):  # which warns itself
-        warn_of_unsettled(found, schedule.iterations)
-    return ChainModes(graph, _adapted(graph, found, bound, asked, draws) if draws else found)
+    def _begun(self, starts: int) -> Array:
+        """The starts, (T+1, starts, runs, n): points of the prior, driven on without noise."""
+        bound = self.bound
+        many = bound.repeated(starts)
+        plan = ChainPlan.make(self.graph, many, self.call.lineariser)
+        chain = MomentChain(plan, ONCE, keep=False)
+        mean, cov = chain.start().by_run
+        lower = roots.root(cov)
+        if not np.isfinite(lower).all():
+            raise EvidenceError(
+                "starts= are points of the prior, which has an infinite variance: give it a finite "
+                "one"
+            )
+        size = mean.shape[-1]
+        every = np.repeat(white_points(starts, size), bound.runs, axis=0)
+        at = Moments.of(plan, mean + (lower @ every[..., None])[..., 0], np.zeros_like(cov))
+        found = [at.by_run[0]]
+        for step in range(1, bound.steps + 1):
+            moved = chain.predict(step, at)
+            at = Moments(moved.mean, np.zeros_like(moved.cov))
+            found.append(at.by_run[0])
+        return np.stack(found).reshape(bound.steps + 1, starts, bound.runs, size)
 
+    def chosen(self, parts: Sequence[Part], count: int) -> Found:
+        """The modes at which starts have arrived, `count` at the most."""
+        return chosen(parts, self.graph.layout.slice, self.lead, self.bound.first_run, count)
 
-def _adapted(
-    graph: DynamicGraph, found: Found, bound: BoundEvidence, call: Call, draws: int
-) -> Found:
-    """The modes adapted by weighed draws."""
-    unadapted = ChainModes(graph, found)
-    marginals = {variable: unadapted[variable].components.mean for variable in graph.layout.slice}
-    # A mode's own linearisation, of all runs, is that of a smoother which starts there.
-    outcomes = []
-    for k in range(len(found.weights)):
-        start = {variable: mean[..., k, :] for variable, mean in marginals.items()}
-        outcome = MOMENTS.infer(graph, bound, call._replace(start=start))
+    def target(self, laws: Laws) -> Trajectories:
+        """The exact density; a NumericalError refuses a posterior without."""
+        once = self.call._replace(schedule=ONCE, start=None)
+        outcome = MOMENTS.infer(self.graph, self.bound, once)
         assert isinstance(outcome, ChainOutcome)
-        outcomes.append(outcome)
-    target = Trajectories(outcomes[0])
-    adapted = adapt(target, laws_of(target.law, outcomes, found.weights), draws)
-    warn_of_few(adapted.effective, draws)
-    beliefs = ModeBeliefs.make(adapted.laws, graph.layout, bound.lead)
-    return found.with_draws(adapted.laws.weights, adapted.log_evidence, adapted.effective, beliefs)
+        return Trajectories(outcome._plan)
 
+    def laws(self, found: Found) -> Laws:
+        """The Gauss–Markov laws of the modes."""
+        return laws_of(self.graph.layout, found)
 
-def _begun(graph: DynamicGraph, bound: BoundEvidence, call: Call, starts: int) -> Array:
-    """The trajectories of the starts, (T+1, starts, runs, n): points of the prior, driven on."""
-    many = bound.repeated(starts)
-    plan = ChainPlan.make(graph, many, call.lineariser)
-    chain = MomentChain(plan, ONCE, keep=False)
-    mean, cov = chain.start().by_run
-    lower = roots.root(cov)
-    if not np.isfinite(lower).all():
-        raise EvidenceError(
-            "starts= are points of the prior, which has an infinite variance: give it a finite one"
-        )
-    size = mean.shape[-1]
-    every = np.repeat(white_points(starts, size), bound.runs, axis=0)
-    at = Moments.of(plan, mean + (lower @ every[..., None])[..., 0], np.zeros_like(cov))
-    found = [at.by_run[0]]
-    for step in range(1, bound.steps + 1):
-        moved = chain.predict(step, at)
-        at = Moments(moved.mean, np.zeros_like(moved.cov))
-        found.append(at.by_run[0])
-    return np.stack(found).reshape(bound.steps + 1, starts, bound.runs, size)
+    def beliefs(self, laws: Laws) -> ModeBeliefs:
+        """The beliefs of laws."""
+        return ModeBeliefs.make(laws, self.graph.layout, self.lead)
+
+    def outcome(self, found: Found) -> ChainModes:
+        """The mixtures of the modes."""
+        return ChainModes(self.graph, found)

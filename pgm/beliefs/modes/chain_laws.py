@@ -6,16 +6,17 @@ pairs of states and the slice after them. Arrays are as of `adapted`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from pgm.beliefs.modes.adapted import Laws, without_density
+from pgm.beliefs.modes.laws import Laws, Scoped, without_density
+from pgm.beliefs.modes.outcome import Found
 from pgm.beliefs.moments.outcomes.marginals import Marginals
 from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
 from pgm.beliefs.moments.passes.backward import Beliefs, Reverse
 from pgm.beliefs.moments.passes.joints import joint_moments
+from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.trajectories.density import has_exact
 from pgm.beliefs.moments.trajectories.law import ChainLaw
 from pgm.beliefs.moments.trajectories.model import ChainModel, Proposing, Weighed
@@ -40,8 +41,7 @@ class Trajectories:
         Of the linearised motion.
     """
 
-    def __init__(self, outcome: ChainOutcome) -> None:
-        plan = outcome._plan
+    def __init__(self, plan: ChainPlan) -> None:
         read = (s for s in plan.sensors if s.family.step.size)
         if has_exact(s.family for s in read if s.taken is None or s.taken.any()):
             raise without_density()
@@ -49,6 +49,14 @@ class Trajectories:
         self.law, layout = self._model.law, plan.layout
         self.before, self.states = layout.state_size, layout.state_places
         self.turned, self.angles = self.law.turned, angle_mask(layout.pair)
+        self.scopes = [
+            Scoped(
+                self.before + np.arange(layout.slice_size)[layout.places[v]],
+                np.arange(layout.slice_size)[layout.places[v]],
+                0 if v in layout.states else 1,
+            )
+            for v in layout.slice
+        ]
 
     def path(self, laws: Laws, k: int) -> Path:
         """The law of a mode, as it is drawn from."""
@@ -62,16 +70,31 @@ class Trajectories:
         return self._model.draw(source, shape, strict=False)
 
 
-def laws_of(law: ChainLaw, outcomes: Sequence[ChainOutcome], weights: Array) -> Laws:
-    """The laws of smoothers' outcomes, one a mode, of weights (K, runs)."""
-    places = law.layout.state_places
-    parts = []
-    for outcome in outcomes:
-        beliefs = outcome._beliefs
-        pairs = law.pairs(beliefs, law.onward(beliefs, outcome._reverse.states))
-        first = beliefs.mean[:1][..., places], block(beliefs.cov[:1], places, places)
-        parts.append((*first, pairs.mean, pairs.cov))
-    return Laws(weights, *(np.stack(each) for each in zip(*parts, strict=True)))
+def laws_of(layout: SliceLayout, found: Found) -> Laws:
+    """The laws of modes that smoothers have found."""
+    law, places = ChainLaw(layout, [], []), layout.state_places
+    each = []
+    for part in found.parts:
+        assert isinstance(part.outcome, ChainOutcome)
+        beliefs = part.outcome._beliefs
+        pairs = law.pairs(beliefs, law.onward(beliefs, part.outcome._reverse.states))
+        moments = (
+            beliefs.mean[:1][..., places],
+            block(beliefs.cov[:1], places, places),
+            pairs.mean,
+            pairs.cov,
+        )
+        each.append([_by_start(own, part.starts.size) for own in moments])
+    runs = np.arange(found.index.shape[1])
+    stacked = (np.concatenate(own) for own in zip(*each, strict=True))
+    return Laws(found.weights, *(np.moveaxis(own[found.index, :, runs], 1, 2) for own in stacked))
+
+
+def _by_start(values: Array, starts: int) -> Array:
+    """Arrays (steps, starts · runs, ...) as (starts, steps, runs, ...)."""
+    steps, every = values.shape[:2]
+    whole = values.reshape(steps, starts, every // starts, *values.shape[2:])
+    return np.moveaxis(whole, 1, 0)
 
 
 @dataclass(frozen=True, eq=False)

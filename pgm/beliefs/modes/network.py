@@ -6,18 +6,21 @@ there is no prior of finite variance, as of a Markov network, the linear part ta
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from pgm.beliefs import gaussian
+from pgm.beliefs.gaussian.layout import Layout
 from pgm.beliefs.gaussian.model import Model
-from pgm.beliefs.gaussian.outcome import GaussianOutcome
-from pgm.beliefs.modes.adapted import Laws, adapt, warn_of_few, without_density
+from pgm.beliefs.gaussian.outcome import GaussianOutcome, places_of
+from pgm.beliefs.modes.adapted import adapt, warn_of_few
 from pgm.beliefs.modes.arrivals import arrived, chosen, patient, warn_of_unsettled
+from pgm.beliefs.modes.laws import Laws, Scoped, without_density
 from pgm.beliefs.modes.linear_part import LinearPart, linear_part
 from pgm.beliefs.modes.network_density import NetworkDensity
-from pgm.beliefs.modes.outcome import Found, NetworkModes
+from pgm.beliefs.modes.outcome import Found, NetworkModes, Part
 from pgm.beliefs.modes.points import white_points
 from pgm.beliefs.moments.trajectories.density import has_exact
 from pgm.beliefs.moments.trajectories.model import Proposing, Weighed
@@ -35,6 +38,7 @@ from pgm.networks import BayesianNetwork
 from pgm.schedules.convergence import is_iterated
 from pgm.schedules.options import Call
 from pgm.schedules.schedule import Calibration, Loopy
+from pgm.schedules.starting_points import Start
 from pgm.variables import Variable
 
 
@@ -61,38 +65,151 @@ def run(
             "starts= looks for modes that evidence leaves, and there is none: give some, or leave "
             "starts out"
         )
-    model, bound, level = gaussian.linearised_factors(graph, evidence, schedule, call.lineariser)
-    hidden, lead = model.layout.hidden, model.lead
-    if not hidden:
-        raise EvidenceError(
-            "starts= looks for modes of hidden variables, and all are observed: leave starts out"
-        )
-    base = _base(model)
-    begun = _density(model, base, level, near=True).drawn(white_points(starts, model.layout.size))
-
-    def infer(some: Integers) -> GaussianOutcome:
-        """The calibrations from some starts."""
-        start = {
-            variable: np.moveaxis(begun[:, some][..., model.layout.places[variable]], 1, 0).reshape(
-                some.size, *lead, variable.dimension
-            )
-            for variable in hidden
-        }
-        own = _repeated(bound, some.size)
-        asked = {v: own.pop(v) for v in evidence}
-        return gaussian.run_factors(
-            graph, asked, schedule, call.lineariser, start, values=own, warn=False
-        )
-
-    parts = arrived(infer, starts)
-    found = chosen(parts, hidden, lead, 0, count)
+    search = NetworkSearch.make(graph, evidence, call._replace(schedule=schedule))
+    found = search.chosen(search.arrived(starts), count)
     if not is_iterated(call.schedule):  # which warns itself
         warn_of_unsettled(found, schedule.iterations)
     if draws:
         with naming_factors():
-            target = AllVariables(model, _density(model, base, level, near=False))
-            found = _adapted(graph, found, target, model, draws)
-    return NetworkModes(graph, found)
+            laws = search.laws(found)
+            adapted = adapt(search.target(laws), laws, draws)
+        warn_of_few(adapted.effective, draws)
+        beliefs = search.beliefs(adapted.laws)
+        found = found.with_draws(
+            adapted.laws.weights, adapted.log_evidence, adapted.effective, beliefs
+        )
+    return search.outcome(found)
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkSearch:
+    """A network with its evidence, in whose posterior modes are looked for; see `Search`.
+
+    graph : ClusterGraph
+        The cluster tree.
+    asked : dict of Variable to ndarray
+        The values of observed variables, (*runs, d), NaN where not measured, those of factors'
+        residuals among them.
+    evidence : tuple of Variable
+        The variables that the user observed.
+    call : Call
+        With the schedule of each calibration.
+    model : Model
+        The network, linearised where it begins.
+    base : LinearPart or None
+        The law of variables without a prior of finite variance; None if all have one.
+    level : float
+        The logarithm of the density less that of the model.
+    """
+
+    graph: ClusterGraph
+    asked: Mapping[Variable, Array]
+    evidence: Scope
+    call: Call
+    model: Model
+    base: LinearPart | None
+    level: float
+
+    @classmethod
+    def make(cls, graph: ClusterGraph, evidence: Evidence, call: Call) -> NetworkSearch:
+        """The search; errors refuse networks of which nothing is hidden, or is left open."""
+        assert call.schedule is not None
+        made = gaussian.linearised_factors(graph, evidence, call.schedule, call.lineariser)
+        model, bound, level = made
+        if not model.layout.hidden:
+            raise EvidenceError(
+                "starts= looks for modes of hidden variables, and all are observed: leave starts "
+                "out"
+            )
+        values = _repeated(bound, 1)
+        return cls(graph, values, tuple(evidence), call, model, _base(model), level)
+
+    @property
+    def lead(self) -> tuple[int, ...]:
+        """The axes of runs."""
+        return self.model.lead
+
+    @property
+    def runs(self) -> int:
+        """How many runs there are."""
+        return self.model.runs
+
+    def of(self, runs: Integers) -> NetworkSearch:
+        """The search in some runs."""
+        if runs.size == self.runs:
+            return self
+        asked = {v: values.reshape(-1, values.shape[-1])[runs] for v, values in self.asked.items()}
+        known = {v: asked[v] for v in self.evidence}
+        return NetworkSearch.make(self.graph, known, self.call)
+
+    def arrived(self, starts: int) -> list[Part]:
+        """The calibrations from so many starts."""
+        layout = self.model.layout
+        begun = self._density(near=True).drawn(white_points(starts, layout.size))
+
+        def infer(some: Integers) -> GaussianOutcome:
+            start = {
+                variable: np.moveaxis(begun[:, some][..., layout.places[variable]], 1, 0).reshape(
+                    some.size, *self.lead, variable.dimension
+                )
+                for variable in layout.hidden
+            }
+            return self._inferred(some.size, start)
+
+        return arrived(infer, starts)
+
+    def unled(self) -> list[Part]:
+        """The calibration that is led to no start: its first linearisation is at the prior."""
+        return arrived(lambda some: self._inferred(some.size, None), 1)
+
+    def _inferred(self, count: int, start: Start | None) -> GaussianOutcome:
+        own = {
+            v: np.broadcast_to(values, (count, *values.shape[1:]))
+            for v, values in self.asked.items()
+        }
+        asked = {v: own.pop(v) for v in self.evidence}
+        schedule, lineariser = self.call.schedule, self.call.lineariser
+        return gaussian.run_factors(
+            self.graph, asked, schedule, lineariser, start, values=own, warn=False
+        )
+
+    def chosen(self, parts: Sequence[Part], count: int) -> Found:
+        """The modes at which starts have arrived, `count` at the most."""
+        return chosen(parts, self.model.layout.hidden, self.lead, 0, count)
+
+    def target(self, laws: Laws) -> AllVariables:
+        """The exact density, of one turn about the laws; a NumericalError where there is none."""
+        means, stds = laws.first[:, 0], deviation(laws.spread[:, 0])
+        density = self._density(near=False)
+        places = np.flatnonzero(density.unturned(means[0]))
+        turning = density.turning(places, means[..., places], stds[..., places])
+        return AllVariables(self.model, turning)
+
+    def _density(self, *, near: bool) -> NetworkDensity:
+        density = NetworkDensity.make(self.model, relative=False, near=near, level=self.level)
+        return density if self.base is None else density.based(self.base.mean, self.base.cov)
+
+    def laws(self, found: Found) -> Laws:
+        """The Gaussian laws of the modes, of all hidden variables."""
+        joint = self.outcome(found).joint(*self.model.layout.hidden).components
+        size = joint.mean.shape[-1]
+        count, runs = found.weights.shape
+        mean = np.moveaxis(joint.mean, -2, 0).reshape(count, 1, runs, size)
+        cov = np.moveaxis(joint.cov, -3, 0).reshape(count, 1, runs, size, size)
+        none = np.zeros((count, 0, runs, size)), np.zeros((count, 0, runs, size, size))
+        return Laws(found.weights, mean, cov, *none)
+
+    def beliefs(self, laws: Laws) -> Joint:
+        """The beliefs of laws."""
+        scope, lead, count = self.model.layout.hidden, self.lead, len(laws.weights)
+        size = laws.first.shape[-1]
+        mean = laws.first.reshape(count, *lead, size)
+        cov = laws.spread.reshape(count, *lead, size, size)
+        return Joint(Gaussian._make(scope, mean, cov), self.model.layout)
+
+    def outcome(self, found: Found) -> NetworkModes:
+        """The mixtures of the modes."""
+        return NetworkModes(self.graph, found)
 
 
 def _base(model: Model) -> LinearPart | None:
@@ -116,11 +233,6 @@ def _base(model: Model) -> LinearPart | None:
     return part
 
 
-def _density(model: Model, base: LinearPart | None, level: float, *, near: bool) -> NetworkDensity:
-    density = NetworkDensity.make(model, relative=False, near=near, level=level)
-    return density if base is None else density.based(base.mean, base.cov)
-
-
 def _repeated(bound: BoundValues, count: int) -> dict[Variable, Array]:
     """The evidence so many times, on an axis before its runs."""
     found = {}
@@ -133,41 +245,12 @@ def _repeated(bound: BoundValues, count: int) -> dict[Variable, Array]:
     return found
 
 
-def _adapted(
-    graph: ClusterGraph, found: Found, target: AllVariables, model: Model, draws: int
-) -> Found:
-    """The modes adapted by weighed draws."""
-    scope, lead = model.layout.hidden, np.shape(found.log_evidence)
-    joint = NetworkModes(graph, found).joint(*scope).components
-    size = joint.mean.shape[-1]
-    count, runs = found.weights.shape
-    mean = np.moveaxis(joint.mean, -2, 0).reshape(count, 1, runs, size)
-    cov = np.moveaxis(joint.cov, -3, 0).reshape(count, 1, runs, size, size)
-    none = np.zeros((count, 0, runs, size)), np.zeros((count, 0, runs, size, size))
-    target.about(mean[:, 0], deviation(cov[:, 0]))
-    adapted = adapt(target, Laws(found.weights, mean, cov, *none), draws)
-    warn_of_few(adapted.effective, draws)
-    laws = adapted.laws
-    beliefs = Joint(
-        Gaussian._make(
-            scope,
-            laws.first.reshape(count, *lead, size),
-            laws.spread.reshape(count, *lead, size, size),
-        ),
-        found.parts[0].outcome,
-    )
-    return found.with_draws(laws.weights, adapted.log_evidence, adapted.effective, beliefs)
-
-
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """Beliefs of K modes by the joint of all hidden variables, (K, *runs, n).
-
-    Other variables are refused as by an outcome that is `unadapted`.
-    """
+    """Beliefs of K modes by the joint of all hidden variables, (K, *runs, n)."""
 
     gaussian: Gaussian
-    unadapted: GaussianOutcome
+    layout: Layout
 
     @property
     def _hidden(self) -> Scope:
@@ -181,7 +264,7 @@ class Joint:
         """The joints of variables."""
         scope = as_scope(variables)
         for variable in scope:
-            self.unadapted._require_hidden(variable)
+            places_of(self.layout, variable)
         return self.gaussian.marginal(*scope)
 
 
@@ -195,15 +278,12 @@ class AllVariables:
         if has_exact(family for group, family in every if group.observed):
             raise without_density()
         self._density = density
-        self._free = self._density.free((model.runs, model.layout.size))
+        self._free = density.free((model.runs, model.layout.size))
         self.states: Index = slice(None)
         self.turned = np.zeros(model.layout.size, dtype=bool)
         self.angles = angle_mask(model.layout.hidden)
-
-    def about(self, means: Array, stds: Array) -> None:
-        """Take one turn of angles without turns about modes, (K, runs, n) each."""
-        places = np.flatnonzero(self._density.unturned(means[0]))
-        self._density = self._density.turning(places, means[..., places], stds[..., places])
+        places = model.layout.places.values()
+        self.scopes = [Scoped(each, each, 0) for each in places]
 
     def path(self, laws: Laws, k: int) -> Path:
         """The law of a mode, as it is drawn from."""

@@ -24,7 +24,7 @@ import numpy as np
 
 from pgm.errors import NumericalError
 from pgm.inference.audit.draws import Draws
-from pgm.inference.audit.pareto import EQUAL, pareto_shape
+from pgm.kernels.pareto import EQUAL, pareto_shape
 from pgm.kernels.arrays import Array
 
 # The slope β at the most, as a multiple of the mean weight.

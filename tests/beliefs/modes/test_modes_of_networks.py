@@ -156,14 +156,12 @@ def test_a_linear_network_has_its_one_gaussian():
         [pgm.GaussianCPD(A, 0.0, 1.0), pgm.LinearGaussianCPD(B, {A: 1.0}, cov=1.0)]
     )
     graph = pgm.compile(network)
-    for draws in (0, 100):
-        with pytest.warns(pgm.BeliefWarning) if draws == 100 else np.errstate():
+    for draws in (0, 20):
+        with pytest.warns(pgm.BeliefWarning) if draws == 20 else np.errstate():
             found = pgm.infer(graph, {B: [1.0]}, belief=pgm.Gaussians(4, starts=8, draws=draws))
         due = pgm.infer(graph, {B: [1.0]})
         assert len(found[A].weights) == 1
-        assert found.log_evidence == pytest.approx(
-            due.log_evidence, abs=1e-12 if not draws else 0.1
-        )
+        assert found.log_evidence == pytest.approx(due.log_evidence, abs=1e-12)
 
 
 def test_a_mixed_network_is_exact_whatever_the_count():

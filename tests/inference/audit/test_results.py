@@ -10,7 +10,7 @@ import pgm
 from pgm import GraphError, LinearisationError, ModelError, NumericalError
 from pgm.inference.audit import batches
 from pgm.inference.audit.mixture import Mixture
-from pgm.inference.audit.pareto import pareto_shape
+from pgm.kernels.pareto import pareto_shape
 
 a, b, z, fix = pgm.variables("a b z fix")
 pair = pgm.Variable("pair", components=("p", "q"))

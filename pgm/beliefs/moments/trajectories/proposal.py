@@ -113,17 +113,20 @@ class Proposal:
         return normal_density.whitener(self.lower)
 
     @cached_property
-    def _constants(self) -> tuple[Integers, Array]:
-        """Two arrays (rows, runs) by which densities are computed.
+    def size(self) -> Integers:
+        """The number of components with noise in L, (rows, runs)."""
+        found: Integers = (~self._fixed).sum(axis=-1)
+        return found
 
-        They are the number of components with noise in L, and the Gaussian's log-density at s = 0.
-        """
-        size = (~self._fixed).sum(axis=-1)
-        return size, -0.5 * (solving.log_determinant(self.lower) + size * LOG_2PI)
+    @cached_property
+    def level(self) -> Array:
+        """The Gaussian's log-density at s = 0, (rows, runs)."""
+        found: Array = -0.5 * (solving.log_determinant(self.lower) + self.size * LOG_2PI)
+        return found
 
     def log_density(self, row: int, squared: Array) -> Array:
         """The log-density of draws by the Gaussian, (runs, S); `squared` is |s|², (runs, S)."""
-        value: Array = self._constants[1][row][:, None] - 0.5 * squared
+        value: Array = self.level[row][:, None] - 0.5 * squared
         return value
 
     def log_tails(self, row: int, squared: Array) -> Array:
@@ -131,7 +134,7 @@ class Proposal:
 
         `squared` is |s|², (runs, S), with the white noise s of the draws.
         """
-        return log_ratio(self._constants[0][row][:, None], squared)
+        return log_ratio(self.size[row][:, None], squared)
 
     def _mean(self, row: int, given: Array) -> Array:
         """The conditional means F x + b, (runs, S, n), given x (runs, S, m)."""
