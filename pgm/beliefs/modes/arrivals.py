@@ -91,18 +91,22 @@ def chosen(
     order = np.argsort(-ranked, axis=0, kind="stable")
     each, filled = np.arange(runs), np.zeros(runs, dtype=np.intp)
     index, weights = np.tile(order[0], (count, 1)), np.full((count, runs), -np.inf)
+    hits = np.zeros((count, runs), dtype=np.intp)
     for place in order:
-        new = (ranked[place, each] > -np.inf) & (filled < count)
+        some = ranked[place, each] > -np.inf
+        new = some & (filled < count)
         for k, other in enumerate(index):
             off = np.abs(difference(mean[place, each], mean[other, each], angles))
             wide = std[other, each]
             apart = np.where(wide > 0.0, off / np.where(wide > 0.0, wide, 1.0), off > 0.0)
-            new &= (k >= filled) | (apart.max(axis=-1, initial=0.0) > APART)
+            same = some & (k < filled) & (apart.max(axis=-1, initial=0.0) <= APART)
+            hits[k] += same
+            new &= ~same
         at = filled[new], each[new]
-        index[at], weights[at] = place[new], ranked[place, each][new]
+        index[at], weights[at], hits[at] = place[new], ranked[place, each][new], 1
         filled = filled + new
     found = max(int(filled.max(initial=1)), 1)
-    index, weights = index[:found], weights[:found]
+    index, weights, hits = index[:found], weights[:found], hits[:found]
     total = log_sum(weights, 0)
     if not (total > -np.inf).all():
         run = first_run + int((total == -np.inf).argmax())
@@ -115,7 +119,8 @@ def chosen(
     record = _record(parts, runs).reshape(-1, *lead)
     converged = np.asarray(~none.reshape(lead))
     status = Status(len(record) + 1, record, converged, _figures=figures)
-    return Found(status, np.asarray(total.reshape(lead)), parts, index, np.exp(weights - total))
+    evidence = np.asarray(total.reshape(lead))
+    return Found(status, evidence, parts, index, np.exp(weights - total), hits)
 
 
 def _record(parts: Sequence[Part], runs: int) -> Array:

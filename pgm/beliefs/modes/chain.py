@@ -29,6 +29,7 @@ from pgm.kernels import roots
 from pgm.kernels.arrays import Array, Integers
 from pgm.posteriors.belief_kind import SMOOTHED
 from pgm.schedules.convergence import is_iterated
+from pgm.schedules.damping import Damping
 from pgm.schedules.options import Call
 from pgm.schedules.schedule import ONCE, Smoothing, kind_of
 from pgm.variables import Variable
@@ -102,6 +103,11 @@ class ChainSearch:
             return self
         cut = self.bound.mapped(lambda array: array if array.shape[1] == 1 else array[:, runs])
         return replace(self, bound=replace(cut, lead=(runs.size,), form=None))
+
+    def by(self, iterations: int, tolerance: float, damping: Damping) -> ChainSearch:
+        """The search by smoothers of so many iterations."""
+        schedule = Smoothing(iterations, tolerance, damping)
+        return replace(self, call=self.call._replace(schedule=schedule))
 
     def arrived(self, starts: int) -> list[Part]:
         """The smoothers from so many starts."""

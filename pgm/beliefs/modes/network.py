@@ -7,7 +7,7 @@ there is no prior of finite variance, as of a Markov network, the linear part ta
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,6 +36,7 @@ from pgm.kernels.arrays import Array, Index, Integers, deviation
 from pgm.kernels.moments import Conditional
 from pgm.networks import BayesianNetwork
 from pgm.schedules.convergence import is_iterated
+from pgm.schedules.damping import Damping
 from pgm.schedules.options import Call
 from pgm.schedules.schedule import Calibration, Loopy
 from pgm.schedules.starting_points import Start
@@ -141,6 +142,11 @@ class NetworkSearch:
         asked = {v: values.reshape(-1, values.shape[-1])[runs] for v, values in self.asked.items()}
         known = {v: asked[v] for v in self.evidence}
         return NetworkSearch.make(self.graph, known, self.call)
+
+    def by(self, iterations: int, tolerance: float, damping: Damping) -> NetworkSearch:
+        """The search by calibrations of so many iterations."""
+        schedule = Calibration(iterations, tolerance, damping)
+        return replace(self, call=self.call._replace(schedule=schedule))
 
     def arrived(self, starts: int) -> list[Part]:
         """The calibrations from so many starts."""

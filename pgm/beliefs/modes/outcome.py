@@ -92,6 +92,9 @@ class Found:
         By mode the start that found it, (K, runs).
     weights : ndarray
         The modes' weights, (K, runs).
+    hits : ndarray of int
+        How many of the starts that settled arrived at each mode, (K, runs); 0 of a mode that a run
+        does not have.
     """
 
     status: Status
@@ -99,6 +102,7 @@ class Found:
     parts: Sequence[Part]
     index: Integers
     weights: Array
+    hits: Integers
 
     def with_draws(
         self, weights: Array, log_evidence: Array, effective: Array, beliefs: Any
@@ -115,6 +119,7 @@ class Found:
             [Part(every, beliefs)],
             np.tile(every[:, None], (1, runs)),
             weights,
+            self.hits,
         )
 
     @property

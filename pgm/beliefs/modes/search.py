@@ -8,6 +8,7 @@ from typing import Any, Protocol, Self
 from pgm.beliefs.modes.laws import Laws, Target
 from pgm.beliefs.modes.outcome import Found, ModesOutcome, Part
 from pgm.kernels.arrays import Integers
+from pgm.schedules.damping import Damping
 
 
 class Search(Protocol):
@@ -33,6 +34,10 @@ class Search(Protocol):
 
     def of(self, runs: Integers) -> Self:
         """The search in some runs, which then have one axis."""
+        ...
+
+    def by(self, iterations: int, tolerance: float, damping: Damping) -> Self:
+        """The search by schedules of so many iterations."""
         ...
 
     def arrived(self, starts: int) -> list[Part]:

@@ -15,7 +15,7 @@ import numpy as np
 from pgm.factors import Gaussian
 from pgm.inference.audit.compared import Compared
 from pgm.inference.audit.mixture import Mixture
-from pgm.kernels import roots, solving
+from pgm.kernels import roots
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import (
     Array,
@@ -24,6 +24,7 @@ from pgm.kernels.arrays import (
     symmetric,
     transpose,
 )
+from pgm.kernels.divergence import from_gaussian
 from pgm.variables import Variable
 
 
@@ -134,7 +135,7 @@ class Sums:
             (self._squares[0] - slope[:, None, None] * self._squares[1]) / total[:, None, None]
             + own,
         )
-        divergence = _from_gaussian(lower, offset, cov)
+        divergence = from_gaussian(lower, offset, cov)
         lost = ~np.isfinite(divergence)
         if lost.any():
             total = weights.sum(axis=-1)
@@ -143,7 +144,7 @@ class Sums:
             )
             offset = np.where(lost[..., None], plain[0], offset)
             cov = np.where(lost[..., None, None], plain[1], cov)
-            divergence = np.where(lost, _from_gaussian(lower, *plain), divergence)
+            divergence = np.where(lost, from_gaussian(lower, *plain), divergence)
         steps = np.arange(self.first, self.first + len(cov)) if self.timed else None
         return ComparedMoments(
             scope=self.scope,
@@ -161,26 +162,3 @@ def _moments(offsets: Array, squares: Array) -> tuple[Array, Array]:
     `offsets` is E δ, `squares` (..., n, n) is E δ δᵀ.
     """
     return offsets, symmetric(squares - offsets[..., :, None] * offsets[..., None, :])
-
-
-def _from_gaussian(lower: Array, offset: Array, cov: Array) -> Array:
-    """The divergence KL(N(m, C) ‖ N(0, L Lᵀ)) in nats, (...).
-
-    m is `offset` (..., n), C `cov` (..., n, n), and L the lower triangular root `lower`
-    (..., n, n). With the eigenvalues a of L⁻¹ C L⁻ᵀ the divergence is
-
-        ½ (Σ (a − 1 − ln a) + |L⁻¹ m|²).
-
-    It is infinite where C is not positive definite. Components that are functions of others under
-    L, where its diagonal is zero, are not compared.
-    """
-    fixed = roots.determined(lower)
-    white = solving.whiten(lower, offset)
-    inner = solving.solve_lower(lower, transpose(solving.solve_lower(lower, cov)))
-    alone = fixed[..., :, None] | fixed[..., None, :]
-    inner = np.where(alone, fixed[..., None] * np.eye(fixed.shape[-1]), symmetric(inner))
-    values = np.linalg.eigvalsh(inner)
-    proper = (values > 0.0).all(axis=-1)
-    logs = np.log(np.where(values > 0.0, values, 1.0))
-    total = (values - 1.0 - logs).sum(axis=-1) + (white * white).sum(axis=-1)
-    return np.where(proper, 0.5 * total, np.inf)

@@ -24,8 +24,8 @@ import numpy as np
 
 from pgm.errors import NumericalError
 from pgm.inference.audit.draws import Draws
-from pgm.kernels.pareto import EQUAL, pareto_shape
 from pgm.kernels.arrays import Array
+from pgm.kernels.pareto import EQUAL, pareto_shape
 
 # The slope β at the most, as a multiple of the mean weight.
 _STEEPEST = 2.0

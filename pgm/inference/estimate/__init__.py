@@ -1,0 +1,1 @@
+"""The best answer that the library can vouch for, and its verdict."""
