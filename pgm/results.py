@@ -29,6 +29,7 @@ name              what it is                           what returns it
 `SensitiveEntry`  an entry on which it depends         ``found.ranked()``
 `MaxMarginals`    the best assignment with each state  `pgm.max_marginals`
 `Audit`           a smoother against the exact answer  `pgm.audit`
+`Verdict`         whether it can be vouched for        ``posterior.verdict``, of `pgm.estimate`
 `Comparison`      linearisers side by side             `pgm.compare`
 `Row`             one lineariser under one schedule    ``comparison["Taylor", "filter"]``
 `Fit`             a model, with what was learnt        `pgm.fit`
@@ -73,6 +74,7 @@ from pgm.inference import (
     Sensitivity,
     Status,
     StepInnovations,
+    Verdict,
 )
 from pgm.io import ControlReport, ReadingReport, Stamped, Timeline
 from pgm.networks import Sample
@@ -136,4 +138,5 @@ __all__ = [
     "Status",
     "StepInnovations",
     "Timeline",
+    "Verdict",
 ]

@@ -42,7 +42,7 @@ ROOMS = {
         *("steps", "compiled", "passes", "trajectories", "digits", "smoothers"),
         *("association", "outcomes", "bound", "solvers", "parts", "online"),
     ),
-    "pgm.inference": ("audit", "gaps", "query", "growing"),
+    "pgm.inference": ("audit", "gaps", "query", "growing", "vouching"),
     "pgm.kernels.machine": ("emitter", "matrices", "fronts", "sweeps", "newton"),
     "pgm.kernels.machine.matrices": ("in_memory",),
     "pgm.kernels.machine.sweeps": ("told",),

@@ -27,6 +27,7 @@ from pgm.beliefs.points.point_mixture import PointMixture
 from pgm.inference.audit import Audit, audit
 from pgm.inference.dynamic import filter, smooth
 from pgm.inference.engine import infer
+from pgm.inference.estimating import estimate
 from pgm.inference.growing import Association, CliqueTree, GrowingMap, Growth
 from pgm.inference.online import OnlineFilter
 from pgm.inference.prepared import Prepared, prepare
@@ -47,6 +48,7 @@ from pgm.posteriors.predictions import Predictions
 from pgm.posteriors.rejections import Rejections
 from pgm.posteriors.status import Status
 from pgm.posteriors.step_innovations import StepInnovations
+from pgm.posteriors.verdict import Verdict
 from pgm.schedules.damping import LevenbergMarquardt
 from pgm.schedules.schedule import (
     Calibration,
@@ -117,7 +119,9 @@ __all__ = [
     "Status",
     "StepInnovations",
     "Threshold",
+    "Verdict",
     "audit",
+    "estimate",
     "filter",
     "infer",
     "max_marginals",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Never
 
 import numpy as np
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from pgm.posteriors.outcome import OverTime
     from pgm.posteriors.rejections import Rejections
     from pgm.posteriors.status import Status
+    from pgm.posteriors.verdict import Verdict
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -105,6 +106,7 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
 
     _outcome: Outcome[B]
     _entered: Entered | None = None
+    _verdict: Verdict | None = None
 
     _arrays: ClassVar[str] = ".mean and .cov by variable, posterior[x].mean"
 
@@ -135,6 +137,15 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
     def log_evidence_kind(self) -> str:
         """The kind of `log_evidence`, one of those that the class lists, such as ``exact``."""
         return self._outcome.log_evidence_kind
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """Of `pgm.estimate`, whether the answer can be vouched for; None of other calls."""
+        return self._verdict
+
+    def _judged(self, verdict: Verdict) -> Posterior[B]:
+        """The posterior with a verdict."""
+        return replace(self, _verdict=verdict)
 
     def __getitem__(self, variable: Variable) -> B:
         """The marginal of a variable without evidence.
@@ -675,7 +686,10 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
         return self._outcome._title
 
     def _summary(self) -> Summary:
-        return self._outcome._summary()
+        found = self._outcome._summary()
+        if self._verdict is None:
+            return found
+        return Summary(found.title, [self._verdict.headline, *found.parts])
 
 
 # What every outcome has for pages and refusals, and is no answer to a user.

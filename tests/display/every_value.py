@@ -205,6 +205,8 @@ def filtered():
         "weights": one.weights,
         "many weights": many.weights,
         "associations": guessed.associations[Z],
+        "estimate": pgm.estimate(model, batch.evidence, effort=40),
+        "verdict": pgm.estimate(model, batch.evidence, effort=40).verdict,
         "audit": pgm.audit(one, samples=50, rng=0),
         "audits": pgm.audit(many, samples=50, rng=0),
         "check": next(iter(pgm.audit(one, samples=50, rng=0).innovations.values())),

@@ -343,6 +343,8 @@ FACTORISATIONS = listed(
     {"kernels/roots.py": "_semidefinite_root regular_root"},
     # The squares by which merged means differ, which are added up.
     {"kernels/machine/sweeps/mixture.py": "_merged add_cov"},
+    # The covariances of draws.
+    {"beliefs/modes/adapted.py": "_controlled"},
 )
 # Beside the step: wrapping to [−π, π) with its end, and bins around a circle.
 TURNS = listed({STEP: "turns"}, {"kernels/angles.py": "wrap", "kernels/bins.py": "keys"})
@@ -360,8 +362,6 @@ WEIGHED = listed(
     # The information of scalars, expected counts, and distances.
     {f"{DIGITS}careful_belief.py": "informed", "learning/steps.py": "likeliest at"},
     {"viewer/placing.py": "_stressed", "factors/gaussian_mixture.py": "cov"},
-    # The moments of draws.
-    {"beliefs/modes/adapted.py": "_moments"},
 )
 KINDS = listed(
     {"kernels/numbers.py": "Matrix", "kernels/dense.py": "Dense Runs Stack"},
@@ -383,7 +383,7 @@ SOLUTIONS = listed(
     {"linearisation/weights.py": "of", "posteriors/innovations.py": "whitened"},
     {"consistency/errors.py": "nees_and_dof", "consistency/ranking.py": "_by_sighting"},
     {"beliefs/particles/guided_proposal.py": "_whitened steered"},
-    {"inference/audit/corrected.py": "_from_gaussian"},
+    {"kernels/divergence.py": "from_gaussian"},
     # Conditionals of Gaussians whose moments are those of draws; points of unit covariance.
     {"beliefs/modes/chain_laws.py": "_given", "beliefs/modes/points.py": "cut"},
     {"kernels/joint_compatibility.py": "__init__"},

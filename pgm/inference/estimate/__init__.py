@@ -1,1 +1,0 @@
-"""The best answer that the library can vouch for, and its verdict."""

@@ -1,0 +1,213 @@
+"""The answer that is sought: modes from several starts, then draws, until it can be vouched for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from typing import Any, Self
+
+import numpy as np
+
+from pgm.beliefs.modes.adapted import moved
+from pgm.beliefs.modes.laws import Laws
+from pgm.beliefs.modes.pool import BLOCKS, Pool, Weighed
+from pgm.beliefs.modes.search import Search
+from pgm.inference.vouching.judging import Judged, Marginal, judge
+from pgm.kernels.arrays import Array, Integers, Mask, quiet
+from pgm.posteriors.verdict import ENOUGH, HEAVY
+from pgm.schedules.damping import LevenbergMarquardt
+
+# Starts of the first search, and of the last; modes that are kept; nats of log-evidence below the
+# best from which on a mode has no mass that counts.
+STARTS, MOST_STARTS, MODES, NEGLIGIBLE = 16, 64, 16, 10.0
+# Linearisations, their tolerance and damping: of the first search, and of more careful ones.
+PLAIN = 25, 1e-4, 0.0
+CAREFUL = 25, 1e-4, LevenbergMarquardt(tries=3)
+# Draws of the first round; of a chain of more steps than LONG of the first and only one.
+FIRST, FEW, LONG = 1000, 200, 1000
+# An answer is vouched for within so many nats.
+WITHIN = 0.1
+# Numbers of all draws that are held at once.
+ROOM = 2**24
+
+
+@dataclass(frozen=True, eq=False)
+class ByRun:
+    """Laws, and figures of each run, (runs,)."""
+
+    laws: Laws
+
+    def put(self, runs: Integers, other: Self) -> Self:
+        """The same, with those of some runs replaced by others."""
+        count = max(len(self.laws.weights), len(other.laws.weights))
+        laws = self.laws.padded(count).put(runs, other.laws)
+        return type(self)(laws, *(_put(*pair) for pair in self._pairs(runs, other)))
+
+    def _pairs(self, runs: Integers, other: Self) -> Iterator[tuple[Any, Integers, Any]]:
+        for field in fields(self)[1:]:
+            yield getattr(self, field.name), runs, getattr(other, field.name)
+
+
+def _put(values: Any, runs: Integers, new: Any) -> Any:
+    """Values with those of some runs replaced."""
+    found = values.copy()
+    found[runs] = new
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Sought(ByRun):
+    """The modes that starts have found.
+
+    log_evidence: Laplace's approximation.
+    agreed: Whether most starts settled, and every mode was found from two or more.
+    starts, settled: How many starts there were, and how many settled.
+    """
+
+    log_evidence: Array
+    agreed: Mask
+    starts: Integers
+    settled: Integers
+
+    @property
+    def modes(self) -> Integers:
+        """The number of modes."""
+        found: Integers = (self.laws.weights > 0.0).sum(axis=0)
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Answer(ByRun):
+    """A mixture, and what draws say of it.
+
+    within: A bound on the divergence of the worst marginal [nats].
+    of: What it bounds: 0 nothing, 1 the density, 2 moments.
+    sound: Whether enough draws count, and the tail of their weights allows estimates.
+    usable: Whether the tail has a mean at least, so that estimates may serve if none is sound.
+    """
+
+    log_evidence: Array
+    within: Array
+    of: Integers
+    sound: Mask
+    usable: Mask
+    draws: Integers
+    effective: Array
+    pareto_k: Array
+
+
+@quiet()
+def seek(search: Search) -> Sought:
+    """The modes of all runs, from 16 starts and from none, by Gauss–Newton.
+
+    Where few settle, or one alone found a mode, by Levenberg–Marquardt from twice as many, up to
+    64.
+    """
+    found = _sought(search.by(*PLAIN), STARTS)
+    starts = 2 * STARTS
+    while starts <= MOST_STARTS and not found.agreed.all():
+        runs = np.flatnonzero(~found.agreed)
+        found = found.put(runs, _sought(search.of(runs).by(*CAREFUL), starts))
+        starts *= 2
+    return found
+
+
+def _sought(search: Search, starts: int) -> Sought:
+    """The modes of all runs from so many starts, and from none."""
+    found = search.chosen([*search.unled(), *search.arrived(starts)], MODES)
+    laws, runs = search.laws(found), search.runs
+    near = laws.weights > np.exp(-NEGLIGIBLE) * laws.weights.max(axis=0)
+    weights = np.where(near, laws.weights, 0.0)
+    agreed = ((found.hits != 1) | ~near).all(axis=0)
+    settled = np.asarray(found.status.arrived).reshape(runs)
+    return Sought(
+        laws._replace(weights=weights / weights.sum(axis=0)),
+        np.reshape(found.log_evidence, runs),
+        agreed & (2 * settled > starts),
+        np.full(runs, starts + 1),
+        settled,
+    )
+
+
+@quiet()
+def weigh(search: Search, laws: Laws, effort: int, rng: np.random.Generator) -> Answer:
+    """The answers of all runs: draws of the modes, and more where they do not vouch for it."""
+    size = laws.first.shape[-1] + laws.mean.shape[1] * laws.mean.shape[-1]
+    most = max(1, ROOM // (effort * max(size, 1)))
+    runs = np.arange(search.runs)
+    parts = [runs[first : first + most] for first in range(0, runs.size, most)]
+    found = _weighed(search.of(parts[0]), laws.of(parts[0]), effort, rng)
+    if len(parts) == 1:
+        return found
+    whole = _empty(found, runs.size).put(parts[0], found)
+    for part in parts[1:]:
+        whole = whole.put(part, _weighed(search.of(part), laws.of(part), effort, rng))
+    return whole
+
+
+def _empty(answer: Answer, runs: int) -> Answer:
+    """An answer of so many runs, of the shapes of another."""
+    first = np.zeros(runs, dtype=np.intp)
+    rest = (getattr(answer, field.name)[first] for field in fields(answer)[1:])
+    return Answer(answer.laws.of(first), *rest)
+
+
+def _weighed(search: Search, laws: Laws, effort: int, rng: np.random.Generator) -> Answer:
+    """The answers of some runs, whose draws fit into memory."""
+    long = laws.mean.shape[1] > LONG
+    count = min(FEW if long else FIRST, effort)
+    count = max(count // BLOCKS, 2) * BLOCKS
+    pool, runs = Pool(search.target(laws)), np.arange(search.runs)
+    pool.draw(laws, count, rng)
+    judged = judge(pool, laws, None)
+    found = own = _answer(judged, pool)
+    while not long:
+        left = np.flatnonzero(own.of == 0)
+        more = 2 * pool.rounds[-1].count
+        if not left.size or pool.count + more > effort:
+            break
+        runs, part = runs[left], search.of(runs[left])
+        laws = moved(pool, laws, Weighed(pool, laws)).of(left)
+        before = [Marginal(each.mean[:, left], each.cov[:, left]) for each in judged.marginals]
+        pool = pool.of(part.target(laws), left)
+        pool.draw(laws, more, rng)
+        judged = judge(pool, laws, before)
+        own = _answer(judged, pool)
+        found = _better(found, own, runs)
+    return found
+
+
+def _better(found: Answer, own: Answer, runs: Integers) -> Answer:
+    """The answers of all runs, those of some with what more draws say of them.
+
+    Laws stay as they were where these draws are of no use, and those before were.
+    """
+    before, now = (each.sound.astype(int) + each.usable for each in (found, own))
+    keep = np.flatnonzero(before[runs] > now)
+    laws = own.laws.padded(max(len(own.laws.weights), len(found.laws.weights)))
+    kept = found.laws.padded(len(laws.weights)).of(runs[keep])
+    return found.put(runs, Answer(laws.put(keep, kept), *_figures(own)))
+
+
+def _figures(answer: Answer) -> list[Any]:
+    return [getattr(answer, field.name) for field in fields(answer)[1:]]
+
+
+def _answer(judged: Judged, pool: Pool) -> Answer:
+    """What draws say of all runs of a pool.
+
+    Moments are vouched for once the mixture was adapted.
+    """
+    usable = (judged.effective > ENOUGH) & (judged.pareto_k < 1.0)
+    sound = usable & (judged.pareto_k < HEAVY)
+    density = sound & (judged.density < WITHIN)
+    moments = sound & (judged.moments < WITHIN) & (len(pool.rounds) > 1)
+    of = np.where(density, 1, np.where(moments, 2, 0))
+    within = np.where(density, judged.density, judged.moments)
+    count = np.full(of.shape, pool.count)
+    rest = judged.effective, judged.pareto_k
+    laws = judged.laws
+    lost = np.flatnonzero(~usable)
+    if lost.size:  # estimates of no use leave the modes as they are
+        laws = laws.put(lost, pool.rounds[0].laws.of(lost))
+    return Answer(laws, judged.log_evidence, within, of, sound, usable, count, *rest)

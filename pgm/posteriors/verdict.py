@@ -1,0 +1,155 @@
+"""The verdict of an estimate: whether it can be vouched for, and what it took."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.display import NoArray, Shown, Summary, number
+from pgm.immutable import Immutable
+from pgm.kernels.arrays import Array, Integers, Mask, frozen
+
+# What `within` bounds, by the number that stands for it.
+KINDS = "", "density", "moments", "exact"
+# The effective draws that estimates need, and the shape of their weights' tail.
+ENOUGH, HEAVY = 100.0, 0.7
+
+
+class Verdict(Shown, Immutable, NoArray):
+    """What is known of an estimate's error, and what was tried, of each run, (*runs).
+
+    Attributes
+    ----------
+    vouched : ndarray of bool
+        Whether the answer can be vouched for: starts agree on the modes, enough draws count, and
+        the answer is `within` a tenth of a nat.
+    within : ndarray
+        A bound [nats] on the divergence of the worst marginal from the exact one, which holds with
+        a probability of 95 %, but for modes that nothing has found, of up to 1 % of the mass. NaN
+        where nothing was found out.
+    of : ndarray of str
+        What is within that bound: the ``"density"`` of each belief, the ``"moments"``, its mean and
+        covariance, or ``"exact"``; empty where it is not vouched for.
+    starts, settled, modes : ndarray of int
+        How many iterations were started, how many of them settled, and at how many modes.
+    agreed : ndarray of bool
+        Whether most settled, and each mode was found from two starts or more.
+    draws : ndarray of int
+        How many draws were weighed.
+    effective : ndarray
+        How many equally weighted draws they are worth; 100 or more can be used.
+    pareto_k : ndarray
+        The shape of the tail of their weights; below 0.7 they can be used.
+    reason : str
+        Why no draws were weighed; empty where they were.
+
+    Examples
+    --------
+    >>> from pgm.examples import walk, z
+    >>> verdict = pgm.estimate(walk, {z: [[4.0]]}).verdict
+    >>> bool(verdict.vouched), str(verdict.of)
+    (True, 'exact')
+    """
+
+    vouched: Mask
+    within: Array
+    of: npt.NDArray[np.str_]
+    starts: Integers
+    settled: Integers
+    modes: Integers
+    agreed: Mask
+    draws: Integers
+    effective: Array
+    pareto_k: Array
+    reason: str
+
+    def __init__(self, lead: tuple[int, ...], reason: str = "", **found: Any) -> None:
+        arrays = {name: frozen(np.reshape(value, lead)) for name, value in found.items()}
+        self._set(reason=reason, **arrays)
+
+    @classmethod
+    def exact(cls, lead: tuple[int, ...]) -> Verdict:
+        """The verdict on exact beliefs."""
+        return cls._without_draws(lead, True, 0.0, KINDS[3])
+
+    @classmethod
+    def unknown(cls, lead: tuple[int, ...], reason: str) -> Verdict:
+        """The verdict on beliefs that cannot be judged, for a reason."""
+        return cls._without_draws(lead, False, np.nan, KINDS[0], reason)
+
+    @classmethod
+    def _without_draws(
+        cls, lead: tuple[int, ...], vouched: bool, within: float, of: str, reason: str = ""
+    ) -> Verdict:
+        none = dict.fromkeys(("starts", "settled", "modes", "draws"), np.zeros(lead, np.intp))
+        figures = dict.fromkeys(("effective", "pareto_k"), np.full(lead, np.nan))
+        return cls(
+            lead,
+            reason,
+            vouched=np.full(lead, vouched),
+            within=np.full(lead, within),
+            of=np.full(lead, of),
+            agreed=np.full(lead, vouched),
+            **none,
+            **figures,
+        )
+
+    @property
+    def headline(self) -> str:
+        """A line on whether, and within how much, the answer is vouched for."""
+        count, runs = int(self.vouched.sum()), self.vouched.size
+        if not count:
+            return f"NOT vouched for{' in any run' * (self.vouched.ndim > 0)}: {self._why}"
+        where = f" in {count} of {runs} runs" if self.vouched.ndim else ""
+        rest = f"; not in the others: {self._why}" if count < runs else ""
+        kinds = sorted(set(self.of[self.vouched].tolist()))
+        if kinds == [KINDS[3]]:
+            return f"vouched for{where}: exact"
+        worst = number(float(self.within[self.vouched].max()), 2)
+        of = " or ".join(kinds)
+        return f"vouched for{where}: the {of} of every belief within {worst} nats{rest}"
+
+    @property
+    def _why(self) -> str:
+        """Why runs are not vouched for, with how many of them."""
+        if self.reason:
+            return self.reason
+        left = ~self.vouched
+        reasons = []
+        for name, mask in (
+            ("starts do not agree on the modes", ~self.agreed),
+            ("too few draws count", ~(self.effective > ENOUGH)),
+            ("the weights of draws have a heavy tail", ~(self.pareto_k < HEAVY)),
+            ("the bound is too wide", np.ones_like(left)),
+        ):
+            here = left & mask
+            left = left & ~mask
+            if here.any():
+                reasons.append(name + (f" ({here.sum()})" if here.ndim else ""))
+        return ", ".join(reasons)
+
+    @property
+    def _title(self) -> str:
+        return f"Verdict({self.headline})"
+
+    def _summary(self) -> Summary:
+        if not self.draws.any():
+            return Summary(self._title)
+        mixture = "one Gaussian" if self.modes.max() == 1 else f"{_span(self.modes)} Gaussians"
+        lines = [
+            f"tried: {_span(self.starts)} starts, {_span(self.settled)} of which settled, at "
+            f"{_span(self.modes)} mode{'s' * bool(self.modes.max() > 1)}",
+            f"chosen: {mixture}, with moments of the draws where these can be used",
+            f"judged by: {_span(self.draws)} draws, worth {_span(self.effective)}, of tail "
+            f"{_span(self.pareto_k)} (to be below {HEAVY})",
+            f"cost: {_span(self.starts)} iterated answers in one batch, {_span(self.draws)} draws",
+        ]
+        return Summary(self._title, lines)
+
+
+def _span(values: Any) -> str:
+    """Values in words: one, or the least to the largest."""
+    low, high = (number(float(end), 3) for end in (np.min(values), np.max(values)))
+    return low if low == high else f"{low} to {high}"

@@ -1,0 +1,100 @@
+"""Estimates, and their verdicts, against grids, quadrature and exact answers."""
+
+import numpy as np
+import pytest
+
+import pgm
+from experiments.nonlinear_measurement import cases, truth
+from pgm.examples import rainy, square, squares, walk, wet, x, y, z
+from tests.beliefs.modes.test_modes_of_chains import MIRROR, STEPS, P, divergence, drive
+
+# The bound on the mean KL of the pose's moments from exact ones, by sensor [nats].
+MEAN = {"near": 0.006, "far": 0.002, "two_ranges": 0.015, "position": 0.015, "collinear": 0.05}
+
+
+@pytest.mark.parametrize("sensor", MEAN)
+def test_moments_of_a_pose_are_those_of_many_points(sensor):
+    case = cases.simulate(cases.SENSORS[sensor], 0.6, 20, 5)
+    exact = truth.posterior(case, 14, 500, 5)
+    found = pgm.estimate(case.model, case.evidence, steps=1)
+    belief = found[cases.pose.at(1)]
+    own = pgm.Gaussian(cases.pose, belief.mean, belief.cov)
+    off = pgm.Gaussian(cases.pose, exact.mean, exact.cov).kl(own)
+    assert off.mean() <= MEAN[sensor]
+    verdict = found.verdict
+    assert verdict.vouched.mean() >= 0.8
+    assert (off <= 2 * verdict.within)[verdict.vouched].mean() >= 0.95
+    if sensor == "far":
+        assert verdict.draws.max() <= 1000
+        assert verdict.starts.max() <= 40
+        assert set(verdict.of.tolist()) == {"density"}
+
+
+@pytest.mark.parametrize("seed", [1, 4, 10, 37])
+def test_mirror_drives_are_vouched_for_only_where_they_are_right(seed):
+    evidence = drive(seed)
+    found = pgm.estimate(MIRROR, evidence)
+    off = divergence(evidence, found[P.at(STEPS)])
+    assert off < 0.05
+    assert bool(found.verdict.vouched) == (seed in (1, 4))
+    assert ("NOT vouched for" in repr(found)) == (seed in (10, 37))
+
+
+def test_exact_answers_are_vouched_for():
+    for model, evidence in ((walk, {z: [[4.0]]}), (rainy, {wet: "yes"})):
+        verdict = pgm.estimate(model, evidence).verdict
+        assert verdict.vouched
+        assert verdict.within == 0.0
+        assert verdict.of == "exact"
+        assert "exact" in repr(verdict)
+
+
+def test_a_network_without_time_has_both_modes():
+    """Of x² read as 9, under N(3, 1): against quadrature."""
+    found = pgm.estimate(square, {y: [9.0]})
+    grid = np.linspace(-12.0, 12.0, 200_001)
+    logs = -0.5 * (grid - 3.0) ** 2 - 0.5 * (9.0 - grid**2) ** 2
+    weights = np.exp(logs - logs.max())
+    step = grid[1] - grid[0]
+    evidence = np.log(weights.sum() * step) + logs.max() - np.log(2.0 * np.pi)
+    weights /= weights.sum()
+    mean = weights @ grid
+    assert found[x].mean[0] == pytest.approx(mean, abs=2e-3)
+    assert found[x].std[0] == pytest.approx(np.sqrt(weights @ (grid - mean) ** 2), rel=0.02)
+    assert found.log_evidence == pytest.approx(evidence, abs=0.01)
+
+
+def test_runs_are_judged_each_by_itself_in_parts_of_any_size(monkeypatch):
+    seen = squares.sample(steps=3, runs=(2, 3), rng=0).evidence
+    whole = pgm.estimate(squares, seen)
+    assert whole.verdict.vouched.shape == (2, 3)
+    assert whole[x].mean.shape == (2, 3, 4, 1)
+    climbing = pytest.importorskip("pgm.inference.vouching.climbing")
+    monkeypatch.setattr(climbing, "ROOM", 1)
+    parts = pgm.estimate(squares, seen)
+    both = whole.verdict.vouched & parts.verdict.vouched
+    near = np.abs(whole[x].mean - parts[x].mean)[both] / whole[x].std[both]
+    assert near.max() < 0.3
+
+
+def test_what_cannot_be_weighed_says_why():
+    flat = walk.replace(prior=[pgm.GaussianCPD(x, 0.0, np.inf)])
+    cubic = pgm.NonlinearGaussianCPD(z, given=x, function=lambda x: x + x**3, cov=1.0)
+    model = flat.replace(observation=[cubic])
+    found = pgm.estimate(model, {z: [[10.0], [10.0]]})
+    assert not found.verdict.vouched
+    assert "infinite variance" in found.verdict.reason
+    assert "NOT vouched for" in repr(found)
+    assert found[x].mean[-1, 0] == pytest.approx(2.0, abs=0.05)
+
+
+def test_arguments_are_checked():
+    with pytest.raises(pgm.ModelError, match="effort is a number of draws"):
+        pgm.estimate(walk, {z: [[4.0]]}, effort=3)
+    with pytest.raises(pgm.ModelError, match="takes a network"):
+        pgm.estimate("walk", {z: [[4.0]]})
+    with pytest.raises(pgm.ModelError, match="has no steps"):
+        pgm.estimate(square, {y: [9.0]}, steps=3)
+    with pytest.raises(pgm.EvidenceError):
+        pgm.estimate(square, {x: [[1.0, 2.0]]})
+    assert pgm.smooth(walk, {z: [[4.0]]}).verdict is None
