@@ -49,6 +49,10 @@ class RobustNoise(ByAttributes, ABC):
         `next_stage`, `staged` and `staged_loss`. A stage is a number of your own for each run,
         infinite where the loss is the one asked for. Measurements of a weight below ½ then count
         as rejected for ``posterior.lost``; ``posterior.rejected`` has the decisions of gates alone.
+    distribution : bool
+        Whether the density is meant as the distribution of all residuals, so that the R that
+        `pgm.fit` learns is the likeliest one. Else it spares a Gaussian from outliers, and R is
+        learnt as the covariance of that Gaussian.
 
     Examples
     --------
@@ -72,6 +76,7 @@ class RobustNoise(ByAttributes, ABC):
     """
 
     graduated: ClassVar[bool] = False
+    distribution: ClassVar[bool] = False
 
     @abstractmethod
     def loss(self, square: Array, count: npt.ArrayLike) -> Array:
@@ -415,6 +420,7 @@ class StudentT(_Positive):
     """
 
     dof: float
+    distribution: ClassVar[bool] = True
 
     def loss(self, square: Array, count: npt.ArrayLike) -> Array:
         """The loss ρ(s)."""

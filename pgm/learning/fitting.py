@@ -102,6 +102,33 @@ class QuasiNewton:
         self.correction += float(left @ turned) / bend**2 * np.outer(move, move)
 
 
+class Secant:
+    """Steps towards a fixed point M(θ) = θ: EM's step first, then by secants of earlier moves.
+
+    With the move e(θ) = M(θ) − θ of a plain step, the step is d = B e, with B one at first, and
+    after each move Δθ changed by Broyden's rule, so that it would have told it: Δθ = −B Δe
+    (Jamshidian & Jennrich, 1997, method QN1). Where the move became longer, B is one again.
+    """
+
+    def __init__(self, size: int) -> None:
+        self.inverse = np.eye(size)
+        self.last: tuple[Array, Array] | None = None
+
+    def step(self, point: Array, plain: Array) -> Array:
+        """The step at the next point, given the plain one."""
+        if self.last is not None:
+            move, turned = point - self.last[0], plain - self.last[1]
+            told = self.inverse @ -turned
+            along = float(move @ told)
+            longer = float(plain @ plain) > float(self.last[1] @ self.last[1])
+            if longer or along <= _TOLD * float(move @ move):
+                self.inverse = np.eye(len(point))
+            else:
+                self.inverse += np.outer(move - told, move @ self.inverse) / along
+        self.last = point, plain
+        return self.inverse @ plain
+
+
 # How often a step is halved: a quasi-Newton one, by a quarter, before a plain one is taken.
 _HALVINGS, _QUARTERS = 5, 1
 # The part of an objective that may be rounding, and of a coordinate that is no move; at a fixed
@@ -122,6 +149,7 @@ class Search:
         self.learner, self.iterations, self.tolerance = learner, iterations, tolerance
         size = learner.vector(learner.start).size
         self.newton = QuasiNewton(size) if accelerate else None
+        self.secant = Secant(size) if accelerate else None
         self.e_steps = self.accepted = self.refused = self.halved = 0
         self.stopped = f"after the {iterations} iterations that were asked for"
         # Whether the smoothers of the last E step have settled, as far as they were to iterate.
@@ -150,10 +178,12 @@ class Search:
             image, gradient = learner.improved(here)
             x, y = learner.vector(here.point), learner.vector(image)
             if learner.by_equations:
-                here = self._expected(image)
+                step = y - x if self.secant is None else self.secant.step(x, y - x)
+                here = self._by_equations(here, image, x, y, step)
                 trace.append(here.log_evidence)
                 priors.append(here.log_prior)
-                if (np.abs(y - x) / (1.0 + np.abs(x))).max(initial=0.0) <= _FIXED:
+                far = np.maximum(np.abs(y - x), np.abs(step))
+                if (far / (1.0 + np.abs(x))).max(initial=0.0) <= _FIXED:
                     converged, self.stopped = True, _EQUATIONS
                     break
                 continue
@@ -219,6 +249,25 @@ class Search:
     def _expected(self, point: Point) -> Expected:
         self.e_steps += 1
         return self.learner.expected(point)
+
+    def _by_equations(
+        self, here: Expected, image: Point, x: Array, y: Array, step: Array
+    ) -> Expected:
+        """The E step at the next point of a search for a fixed point.
+
+        That is after a step by secants, or at the plain step's `image`, if the former is the same,
+        moves a coordinate by more than half of its size, or leads to where there is no belief.
+        """
+        near = np.maximum(0.5 * np.abs(x), np.abs(y - x))
+        if not np.array_equal(step, y - x) and (np.abs(step) <= near).all():
+            try:
+                found = self._expected(self.learner.at(here.point, x + step))
+            except PgmError:
+                self.refused += 1
+            else:
+                self.accepted += 1
+                return found
+        return self._expected(image)
 
     def _tried(self, here: Expected, vector: Array, least: float = 0.0) -> Expected | None:
         """A point of some coordinates, if its objective is higher, by more than the least."""
@@ -332,8 +381,10 @@ def fit(
 
     Measurements of robust noise count with their weights in both steps, at which log-evidence is a
     lower bound that neither lowers. The weights are those of expected squares: without a
-    lineariser, `Taylor(expected=True)`. Truncated noise and gates have no likelihood: steps go on
-    until parameters stay, what is cut off being made up for as of Gaussian residuals.
+    lineariser, `Taylor(expected=True)`. So Student-t noise is learnt, a distribution; the
+    covariance of a loss (Huber, Cauchy, truncated least squares) is that of the readings without
+    outliers. Its likelihood would be that of its tails, and with a gate there is none: steps go on
+    until parameters stay, what is spared being made up for as of Gaussian residuals.
 
     A network without time is learnt from records, the rows of its evidence. Where the child and the
     parents of all that is learnt were observed, there is a closed form, and no search, unless its
@@ -402,8 +453,9 @@ def fit(
     1982. Jamshidian & Jennrich, Acceleration of the EM algorithm by using quasi-Newton methods,
     1997, method QN2. Lange, Little & Taylor, Robust statistical modeling using the t distribution,
     1989. Liu & Rubin, ML estimation of the t distribution using EM and its extensions, ECM and
-    ECME, 1995. Kokkala, Solin & Särkkä, Sigma-point filtering and smoothing based parameter
-    estimation in nonlinear dynamic systems, 2015.
+    ECME, 1995. Huber, Robust estimation of a location parameter, 1964 (proposal 2). Windham,
+    Robustifying model fitting, 1995. Kokkala, Solin & Särkkä, Sigma-point filtering and smoothing
+    based parameter estimation in nonlinear dynamic systems, 2015.
 
     Examples
     --------

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -50,7 +50,7 @@ class Expected:
     N is a number of rows, or the sum of their weights. They are sums of E[r rᵀ], E[r gᵀ], E[g gᵀ],
     regressors being counted from the reference (k,), near their mean where an offset is free, so
     that sums keep their digits; `weighted` in their place, where the noise is a function of
-    evidence.
+    evidence. `noise` are the sums by which rows enter the covariance of a loss, None if by these.
     """
 
     cpd: Any
@@ -60,6 +60,7 @@ class Expected:
     count: float
     reference: Array
     weighted: Weighted | None = None
+    noise: Expected | None = None
 
 
 def _left(own: Array, change: Array, cross: Array, gram: Array) -> Array:
@@ -186,14 +187,23 @@ class GaussianStep:
         """The sums over all recordings that M step and gradient need."""
         cpd: Any = beliefs[0].family.cpd
         every = [residuals(belief, known) for belief in beliefs]
-        count = sum(each.count for each in every)
         reference = np.zeros(self.free.shape[1])
-        if isinstance(cpd.cov, Noise):
-            return self._by_row(cpd, every, count, reference)
-        if count and self.free[:, -1].all() and self.free[:, :-1].any():
+        some = any(each.count for each in every) and not isinstance(cpd.cov, Noise)
+        if some and self.free[:, -1].all() and self.free[:, :-1].any():
             reference = sum(each.weighted(each.regressors).sum(axis=0) for each in every)
             reference = reference / reference[-1]
             reference[-1] = 0.0
+        found = self._summed(cpd, every, reference)
+        if self.noise is not None and any(each.scale is not None for each in every):
+            own = self._summed(cpd, [each.of_noise for each in every], reference)
+            found = replace(found, noise=own)
+        return found
+
+    def _summed(self, cpd: Any, every: list[Residuals], reference: Array) -> Expected:
+        """The sums of residuals, whose regressors are counted from a reference."""
+        count = sum(each.count for each in every)
+        if isinstance(cpd.cov, Noise):
+            return self._by_row(cpd, every, count, reference)
         sums = zip(*(each.sums(reference) for each in every), strict=True)
         own, cross, gram = (np.sum(parts, axis=0) for parts in sums)
         # A regressor that differs from its mean by rounding alone tells nothing.
@@ -232,20 +242,23 @@ class GaussianStep:
             unchanged: ConditionalGaussian = sums.cpd
             return unchanged
         if sums.weighted is not None:
-            return self._weighted(sums.cpd, sums.weighted)
+            own = sums.weighted if sums.noise is None else sums.noise.weighted
+            assert own is not None
+            return self._weighted(sums.cpd, sums.weighted, own)
         change, cov = self._solved(sums)
         change[:, -1] -= change @ sums.reference
         return self._changed(sums.cpd, change, cov)
 
     def _solved(self, sums: Expected) -> tuple[Array, Any]:
-        change, cov = np.zeros(self.free.shape), sums.cpd.cov
+        change, cov, noise = np.zeros(self.free.shape), sums.cpd.cov, sums.noise or sums
         for _ in range(_ROUNDS):
             before, was = change, cov
             if self.free.any():
                 change = self._regressed(sums.cross, sums.gram, cov)
-            if self.noise is None:
+            if self.noise is None or not noise.count:  # of a loss none may have a weight
                 return change, cov
-            cov = self.noise.likeliest(_left(sums.own, change, sums.cross, sums.gram), sums.count)
+            own = _left(noise.own, change, noise.cross, noise.gram)
+            cov = self.noise.likeliest(own, noise.count)
             if self.same or not self.free.any():
                 return change, cov
             moved = np.abs(cov - was).max() / max(np.abs(cov).max(), _LEAST)
@@ -272,20 +285,20 @@ class GaussianStep:
         change[rows, columns] = _least(normal, (weight @ cross)[rows, columns])
         return change
 
-    def _weighted(self, cpd: Any, sums: Weighted) -> ConditionalGaussian:
+    def _weighted(self, cpd: Any, sums: Weighted, noise: Weighted) -> ConditionalGaussian:
         change = np.zeros(self.free.shape)
         if self.free.any():
             change[self.free] = _least(sums.normal, sums.said)
         cov = cpd.cov
-        if self.noise is not None and sums.ranks:
+        if self.noise is not None and noise.ranks:
             total = sum(
                 float(np.sum(weight * _left(own, change, cross, gram)))
-                for own, cross, gram, weight in sums.moments
+                for own, cross, gram, weight in noise.moments
             )
             # Of sums that cancel rounding is left, from which another step begins.
-            whole = sum(float(np.sum(weight * own)) for own, *_, weight in sums.moments)
+            whole = sum(float(np.sum(weight * own)) for own, *_, weight in noise.moments)
             total = max(total, 2.0**-52 * whole)
-            cov = self.noise.scaled(self.noise.factor(cpd) * total / sums.ranks)
+            cov = self.noise.scaled(self.noise.factor(cpd) * total / noise.ranks)
         return self._changed(cpd, change, cov)
 
     def vanishes(self, beliefs: Sequence[FamilyBelief], known: Known, *, searched: bool) -> bool:

@@ -132,10 +132,10 @@ class Learner:
         """Whether parameters are at a fixed point of steps, since no likelihood is to be raised.
 
         So it is with a gate, which takes in other measurements at other parameters, and of the
-        noise of a loss whose density has no finite integral.
+        covariance of a loss.
         """
         return getattr(self.schedule, "gate", None) is not None or any(
-            cpd.noise is not None and not cpd.noise.is_proper(cpd.child.dimension)
+            cpd.noise is not None and not cpd.noise.distribution
             for block, cpd in zip(self.blocks, self._cpds(self.start), strict=True)
             if isinstance(block, GaussianStep) and block.noise is not None
         )
@@ -174,7 +174,6 @@ class Learner:
                 cpd=cpd,
             )
         self._require(cpd, kinds, (Covariance, Coefficients, Offset, DegreesOfFreedom))
-        _require_density(cpd, kinds)
         return GaussianStep(cpd, self._hidden(model, cpd), parts)
 
     def _place_of(self, model: Any, variable: Any) -> Place:
@@ -368,19 +367,6 @@ class Learner:
             child = part.cpd.child
             named[child.at(0) if place.role == PRIOR else child] = part.cpd
         return named
-
-
-def _require_density(cpd: ConditionalGaussian, kinds: list[type]) -> None:
-    """Refuse the covariance of a loss that is neither a density nor truncated."""
-    noise, size = cpd.noise, cpd.child.dimension
-    if noise is None or Covariance not in kinds or noise.graduated or noise.is_proper(size):
-        return
-    raise ModelError(
-        f"{cpd!r}: {noise!r} of {size} components has no density, since its integral is infinite, "
-        "so that readings have no likeliest covariance; learn that of pgm.StudentT(dof), of "
-        "pgm.Huber(threshold), or of a pgm.Cauchy whose scale is above the root of that number",
-        cpd=cpd,
-    )
 
 
 def _parts(variable: Any, learnt: Any) -> Sequence[Any]:

@@ -26,12 +26,21 @@ import numpy as np
 
 from pgm.cpds import AffineCPD
 from pgm.kernels.angles import nearest_branch
-from pgm.kernels.arrays import Array, Mask, apply, components_last, quiet, symmetric, transpose
+from pgm.kernels.arrays import (
+    Array,
+    Mask,
+    apply,
+    components_last,
+    independent,
+    quiet,
+    symmetric,
+    transpose,
+)
 from pgm.kernels.moments import predict
 from pgm.kernels.solving import regression
-from pgm.learning.robust import counts, is_proper
+from pgm.learning.robust import of_noise
 from pgm.linearisation.family import Family
-from pgm.posteriors.expectations import FamilyBelief, RobustWeights
+from pgm.posteriors.expectations import FamilyBelief
 from pgm.variables import Variable
 
 Known = Mapping[Variable, Array]
@@ -46,7 +55,8 @@ class Residuals:
     missing components add (1 or N, d, d), the regressors ḡ (N, k), of which the components of
     `hidden` parents stand first, and the CPD's own noise (1 or N, d, d). The `weight` (N,) is what
     a row counts for, the probability that it is of the CPD; its moments enter with the
-    `factor` (N,), which is also of the weight of robust noise. None where all are one.
+    `factor` (N,), which is also of the weight of robust noise. None where all are one. `scale` has
+    the weight and the factor that rows have in the covariance of a loss, None if they are these.
     """
 
     mean: Array
@@ -58,6 +68,15 @@ class Residuals:
     hidden: int
     weight: Array | None = None
     factor: Array | None = None
+    scale: tuple[Array, Array] | None = None
+
+    @property
+    def of_noise(self) -> Residuals:
+        """The residuals as they enter the covariance of the noise."""
+        if self.scale is None:
+            return self
+        weight, factor = self.scale
+        return replace(self, weight=weight, factor=factor, scale=None)
 
     @property
     def count(self) -> float:
@@ -185,7 +204,7 @@ def residuals(belief: FamilyBelief, known: Known) -> Residuals:
     if belief.taken is None:
         return found
     taken = np.broadcast_to(belief.taken, (rows, runs, height)).reshape(flat, height)
-    return _expected(found, taken, belief.robust)
+    return _expected(found, taken)
 
 
 @quiet()
@@ -204,15 +223,21 @@ def _robust(found: Residuals, belief: FamilyBelief) -> Residuals:
     noise, robust = belief.family.cpd.noise, belief.robust
     assert noise is not None
     assert robust is not None
-    weight = robust.weight.reshape(-1)
-    counted, shares = found.weight, found.weight
-    if not is_proper(noise, robust.components):
-        spread = predict(found.cov, found.line, found.error)
-        share = np.trace(regression(spread, found.noise), axis1=-2, axis2=-1)
-        share = np.clip(share / spread.shape[-1], 0.0, 1.0).reshape(robust.weight.shape)
-        kept = counts(noise, robust, share).reshape(-1)
-        counted = kept if counted is None else counted * kept
-    return replace(found, weight=counted, factor=weight if shares is None else shares * weight)
+    factor = _times(found.weight, robust.weight.reshape(-1))
+    if noise.distribution:
+        return replace(found, factor=factor)
+    spread, own = predict(found.cov, found.line, found.error), found.noise
+    if belief.taken is not None:
+        taken = np.broadcast_to(belief.taken, (*robust.weight.shape, spread.shape[-1]))
+        taken = taken.reshape(spread.shape[:-1])
+        both = taken[:, :, None] & taken[:, None, :]
+        spread, own = np.where(both, spread, 0.0), independent(np.where(both, own, 0.0), taken)
+    share = np.trace(regression(spread, own), axis1=-2, axis2=-1).reshape(robust.weight.shape)
+    share = np.clip(share / np.maximum(robust.components, 1), 0.0, 1.0)
+    counted, scaled = (
+        _times(found.weight, each.ravel()) for each in of_noise(noise, robust, share)
+    )
+    return replace(found, factor=factor, scale=(counted, scaled))
 
 
 def _flat(array: Array, rows: int, runs: int) -> Array:
@@ -227,18 +252,16 @@ def _flat(array: Array, rows: int, runs: int) -> Array:
     return found
 
 
-def _expected(found: Residuals, taken: Mask, robust: RobustWeights | None) -> Residuals:
+def _expected(found: Residuals, taken: Mask) -> Residuals:
     """The residuals of measurements of which some components are missing.
 
     A missing one is, given those there, K r + n, K = R_mo R_oo⁻¹, n of covariance R_mm − K R_om,
-    divided by its weight where noise is robust.
+    divided by its weight where noise is robust: so that in a covariance it counts for itself.
     """
-    weight = None if robust is None else robust.weight.reshape(-1)
     there: Mask = np.asarray(taken.any(axis=-1))
     if not there.all():
         found = _at(found, there)
         taken = taken[there]
-        weight = None if weight is None else weight[there]
     if taken.all():
         return found
     count, height = found.mean.shape
@@ -259,18 +282,15 @@ def _expected(found: Residuals, taken: Mask, robust: RobustWeights | None) -> Re
             own[:, lost[:, None], lost] - gain @ own[:, seen[:, None], lost]
         )
         added[rows] = symmetric(rest)
-    if weight is not None:
-        added /= weight[:, None, None]
-    return Residuals(
-        (change @ found.mean[..., None])[..., 0],
-        change @ found.line,
-        found.cov,
-        predict(found.error, change, added),
-        found.regressors,
-        found.noise,
-        found.hidden,
-        found.weight,
-        found.factor,
+    own = found.of_noise
+    if own.factor is not None:
+        some = np.where(own.factor > 0.0, own.factor, 1.0)
+        added = own.counted(added) / some[:, None, None]
+    return replace(
+        found,
+        mean=(change @ found.mean[..., None])[..., 0],
+        line=change @ found.line,
+        error=predict(found.error, change, added),
     )
 
 
@@ -288,4 +308,5 @@ def _at(found: Residuals, rows: Mask) -> Residuals:
         found.hidden,
         None if found.weight is None else found.weight[rows],
         None if found.factor is None else found.factor[rows],
+        None if found.scale is None else (found.scale[0][rows], found.scale[1][rows]),
     )

@@ -1,4 +1,4 @@
-r"""The M step of robust noise: counts of its rows, and degrees of freedom of Student-t noise.
+r"""The M step of robust noise: the weights of its rows, and degrees of freedom of Student-t noise.
 
 A residual r of robust noise with the covariance parameter R counts with R / w, w = w(s) being its
 weight at the square s = rᵀ R⁻¹ r. At weights that stay, the expected log-density is a Gaussian's,
@@ -6,13 +6,20 @@ weight at the square s = rᵀ R⁻¹ r. At weights that stay, the expected log-d
     −½ Σ (ln |R| + w E[rᵀ R⁻¹ r]),
 
 a lower bound of that of the robust density, which touches it at these weights: its maximum in R is
-Σ w E[r rᵀ] / N, and steps between weights and parameters never lower the bound of the evidence.
+Σ w E[r rᵀ] / N, and steps between weights and parameters never lower the bound of the evidence. So
+R is learnt of a *distribution*, as Student-t noise is one.
 
-Truncated least squares have no density. Their R is the one that Gaussian residuals of covariance R
-would have, of which as many are cut off: with the squares s = (1 − h) χ²_d + h d that are expected
-of these, h = tr R⁻¹ H P Hᵀ / d being the share of R that the belief does not know,
+Of a *loss*, whose R is the covariance of the usual readings, this will not do. An outlier of
+Huber's loss pulls at R by w s = k √s, and so without bound; of truncated least squares the sum
+falls with R; and of Gaussian readings R comes out too small, by .69 in the deviation of
+`Cauchy(2)`. Each row counts with a power of its weight instead, the least whole one p at which the
+moment w^p s of an outlier vanishes as it goes away: 3 for Huber's loss, 2 for Cauchy's, 1 for
+truncated least squares. R is the covariance at which Gaussian residuals have these moments,
 
-    R = Σ w E[r rᵀ] / Σ κ(h) w,   κ(h) = E[w(s) s] / (d E[w(s)]).
+    R = Σ w^p E[r rᵀ] / Σ κ(h) w^p,   κ(h) = E[w(s)^p s] / (d E[w(s)^p]),
+
+with the squares s = (1 − h) χ²_d + h d that are expected of them, h = tr R⁻¹ H P Hᵀ / d being the
+share of R that the belief does not know (Windham, Robustifying model fitting, 1995).
 """
 
 from __future__ import annotations
@@ -33,28 +40,42 @@ from pgm.posteriors.expectations import FamilyBelief, RobustWeights
 _RADII = np.linspace(-12.0, 5.0, 2**14)
 # Shares of a belief's uncertainty, between which factors are interpolated.
 _SHARES = np.linspace(0.0, 1.0, 65)
+# Squares of outliers, at which weights tell how they fall off; the least exponent of a fall; and of
+# what an exponent may be off by.
+_FAR, _HARDLY, _ROUNDING = np.array([1e8, 1e10]), 0.05, 1e-3
 # The step of differences by the logarithm of the degrees of freedom.
 _STEP = 1e-4
 # Of the search for the logarithm.
 _SETTLED = 1e-10
 
 
-def is_proper(noise: RobustNoise, count: Integers) -> bool:
-    """Whether residuals of so many components, zero for none, have a density."""
-    return all(noise.is_proper(int(size)) for size in np.unique(count) if size)
+def of_noise(noise: RobustNoise, robust: RobustWeights, share: Array) -> tuple[Array, Array]:
+    """What each row of a loss counts for in its covariance, κ(h) w^p, and its factor there, w^p.
 
-
-def counts(noise: RobustNoise, robust: RobustWeights, share: Array) -> Array:
-    """The count of each row of truncated noise in the mean of moments, κ(h) w.
-
-    `share` is h (rows, runs), and so is the result.
+    `share` is h (rows, runs), and so are the results.
     """
-    found = np.zeros(share.shape)
+    count, factor = np.zeros((2, *share.shape))
     for size in np.unique(robust.components).tolist():
         if size:
+            own = robust.components == size
+            raised = robust.weight ** _power(noise, size)
             kept = np.interp(share, _SHARES, _consistency(noise, size))
-            found = np.where(robust.components == size, kept * robust.weight, found)
-    return found
+            count, factor = np.where(own, (kept * raised, raised), (count, factor))
+    return count, factor
+
+
+@kept
+def _power(noise: RobustNoise, size: int) -> int:
+    """The least whole power p of the weight at which w^p s vanishes for large squares s.
+
+    Of a weight that falls as s^{−a} it is the least above 1/a; 1 where the weight hardly falls, so
+    that nothing is spared, or is zero.
+    """
+    near, far = noise.slope(_FAR, np.full(_FAR.shape, size))
+    if not far > 0.0:
+        return 1
+    falls = math.log(near / far) / math.log(_FAR[1] / _FAR[0])
+    return 1 if falls < _HARDLY else math.floor(1.0 / falls + _ROUNDING) + 1
 
 
 @kept
@@ -66,8 +87,9 @@ def _consistency(noise: RobustNoise, size: int) -> Array:
     found = np.empty(len(_SHARES))
     for k, share in enumerate(_SHARES):
         square = (1.0 - share) * drawn + share * size
-        weight = density * noise.slope(square, np.full(square.shape, size))
-        found[k] = weight @ square / (size * weight.sum())
+        weight = noise.weight(square, np.full(square.shape, size))
+        factor = density * weight ** _power(noise, size)
+        found[k] = factor @ square / (size * factor.sum())
     return found
 
 

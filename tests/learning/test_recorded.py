@@ -11,6 +11,9 @@ from models.networks import calibration, distance, landmark, pose
 from pgm import consistency
 from pgm.learning import Covariance, Parameter
 
+RANGES = {distance: Covariance()}
+BOTH = {**RANGES, pose: Covariance("scaled")}
+
 
 def recorded(name):
     path = SETTINGS[name].find()
@@ -36,12 +39,30 @@ def test_ranges_of_the_labyrinth_are_calibrated_robustly():
     found = pgm.fit(
         start.replace(observation=[free]),
         drive.evidence,
-        learn={calibration: Parameter([1.0, 0.0]), distance: Covariance()},
+        learn={calibration: Parameter([1.0, 0.0]), **RANGES},
         tolerance=1e-2,
     )
     assert found.status.converged
-    assert (np.diff(found.log_evidence) > 0.0).all()
-    assert error(drive, found.posterior) <= 0.9 * error(drive, before)
+    assert error(drive, found.posterior) <= 0.8 * error(drive, before)
+
+
+def test_noise_of_the_labyrinth_is_learnt_robustly():
+    """That of its ranges, and with it that of the motion: no worse than before."""
+    drive = recorded("labyrinth")
+    for noise, learn in ((pgm.Cauchy(2.0), RANGES), (pgm.Huber(1.5), BOTH)):
+        start = drive.network(noise=noise)
+        rule = pgm.Taylor(expected=True)
+        before = pgm.smooth(start, drive.evidence, lineariser=rule, iterations=100, tolerance=1e-4)
+        found = pgm.fit(start, drive.evidence, learn=learn, tolerance=1e-2)
+        assert found.status.converged
+        assert error(drive, found.posterior) <= error(drive, before)
+
+
+# With a distribution the noise of the motion comes out too small.
+WAYS = [
+    *((noise, learn) for noise in (pgm.Cauchy(2.0), pgm.Huber(1.5)) for learn in (RANGES, BOTH)),
+    (pgm.StudentT(4.0), RANGES),
+]
 
 
 @pytest.mark.parametrize(
@@ -51,7 +72,7 @@ def test_ranges_of_the_labyrinth_are_calibrated_robustly():
         *(
             pytest.param(name, seed, marks=pytest.mark.slow)
             for name in ("plaza1", "plaza2")
-            for seed in range(1, 11)
+            for seed in range(1, 21)
         ),
     ],
 )
@@ -64,11 +85,7 @@ def test_outliers_drawn_into_plaza(name, seed):
     values[wrong] += rng.uniform(2.0, 20.0, (wrong.sum(), 1))
     readings = pgm.sightings(values, step=heard.step, given=heard.given)
     evidence = {**drive.evidence, distance: readings}
-    both = {distance: Covariance(), pose: Covariance("scaled")}
-    for noise, learn in (
-        (pgm.Cauchy(2.0), both),
-        (pgm.StudentT(4.0), {distance: Covariance()}),
-    ):
+    for noise, learn in WAYS if seed else WAYS[:1] + WAYS[2:3]:
         start = drive.network(noise=noise)
         before = pgm.smooth(start, evidence, iterations=50, tolerance=1e-3)
         found = pgm.fit(start, evidence, learn=learn, tolerance=1e-1)
