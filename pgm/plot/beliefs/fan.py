@@ -16,6 +16,7 @@ from pgm.factors import Gaussian
 from pgm.factors.scope import labels
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import Array, Integers
+from pgm.plot.beliefs.strip import strip
 from pgm.plot.drawing.axes import (
     Unit,
     along,
@@ -28,7 +29,7 @@ from pgm.plot.drawing.axes import (
 from pgm.plot.drawing.colours import INK, MUTED, look_of
 from pgm.plot.drawing.components import as_gaussian, component_places, one_run
 from pgm.posteriors.posterior import Posterior, require_variable
-from pgm.variables import Variable
+from pgm.variables import Discrete, Variable
 
 # The shades of the widest band and of the narrowest one, were this of no width.
 _PALE, _DEEP = 0.16, 0.8
@@ -55,15 +56,18 @@ def forecast(
     all open there is no band. Angles go on beyond half a turn, the readings along with the line. Of
     mixtures, particles and grids the bands are those of the Gaussian of their mean and covariance.
 
+    Of a discrete sensor there is a strip instead: a row for each state, the darker the more
+    probable, and dots where readings were; hollow ones are soft readings, at their likeliest state.
+
     Parameters
     ----------
     posterior : Posterior
         Of a dynamic network, by any schedule; ``pgm.filter(model, {z: zs}, steps=40)`` goes on
         where the readings `zs` end.
     sensor : Variable
-        The measurement z, of continuous components.
+        The measurement z.
     components : sequence of str, optional
-        Which components, by name; all without.
+        Which components, by name; all without. Not of a discrete sensor.
     confidence : float or sequence of float
         The probability of each band.
     run : int or tuple of int, optional
@@ -76,12 +80,12 @@ def forecast(
     colour : str, optional
         Of the fan; the next of a palette without.
     axes : matplotlib.axes.Axes or iterable of them, optional
-        One a component; a column of new ones without.
+        One a component, and one of a discrete sensor; a column of new ones without.
 
     Returns
     -------
     tuple of matplotlib.axes.Axes
-        One a component.
+        One a component; of a discrete sensor one.
 
     Raises
     ------
@@ -100,6 +104,14 @@ def forecast(
     'z [m]'
     """
     bands = _probabilities(confidence)
+    if isinstance(sensor, Discrete) and sensor.step is None:
+        if components is not None or unit is not None:
+            raise ModelError(
+                f"{sensor!r} is discrete, and has neither components nor units: leave these out",
+                variable=sensor,
+            )
+        drawn = strip(posterior, sensor, run=run, times=times, colour=colour, axes=axes)
+        return (drawn,)
     belief, read, values = _of(posterior, sensor, run)
     chosen = labels(belief.scope) if components is None else list(components)
     places = component_places(belief, components if components is not None else chosen)

@@ -103,3 +103,56 @@ def test_what_cannot_be_drawn_is_refused():
             call()
     with pytest.raises(pgm.EvidenceError, match="by variable, not by 'z'"):
         pgm.plot.forecast(FOUND, "z", run=0)
+
+
+place, heard = pgm.Discrete("place", 2), pgm.Discrete("heard", ("no", "a", "b"))
+HOUSE = pgm.DynamicBayesianNetwork(
+    [pgm.TableCPD(place, table=[0.9, 0.1])],
+    [pgm.TableCPD(place, place.previous, table=[[0.8, 0.2], [0.3, 0.7]])],
+    [pgm.TableCPD(heard, place, table=[[0.7, 0.2, 0.1], [0.1, 0.3, 0.6]])],
+)
+
+
+def test_a_discrete_sensor_is_a_strip():
+    runs = [["no", -1, "b", "a"], ["a", "a", -1, "no"]]
+    found = pgm.filter(
+        HOUSE,
+        {heard: [[-1 if r == -1 else heard.states.index(r) for r in row] for row in runs]},
+        steps=6,
+    )
+    times = 10.0 * np.arange(1, 7)
+    (ax,) = pgm.plot.forecast(found, heard, run=0, times=times)
+    (mesh,) = ax.collections
+    assert_allclose(mesh.get_array(), found.predicted[heard].probabilities[0].T)
+    assert_allclose(mesh.get_coordinates()[0, :, 0], np.arange(5.0, 66.0, 10.0))
+    lines = {line.get_label(): line for line in ax.lines}
+    assert_allclose(lines["reading"].get_xdata(), [10, 30, 40])
+    assert_allclose(lines["reading"].get_ydata(), [0, 2, 1])
+    assert_allclose(lines["last reading"].get_xdata(), 45.0)
+    assert [text.get_text() for text in ax.get_yticklabels()] == list(heard.states)
+    soft = pgm.soft([[0.2, 0.5, 0.3], [0.1, 0.1, 0.8]])
+    (ax,) = pgm.plot.forecast(pgm.smooth(HOUSE, {heard: soft}), heard)
+    (line,) = ax.lines
+    assert line.get_label() == "soft reading"
+    assert_allclose(line.get_ydata(), [1, 2])
+    seen = pgm.sightings([2, 0], step=[3, 0])
+    (ax,) = pgm.plot.forecast(pgm.filter(HOUSE, {heard: seen}, steps=4), heard)
+    assert_allclose(ax.lines[0].get_xdata(), [3, 0])
+    assert_allclose(ax.lines[0].get_ydata(), [2, 0])
+
+
+def test_strips_that_cannot_be_drawn():
+    found = pgm.filter(HOUSE, {heard: [[0, 1], [1, 1]]})
+    choose = pgm.Discrete("choose", 2)
+    table = np.stack([HOUSE.observation[0].table, HOUSE.observation[0].table])
+    chosen = HOUSE.replace(observation=[pgm.TableCPD(heard, (choose, place), table=table)])
+    seen = pgm.sightings([0, 1], step=[1, 1], given={choose: [0, 1]})
+    twice = pgm.filter(chosen, {heard: seen}, steps=2)
+    for call, words in (
+        (lambda: pgm.plot.forecast(found, heard), r"\(2,\), of runs; choose one, as with run=0"),
+        (lambda: pgm.plot.forecast(found, heard, run=0, unit="m"), "neither components nor units"),
+        (lambda: pgm.plot.forecast(twice, heard), "several sightings at a step"),
+        (lambda: pgm.plot.forecast(found, heard.at(1), run=0), "of one step"),
+    ):
+        with pytest.raises(pgm.ModelError, match=words):
+            call()
