@@ -93,4 +93,5 @@ def _joined(found: Sequence[Any], bound: BoundEvidence, steps: Integers) -> Gaus
     cov = joined([each.components.cov for each in found], 2)
     weights = joined([each.weights for each in found], 0)
     scope = found[0].scope
+    cov = np.where((weights > 0.0)[..., None, None], cov, np.eye(cov.shape[-1]))
     return GaussianMixture._make(weights, Gaussian._make(scope, mean, cov), steps)

@@ -19,7 +19,7 @@ from pgm.beliefs.hypotheses.records import Asked
 from pgm.beliefs.hypotheses.regimes import Regimes
 from pgm.compile import DynamicGraph, SliceLayout
 from pgm.display import NoArray, Shown, Summary
-from pgm.errors import EvidenceError, NumericalError
+from pgm.errors import EvidenceError, NumericalError, Unanswered
 from pgm.evidence import BoundEvidence
 from pgm.factors import Gaussian, GaussianMixture, Table
 from pgm.factors.axes import discrete
@@ -31,7 +31,7 @@ from pgm.posteriors.hidden import located, measured
 from pgm.posteriors.innovations import BySensor
 from pgm.posteriors.left_out import LeftOut, require_all
 from pgm.posteriors.measurements import as_read, no_readings
-from pgm.posteriors.outcome import SWITCHING, Outcome
+from pgm.posteriors.outcome import QUESTIONS, SWITCHING, Outcome
 from pgm.posteriors.status import Status
 from pgm.posteriors.summaries import marginals_over_time, over_time
 from pgm.schedules.options import Call
@@ -239,7 +239,7 @@ class HypothesisOutcome(Outcome[Any]):
     @quiet()
     def _unread(self, variable: Variable) -> Table | GaussianMixture:
         """The belief of a measurement that was not taken, given all that the beliefs know."""
-        own, backward = self._beliefs, self._forward_again
+        own, backward = self._beliefs, self._forward_for("predicted")
         members = self._by_regime if is_chosen(self.graph.layout, variable) else None
         if members is None:
             with np.errstate(divide="ignore"):
@@ -251,7 +251,7 @@ class HypothesisOutcome(Outcome[Any]):
     @cached_property
     def _by_regime(self) -> Members | None:
         """The Gaussians of each step, each of one regime; None of a fixed lag, which has none."""
-        backward = self._forward_again
+        backward = self._forward_for("predicted")
         if self.kind == FILTERED:
             return Members.filtered(backward.chain)
         return Members.smoothed(backward) if self.kind == SMOOTHED else None
@@ -260,7 +260,7 @@ class HypothesisOutcome(Outcome[Any]):
     @quiet()
     def innovations(self) -> BySensor:
         """The innovations of each continuous sensor with evidence: of the mixture of Gaussians."""
-        chain = self._forward_again.chain
+        chain = self._forward_for("innovations").chain
         members = Members.predicted(chain)
         return BySensor(
             {
@@ -275,7 +275,7 @@ class HypothesisOutcome(Outcome[Any]):
     def left_out(self) -> LeftOut:
         """The beliefs of readings given all but their own, by sensor."""
         require_all(self.kind)
-        self._forward_again  # noqa: B018  which refuses
+        self._forward_for("left_out")
         bound, call, asked = self._asked
 
         def smoothed(some: BoundEvidence) -> tuple[Given, Members]:
@@ -291,19 +291,24 @@ class HypothesisOutcome(Outcome[Any]):
             }
         )
 
-    @property
-    def _forward_again(self) -> BackwardChain:
-        """The forward pass that was kept for a pass back; one of pruned Gaussians has none."""
+    def _forward_for(self, question: str) -> BackwardChain:
+        """The forward pass that was kept for a pass back, which one of `QUESTIONS` is asked of.
+
+        One of Gaussians that were cut or drawn is refused, since it has none.
+        """
         *_, asked = self._asked
         if asked.prune or asked.pieces > 1:
-            raise self.refusal("predicted")
+            raise Unanswered(
+                f"{QUESTIONS[question][0]}: a prior cut into pieces (starts=) and Gaussians that "
+                "are drawn (draws=) keep no pass for them; leave these options out"
+            )
         return self._backward
 
     @cached_property
     @quiet()
     def predicted(self) -> Predicted:
         """Beliefs of hidden variables and of measurements, given those before each step."""
-        chain, layout = self._forward_again.chain, self.graph.layout
+        chain, layout = self._forward_for("predicted").chain, self.graph.layout
         members = Members.predicted(chain)
         beliefs = Beliefs.of(
             PREDICTED,

@@ -301,3 +301,15 @@ def test_innovations_of_the_mixture_in_a_loop_and_of_a_recording():
         assert_allclose(recorded[v].nis[t], away**2 / cov[0, 0], rtol=1e-8)
     assert np.isnan(recorded[w].nis[2])
     assert recorded[w].dof[2] == 0
+
+
+def test_a_prior_in_pieces_keeps_no_pass_for_forecasts():
+    squared = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(x, 0.0, 4.0)],
+        [pgm.LinearGaussianCPD(x, {x.previous: 1.0}, 0.1)],
+        [pgm.NonlinearGaussianCPD(z, x, np.square, 0.5)],
+    )
+    found = pgm.filter(squared, {z: [[1.0], [1.2]]}, belief=pgm.Gaussians(8, starts=16))
+    for ask in (lambda: found.predicted, lambda: found.innovations, lambda: found[z.at(0)]):
+        with pytest.raises(pgm.EvidenceError, match=r"cut into pieces \(starts=\).*leave these"):
+            ask()
