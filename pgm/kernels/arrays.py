@@ -291,6 +291,16 @@ def independent(cov: Array, seen: Mask) -> Array:
     return np.where(seen[..., None] & seen[..., None, :], cov, np.eye(cov.shape[-1]))
 
 
+def tiled(array: npt.NDArray[Kind], count: int, *, alone: bool = False) -> npt.NDArray[Kind]:
+    """An array (rows, runs or 1, ...) of so many copies of the runs, one after another.
+
+    An axis of runs of length one stands for all runs: the array is then returned whole, unless its
+    one run stands `alone`.
+    """
+    whole = array.shape[1] == 1 and not alone
+    return array if whole else np.concatenate([array] * count, axis=1)
+
+
 def cut(array: npt.NDArray[Kind], runs: slice, axis: int = 1) -> npt.NDArray[Kind]:
     """An array cut to the runs of the slice `runs` along `axis`, its axis of runs.
 

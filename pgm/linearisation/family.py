@@ -44,6 +44,7 @@ from pgm.kernels.arrays import (
     components_last,
     cut,
     quiet,
+    tiled,
     times,
     vacant,
 )
@@ -211,6 +212,24 @@ class Family(Rows):
             part.matrix, part.offset = cut(self.matrix, runs), cut(self.offset, runs)
             matrix, shift = self.affine
             part.affine = cut(matrix, runs) if matrix.ndim == 4 else matrix, cut(shift, runs)
+        return part
+
+    def copies(self, count: int) -> Family:
+        """The family with all its runs so many times, copy after copy, linearised as it is."""
+        runs, part = self.shape[1], copy(self)
+        for name in ("shape", "_known", "_by_row", "_steps", "_constant_at", "_constant_noise"):
+            part.__dict__.pop(name, None)
+
+        def wide(array: Array) -> Array:
+            return tiled(array, count, alone=runs == 1)
+
+        part.inputs = {parent: wide(values) for parent, values in self.inputs.items()}
+        part.own_noise, part.numbering = wide(self.own_noise), self.numbering._replace(runs=runs)
+        part.batch = () if count * runs == 1 else (count * runs,)
+        part.matrix, part.offset, part.noise = map(wide, (self.matrix, self.offset, self.noise))
+        if self.exact:
+            matrix, shift = self.affine
+            part.affine = wide(matrix) if matrix.ndim == 4 else matrix, wide(shift)
         return part
 
     def window(self, first: int, last: int) -> Family:

@@ -21,7 +21,7 @@ from pgm.beliefs.hypotheses.regimes import Regimes
 from pgm.compile import SliceLayout
 from pgm.evidence import BoundEvidence, Reading
 from pgm.factors import Gaussian, GaussianMixture, Table
-from pgm.kernels.arrays import Array, Integers, frozen
+from pgm.kernels.arrays import Array, Integers, frozen, independent
 from pgm.progress import counted
 
 # Runs that are smoothed at a time.
@@ -93,5 +93,5 @@ def _joined(found: Sequence[Any], bound: BoundEvidence, steps: Integers) -> Gaus
     cov = joined([each.components.cov for each in found], 2)
     weights = joined([each.weights for each in found], 0)
     scope = found[0].scope
-    cov = np.where((weights > 0.0)[..., None, None], cov, np.eye(cov.shape[-1]))
+    cov = independent(cov, np.broadcast_to((weights > 0.0)[..., None], cov.shape[:-1]))
     return GaussianMixture._make(weights, Gaussian._make(scope, mean, cov), steps)

@@ -18,7 +18,7 @@ de Jong, A cross-validation filter for time series models, 1988.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -37,6 +37,8 @@ from pgm.progress import counted
 
 # A share R / (S⁻ + R) below this leaves fewer than six digits of what is found.
 _LEAST = 1e-9
+# Numbers of the covariances of chains that are smoothed again at a time.
+_NUMBERS = 2**18
 # The rounding error of a mean, in standard deviations, from which on fewer than six are left.
 _WORST = 1e-6
 
@@ -101,11 +103,10 @@ def _smoothed_again(
     every = [part.copy() for part in rows.spread]
     # Angles of a reading stay on its branch.
     turned = sensor.moved - sensor.values
-    for row in counted(again.tolist(), "readings left out"):
-        own, step = singular[row], int(family.step[row])
-        at, spread, error = _without(plan, sensor, row, step - plan.first)
-        if (~(error <= _WORST) & own).any():
-            raise _refusal(plan, sensor, row, ~(error <= _WORST) & own)
+    for row, at, spread, error in _without_each(plan, sensor, again):
+        own = singular[row]
+        if (lost := ~(error <= _WORST) & own).any():
+            raise _refusal(plan, sensor, row, lost)
         value = family.value(row, at[:, sensor.parents])
         if sensor.variable.angles:
             value = np.where(np.isfinite(turned[row]), value - turned[row], value)
@@ -125,17 +126,31 @@ def _widened(columns: Array, wide: int) -> Array:
     return np.concatenate([columns, np.zeros((*columns.shape[:-1], more))], axis=-1)
 
 
-def _without(plan: ChainPlan, sensor: Sensor, row: int, step: int) -> tuple[Array, Diffuse, Array]:
-    """The belief over the slice of a reading's step without it, and the error of its means.
+def _without_each(
+    plan: ChainPlan, sensor: Sensor, rows: Integers
+) -> Iterator[tuple[int, Array, Diffuse, Array]]:
+    """By row of a sensor, the belief over the slice of its step without it, and the means' error.
 
-    The chain is as it was linearised and weighed. Moments are (runs, n) and (runs, n, n); the error
-    (runs,) is in standard deviations.
+    The chain is as it was linearised and weighed; many copies of it are smoothed at a time, each
+    without one reading. Moments are (runs, n) and (runs, n, n); the error (runs,) is in standard
+    deviations.
     """
-    sensors = [each.without(row) if each is sensor else each for each in plan.sensors]
-    swept, _ = careful.sweep(replace(plan, sensors=sensors))
-    known = adjoint.smoothed(swept, plan.steps, step)[0]
-    mean, spread = rounded_belief(known.belief, swept.steps[-1].taken.unknown)
-    return mean, spread, known.belief.error(known.parts)
+    place = next(k for k, each in enumerate(plan.sensors) if each is sensor)
+    numbers = (plan.steps + 1) * plan.runs * plan.layout.slice_size**2
+    size = max(_NUMBERS // numbers, 1)
+    for begin in counted(range(0, rows.size, size), "readings left out"):
+        some = rows[begin : begin + size]
+        copies = plan.copies(some.size)
+        copies.sensors[place] = copies.sensors[place].without(some)
+        swept, _ = careful.sweep(copies)
+        steps = sensor.family.step[some] - plan.first
+        first, unknown = int(steps.min()), swept.steps[-1].taken.unknown
+        slices = adjoint.smoothed(swept, plan.steps, first)
+        for copy, (row, step) in enumerate(zip(some.tolist(), steps.tolist(), strict=True)):
+            known, own = slices[step - first], slice(copy * plan.runs, (copy + 1) * plan.runs)
+            mean, spread = rounded_belief(known.belief, unknown)
+            error = known.belief.error(known.parts)
+            yield row, mean[own], spread.at(own), error[own]
 
 
 def _refusal(plan: ChainPlan, sensor: Sensor, row: int, lost: Mask) -> NumericalError:

@@ -173,6 +173,21 @@ class ChainPlan:
             sensors=sensors,
         )
 
+    def copies(self, count: int) -> ChainPlan:
+        """The plan with all its runs so many times, copy after copy, linearised as it is."""
+
+        def links(every: list[Link]) -> list[Link]:
+            return [replace(link, family=link.family.copies(count)) for link in every]
+
+        return replace(
+            self,
+            lead=(count * self.runs,),
+            prior=links(self.prior),
+            transition=links(self.transition),
+            sensors=[sensor.copies(count) for sensor in self.sensors],
+            account=Account(),
+        )
+
     def window(self, first: int, last: int, begin: tuple[Array, Array] | None = None) -> ChainPlan:
         """The plan of the steps `first` to `last`: a view of the evidence, its own linearisations.
 

@@ -30,6 +30,7 @@ from pgm.kernels.arrays import (
     components_first,
     components_last,
     independent,
+    tiled,
 )
 from pgm.kernels.dense import Stack
 from pgm.linearisation.family import Family
@@ -282,12 +283,27 @@ class Sensor:
         part.cross = {k - first: self.cross[k] for k in steps if k in self.cross}
         return part
 
-    def without(self, row: int) -> Sensor:
-        """The sensor without one of its sightings, linearised and weighed as it was."""
+    def copies(self, count: int) -> Sensor:
+        """The sensor with all its runs so many times, as of `Family.copies`, without its gate."""
         part = copy(self)
-        part.taken = np.broadcast_to(True if self.taken is None else self.taken, self.moved.shape)
-        part.taken = part.taken.copy()
-        part.taken[row] = False
+        for name in ("_by_row", "weights"):
+            part.__dict__.pop(name, None)
+        part.family, part.gated = self.family.copies(count), None
+        alone = self.shape[1] == 1
+        part.values, part.moved = (
+            tiled(array, count, alone=alone) for array in (self.values, self.moved)
+        )
+        part.taken = None if self.taken is None else tiled(self.taken, count, alone=alone)
+        part.cross = {step: np.concatenate([own] * count) for step, own in self.cross.items()}
+        return part
+
+    def without(self, rows: Integers) -> Sensor:
+        """Of as many copies as rows, each without one of these sightings."""
+        part, shape = copy(self), self.moved.shape
+        taken = np.broadcast_to(True if self.taken is None else self.taken, shape).copy()
+        by_copy = taken.reshape(len(taken), len(rows), -1, shape[-1])
+        by_copy[rows, np.arange(len(rows))] = False
+        part.taken = taken
         return part
 
     def put(self, first: int, part: Sensor, *, after: bool) -> None:
