@@ -279,6 +279,8 @@ def test_readings_left_out_are_those_of_a_run_without_them():
             matches(found[v][row], (again.mean, again.cov), 1e-11)
     due = Dense(T).of(z, 4, {key: row for key, row in KNOWN.items() if key != (z, 4)})
     matches(found[z][3], due)
+    assert repr(pgm.smooth(model(), EVIDENCE, steps=T).left_out) == "LeftOut(z, y)"
+    assert_array_equal(pickle.loads(pickle.dumps(found))[z].mean, found[z].mean)
 
 
 @pytest.mark.parametrize("prior", [np.inf, 1e4])

@@ -21,6 +21,7 @@ from pgm.beliefs.grid.room import require_room
 from pgm.beliefs.grid.settings import GridSettings
 from pgm.beliefs.points.measurements import expected, readings_of, unread
 from pgm.beliefs.points.model import ParticleModel
+from pgm.beliefs.points.point_mixture import PointMixture
 from pgm.compile import DynamicGraph
 from pgm.display import Summary
 from pgm.errors import EvidenceError
@@ -157,10 +158,18 @@ class GridOutcome(Outcome[GridBelief]):
     def left_out(self) -> LeftOut:
         """The beliefs of readings given all but their own, by sensor."""
         require_all(self.kind)
+        return LeftOut([each.cpd.child for each in self.readings], self._left_out_of)
+
+    def _left_out_of(self, variable: Variable) -> PointMixture:
+        return self._each_left_out[variable]
+
+    @cached_property
+    def _each_left_out(self) -> dict[Variable, PointMixture]:
+        """The beliefs of readings given all but their own, of all sensors by one pass back."""
         lattice, bound, ahead = self._lattice, self._bound, self._by_run(self.predicted._values)
         rows = sum(len(reading.step) for reading in bound.readings)
         require_room(lattice, self.grid, rows + len(ahead[0]), bound.runs, 1)
-        return LeftOut(without_each(lattice, self.graph, bound, ahead))
+        return without_each(lattice, self.graph, bound, ahead)
 
     def joint(self, *variables: Variable) -> GridBelief:
         """The joint belief of some states of one slice.

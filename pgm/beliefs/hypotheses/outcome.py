@@ -271,11 +271,15 @@ class HypothesisOutcome(Outcome[Any]):
         )
 
     @cached_property
-    @quiet()
     def left_out(self) -> LeftOut:
         """The beliefs of readings given all but their own, by sensor."""
         require_all(self.kind)
         self._forward_for("left_out")
+        bound, *_ = self._asked
+        return LeftOut([reading.cpd.child for reading in bound.readings], self._left_out_of)
+
+    @quiet()
+    def _left_out_of(self, variable: Variable) -> Table | GaussianMixture:
         bound, call, asked = self._asked
 
         def smoothed(some: BoundEvidence) -> tuple[Given, Members]:
@@ -283,13 +287,8 @@ class HypothesisOutcome(Outcome[Any]):
             backward = again(self.graph, some, call, asked)
             return backward.chain.given, Members.smoothed(backward)
 
-        found = (self.graph.layout, self._regimes, bound)
-        return LeftOut(
-            {
-                reading.cpd.child: without_each(*found, place, smoothed)
-                for place, reading in enumerate(bound.readings)
-            }
-        )
+        place = [reading.cpd.child for reading in bound.readings].index(variable)
+        return without_each(self.graph.layout, self._regimes, bound, place, smoothed)
 
     def _forward_for(self, question: str) -> BackwardChain:
         """The forward pass that was kept for a pass back, which one of `QUESTIONS` is asked of.

@@ -28,7 +28,7 @@ from pgm.clustergraph import Cluster
 from pgm.compile import DynamicGraph
 from pgm.display import Summary
 from pgm.errors import GraphError
-from pgm.factors import Table
+from pgm.factors import GaussianMixture, Table
 from pgm.factors.axes import discrete, require_axes, sizes
 from pgm.factors.scope import Scope
 from pgm.kernels.arrays import Array, Integers, frozen
@@ -165,7 +165,16 @@ class StateOutcome(Outcome[Table]):
     def left_out(self) -> LeftOut:
         """The beliefs of readings given all but their own, by sensor."""
         require_all(self.kind)
-        return LeftOut(left_out(self._plan, self._chain))
+        sensors = [weights.cpd.child for weights in self._slices.weights]
+        return LeftOut(sensors, self._left_out_of)
+
+    def _left_out_of(self, variable: Variable) -> Table | GaussianMixture:
+        return self._each_left_out[variable]
+
+    @cached_property
+    def _each_left_out(self) -> dict[Variable, Table | GaussianMixture]:
+        """The beliefs of readings given all but their own, of all sensors by one pass back."""
+        return left_out(self._plan, self._chain)
 
     @property
     def filtered(self) -> StateMarginals:

@@ -24,6 +24,7 @@ from pgm.beliefs.points.laws import Some
 from pgm.beliefs.points.measurements import expected, readings_of, unread
 from pgm.beliefs.points.model import ParticleModel, Sensor
 from pgm.beliefs.points.particle_belief import ParticleBelief
+from pgm.beliefs.points.point_mixture import PointMixture
 from pgm.compile import DynamicGraph
 from pgm.cpds.mixture import UnidentifiedCPD
 from pgm.display import Summary
@@ -201,12 +202,13 @@ class ParticleOutcome(Outcome[ParticleBelief]):
     def left_out(self) -> LeftOut:
         """The beliefs of readings given all but their own, by sensor."""
         require_all(self.kind)
-        return LeftOut(
-            {
-                sensor.reading.cpd.child: without_each(self._model, sensor, self._clouds)
-                for sensor in self._model.sensors
-            }
-        )
+        sensors = [reading.cpd.child for reading in self.readings]
+        return LeftOut(sensors, self._left_out_of)
+
+    def _left_out_of(self, variable: Variable) -> PointMixture:
+        every = self._model.sensors
+        sensor = next(each for each in every if each.reading.cpd.child == variable)
+        return without_each(self._model, sensor, self._clouds)
 
     def joint(self, *variables: Variable) -> ParticleBelief:
         """The joint belief of variables at one step; of a smoother, also of several steps.

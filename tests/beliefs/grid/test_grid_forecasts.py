@@ -164,4 +164,4 @@ def test_what_is_refused():
     with pytest.warns(pgm.GridWarning, match="so far from what was believed"):
         smoothed = pgm.smooth(stiff, {z: [[-6.0], [6.0]]}, belief=pgm.Grid({"x": (-8.0, 8.0, 400)}))
     with pytest.raises(pgm.NumericalError, match=r"left_out\[z\].*NaN in its place"):
-        smoothed.left_out  # noqa: B018
+        smoothed.left_out[z]

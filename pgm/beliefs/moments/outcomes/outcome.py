@@ -219,12 +219,16 @@ class ChainOutcome(Innovated, Outcome[Gaussian]):
         return Predicted(*shown, plan, forward.ahead)
 
     @cached_property
-    @quiet()
     def left_out(self) -> LeftOut:
         """The beliefs of readings given all but their own, by sensor."""
         require_all(self.kind)
+        return LeftOut([sensor.variable for sensor in self._planned.sensors], self._left_out_of)
+
+    @quiet()
+    def _left_out_of(self, variable: Variable) -> Gaussian:
         plan, mean, spread = self._plan, self._beliefs.mean, self._spread
-        return LeftOut({s.variable: left_out(plan, s, mean, spread) for s in plan.sensors})
+        sensor = next(each for each in plan.sensors if each.variable == variable)
+        return left_out(plan, sensor, mean, spread)
 
     @cached_property
     @quiet()
