@@ -32,6 +32,7 @@ name              what it is                           what returns it
 `Verdict`         whether it can be vouched for        ``posterior.verdict``, of `pgm.estimate`
 `Comparison`      linearisers side by side             `pgm.compare`
 `Row`             one lineariser under one schedule    ``comparison["Taylor", "filter"]``
+`Judgement`       its KL from one oracle, and errors   ``row.by_oracle["Grid"]``
 `Fit`             a model, with what was learnt        `pgm.fit`
 `FitStatus`       the course of learning               ``pgm.fit(...).status``
 `Sample`          states and measurements drawn        ``model.sample(...)``
@@ -80,13 +81,13 @@ from pgm.io import ControlReport, ReadingReport, Stamped, Timeline
 from pgm.networks import Sample
 
 if TYPE_CHECKING:
-    from pgm.comparison import Comparison, Row
+    from pgm.comparison import Comparison, Judgement, Row
     from pgm.learning import Fit, FitStatus
 else:  # loaded when first asked for, as they load SciPy
 
     def __getattr__(name: str) -> Any:
         """Load the module of a name that is seldom wanted."""
-        if name in ("Comparison", "Row"):
+        if name in ("Comparison", "Judgement", "Row"):
             from pgm import comparison
 
             return getattr(comparison, name)
@@ -118,6 +119,7 @@ __all__ = [
     "GridFigures",
     "Growth",
     "Innovations",
+    "Judgement",
     "Lost",
     "MaxMarginals",
     "MostProbable",

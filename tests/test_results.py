@@ -70,6 +70,9 @@ CALLS = {
     "GridFigures": lambda: pgm.filter(walk, GIVEN, belief=GRID).status._figures,
     "Growth": lambda: pgm.GrowingMap().status,
     "Innovations": lambda: pgm.filter(walk, GIVEN).innovations[z],
+    "Judgement": lambda: pgm.compare(walk, GIVEN, oracle=GRID)["Taylor", "filter"].by_oracle[
+        "Grid"
+    ],
     "Lost": lambda: pgm.filter(walk, GIVEN).lost,
     "MostProbable": lambda: pgm.most_probable(pgm.compile(rainy), {wet: "yes"}),
     "MaxMarginals": lambda: pgm.max_marginals(pgm.compile(rainy), {wet: "yes"}),
@@ -95,7 +98,7 @@ OLD = sorted(
     set(results.__all__)
     - {"Compilation", "ControlReport", "Derivatives", "GridFigures", "Innovations"}
     - {"Association", "CliqueTree", "Growth", "ParticleFigures", "ReadingReport", "Row", "Sample"}
-    - {"MaxMarginals", "SensitiveEntry", "Sensitivities", "Sensitivity"}
+    - {"Judgement", "MaxMarginals", "SensitiveEntry", "Sensitivities", "Sensitivity"}
     - {"Predictions", "StepInnovations"}
 )
 # What posteriors, statuses and filters are of, by the name of their class before.

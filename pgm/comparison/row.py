@@ -1,19 +1,21 @@
-"""One row of a comparison: one run's beliefs of one state, with their scores."""
+"""One row of a comparison: the beliefs of one state, with their scores."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from pgm import consistency
+from pgm.comparison.judgement import Judgement
 from pgm.display import Listing, Shown, Summary, number
 from pgm.errors import LinearisationError, NumericalError
 from pgm.factors import Gaussian
 from pgm.factors.scope import labels
 from pgm.inference import Kind
 from pgm.kernels import roots
+from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Mask
 from pgm.variables import Variable
 
@@ -23,40 +25,47 @@ FAILURES = (LinearisationError, NumericalError)
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Row(Shown):
-    """The beliefs of one state by one lineariser under one schedule, with their scores.
+    """The beliefs of one state, under one label and schedule, with their scores.
 
     What was not asked for, or could not be found, is NaN. Means over steps leave out the steps
-    where a covariance of some run is singular or infinite, of the belief or of the oracle.
+    where a covariance of some run is singular or infinite, of the belief or of an oracle. Errors of
+    scores against the truth are standard errors over runs, NaN of a single run.
 
     Attributes
     ----------
     lineariser, schedule : str
-        Their names; the oracle's rows have its own in place of a lineariser's.
+        The lineariser's name, or the label that was given in ``rows=``, and the schedule's; of
+        beliefs that were given, their kind. An oracle's rows have its own name.
     state : Variable
     kind : Kind
         Which measurements the beliefs know.
-    kl_by_step : ndarray
-        (T+1,), in nats, the mean over runs: KL(N_p ‖ q) of the belief q from the Gaussian N_p of
-        the oracle's mean and covariance; of the oracle's rows the KL(p ‖ N_p) of the oracle p from
-        that Gaussian. Where p is a density, KL(p ‖ q) is the sum of both. NaN of an oracle's row
-        if its beliefs tell no such KL, by ``non_gaussianity()``: draws have no density.
-    rmse : mapping of str to float
+    by_oracle : mapping of str to Judgement
+        The judgement of each oracle that has beliefs of this kind: KL(N_p ‖ q) of the belief q from
+        the Gaussian N_p of the oracle's mean and covariance. Of an oracle's row, its own is the
+        KL(p ‖ N_p) of the oracle p from that Gaussian, NaN if its beliefs tell none by
+        ``non_gaussianity()``, as draws, which have no density; that of another oracle tells how far
+        the two disagree. Where p is a density, KL(p ‖ q) is the sum of both.
+    rmse, rmse_error : mapping of str to float
         By component, in its units, over runs and steps; of angles, of wrapped errors.
     nees_by_step : ndarray
         (T+1,): the NEES, mean over runs.
-    nees, nees_expected : float
-        Its mean over steps, and what a right belief has: the number of components that are known.
+    nees, nees_error, nees_expected : float
+        Its mean over steps, its error, and what a right belief has: the number of components that
+        are known.
+    log_score, log_score_error : float
+        The log-density of the truth, in nats, the mean over runs and steps; see
+        `pgm.consistency.log_score`.
     log_evidence : float
         ln p(measurements), the mean over runs.
     log_evidence_kind : str
         ``exact``, ``linearised``, ``laplace``, ``merged``, ``grid``, and so on.
     seconds : float
-        Duration of the one call, with work done once in a process; NaN of beliefs that came with
-        another row's, or were given.
+        Duration of the one call, with work done once in a process, of an oracle that was run with
+        several seeds of all of them; NaN of beliefs that came with another row's, or were given.
     converged : float
         The share of runs whose iterations have settled; NaN of a schedule without iterations.
     left_out : int
-        The number of steps that KL and NEES leave out.
+        The number of steps that KL, NEES and log-score leave out.
     error : str
         Why the run failed, in words; empty if it did not.
 
@@ -73,11 +82,15 @@ class Row(Shown):
     schedule: str
     state: Variable
     kind: Kind
-    kl_by_step: Array
-    rmse: Mapping[str, float]
+    by_oracle: Mapping[str, Judgement]
     nees_by_step: Array
+    rmse: Mapping[str, float] = field(default_factory=dict)
+    rmse_error: Mapping[str, float] = field(default_factory=dict)
     nees: float = np.nan
+    nees_error: float = np.nan
     nees_expected: float = np.nan
+    log_score: float = np.nan
+    log_score_error: float = np.nan
     log_evidence: float = np.nan
     log_evidence_kind: str = ""
     seconds: float = np.nan
@@ -86,26 +99,49 @@ class Row(Shown):
     error: str = ""
 
     def __post_init__(self) -> None:
-        for name in ("kl_by_step", "nees_by_step"):
-            getattr(self, name).flags.writeable = False
-        object.__setattr__(self, "rmse", MappingProxyType(dict(self.rmse)))
+        self.nees_by_step.flags.writeable = False
+        for name in _MAPPINGS:
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+
+    @property
+    def _judgement(self) -> Judgement:
+        """The first oracle's judgement; one of NaN without any."""
+        return next(iter(self.by_oracle.values()), Judgement.none(len(self.nees_by_step)))
+
+    @property
+    def kl_by_step(self) -> Array:
+        """(T+1,), in nats: the KL of the first oracle in `by_oracle`, the mean over runs."""
+        return self._judgement.kl_by_step
+
+    @property
+    def kl_error_by_step(self) -> Array:
+        """(T+1,): the Monte Carlo standard errors of `kl_by_step`; see `Judgement`."""
+        return self._judgement.error_by_step
 
     @property
     def kl(self) -> float:
         """The mean over steps of `kl_by_step`, in nats."""
-        return mean_of_known(self.kl_by_step)
+        return self._judgement.kl
+
+    @property
+    def kl_error(self) -> float:
+        """The Monte Carlo standard error of `kl`: 0 of an oracle without draws, NaN if unknown."""
+        return self._judgement.error
 
     @property
     def kl_most(self) -> float:
         """The largest of `kl_by_step`."""
-        step = self.kl_step
-        return np.nan if step is None else float(self.kl_by_step[step])
+        return self._judgement.kl_most
 
     @property
     def kl_step(self) -> int | None:
         """The step where the KL is largest; None without any."""
-        known = ~np.isnan(self.kl_by_step)
-        return int(np.nanargmax(self.kl_by_step)) if known.any() else None
+        return self._judgement.kl_step
+
+    @property
+    def weak(self) -> str:
+        """Why the first oracle is too weak for this row, in words; empty where it is not."""
+        return self._judgement.weak
 
     @property
     def _title(self) -> str:
@@ -114,9 +150,11 @@ class Row(Shown):
     def _summary(self) -> Summary:
         figures = [
             ("KL [nats]", self.kl),
+            ("its standard error", self.kl_error),
             *((f"RMSE {label}", value) for label, value in self.rmse.items()),
             ("NEES", self.nees),
             ("NEES expected", self.nees_expected),
+            ("log-score", self.log_score),
             ("log-evidence", self.log_evidence),
             ("seconds", self.seconds),
         ]
@@ -126,16 +164,19 @@ class Row(Shown):
 
     def __getstate__(self) -> dict[str, Any]:
         # Read-only views of mappings cannot be pickled.
-        return self.__dict__ | {"rmse": dict(self.rmse)}
+        return self.__dict__ | {name: dict(getattr(self, name)) for name in _MAPPINGS}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self.__post_init__()
 
 
+_MAPPINGS = ("by_oracle", "rmse", "rmse_error")
+
+
 @dataclass(frozen=True, eq=False)
 class Name:
-    """The key of a row: lineariser, schedule, state, and kind of belief."""
+    """The key of a row: lineariser or label, schedule, state, and kind of belief."""
 
     lineariser: str
     schedule: str
@@ -143,41 +184,52 @@ class Name:
     kind: Kind
 
 
-def judge(
+def scored(
     name: Name,
     belief: Gaussian,
-    oracle: Gaussian | None,
     truth: Array | None,
-    *,
-    own: Array | None = None,
+    kept: Mask,
+    judgements: Mapping[str, Judgement],
     **rest: Any,
 ) -> Row:
-    """The row of a belief over steps.
+    """The row of a belief over steps, judged by oracles already, and scored against the truth.
 
     belief: (*runs, T+1, d).
-    oracle: The same.
     truth: (*runs, T+1, d), NaN where it is not known, or one for all runs.
-    own: (T+1,): the KL of an oracle's own row, in place of that from another one.
+    kept: (T+1,): the steps whose NEES and log-score count.
     **rest: Other attributes of the row.
     """
-    kept = proper(belief)
-    if oracle is not None:
-        kept &= proper(oracle)
-    kl, nees = np.full(kept.size, np.nan), np.full(kept.size, np.nan)
-    rmse = {} if truth is None else _rmse(belief, truth)
-    if own is not None:
-        kl[kept] = own[kept]
-    if oracle is not None and kept.any():
-        found = consistency.kl(oracle[..., kept], belief[..., kept])
-        kl[kept] = found.reshape(-1, found.shape[-1]).mean(axis=0)
-    if truth is not None and kept.any():
-        average = consistency.anees(belief[..., kept], truth[..., kept, :])
-        overall = average.overall()
-        nees[kept] = average.value
-        rest |= {"nees": float(overall.value), "nees_expected": float(overall.expected)}
-    judged = truth is not None or oracle is not None or own is not None
+    nees = np.full(kept.size, np.nan)
+    if truth is not None:
+        rest |= _rmse(name.state, consistency.error(belief, truth))
+        if kept.any():
+            own, known = belief[..., kept], truth[..., kept, :]
+            average = consistency.anees(own, known)
+            nees[kept] = average.value
+            overall = average.overall()
+            score = consistency.log_score(own, known)
+            squares = consistency.nees(own, known)
+            mean, error = over_runs(score)
+            rest |= {
+                "nees": float(overall.value),
+                "nees_error": over_runs(squares)[1],
+                "nees_expected": float(overall.expected),
+                "log_score": mean,
+                "log_score_error": error,
+            }
+    judged = truth is not None or bool(judgements)
     rest["left_out"] = int((~kept).sum()) if judged else 0
-    return Row(**vars(name), kl_by_step=kl, rmse=rmse, nees_by_step=nees, **rest)
+    return Row(**vars(name), by_oracle=judgements, nees_by_step=nees, **rest)
+
+
+def of_track(name: Name, values: Array, truth: Array | None, **rest: Any) -> Row:
+    """The row of values without covariances, (*runs, T+1, d), NaN where none is known."""
+    scores: dict[str, Any] = {}
+    if truth is not None:
+        errors = difference(values, np.broadcast_to(truth, values.shape), name.state.angle_mask)
+        scores = _rmse(name.state, errors)
+    none = np.full(values.shape[-2], np.nan)
+    return Row(**vars(name), by_oracle={}, nees_by_step=none, **scores, **rest)
 
 
 def failed(name: Name, steps: int, truth: Array | None, error: Exception, **rest: Any) -> Row:
@@ -186,13 +238,12 @@ def failed(name: Name, steps: int, truth: Array | None, error: Exception, **rest
     steps: T + 1.
     **rest: Other attributes of the row.
     """
-    none = np.full(steps, np.nan)
     components = labels((name.state,)) if truth is not None else ()
     return Row(
         **vars(name),
-        kl_by_step=none,
+        by_oracle={},
         rmse=dict.fromkeys(components, np.nan),
-        nees_by_step=none.copy(),
+        nees_by_step=np.full(steps, np.nan),
         error=f"{type(error).__name__}: {error}",
         **rest,
     )
@@ -205,16 +256,30 @@ def proper(belief: Gaussian) -> Mask:
     return np.asarray(regular.reshape(-1, regular.shape[-1]).all(axis=0))
 
 
-def mean_of_known(values: Array) -> float:
-    """The mean of the entries that are not NaN; NaN if there are none."""
-    known = values[~np.isnan(values)]
-    return float(known.mean()) if known.size else np.nan
+def over_runs(values: Array) -> tuple[float, float]:
+    """The mean of values (*runs, T+1) that are not NaN, and its standard error over runs.
+
+    Runs are independent, steps of one run are not: the error is that of the ratio of the sum of
+    each run's values to their number, NaN of a single run.
+    """
+    known = ~np.isnan(values)
+    count = known.reshape(-1, known.shape[-1]).sum(axis=-1)
+    total = np.where(known, values, 0.0).reshape(len(count), -1).sum(axis=-1)
+    if not count.sum():
+        return np.nan, np.nan
+    mean = float(total.sum() / count.sum())
+    runs = len(count)
+    if runs < 2:
+        return mean, np.nan
+    parts = (total - mean * count) / count.sum()
+    return mean, float(np.sqrt(runs / (runs - 1.0) * (parts**2).sum()))
 
 
-def _rmse(belief: Gaussian, truth: Array) -> dict[str, float]:
-    """The root mean square error of each component; NaN where its truth is never known."""
-    errors = np.moveaxis(consistency.error(belief, truth), -1, 0)
-    return {
-        label: float(np.sqrt(mean_of_known(error**2)))
-        for label, error in zip(labels(belief.scope), errors, strict=True)
-    }
+def _rmse(state: Variable, errors: Array) -> dict[str, dict[str, float]]:
+    """The root mean square error of each component, and its error; NaN where never known."""
+    rmse, error = {}, {}
+    for label, each in zip(labels((state,)), np.moveaxis(errors, -1, 0), strict=True):
+        square, spread = over_runs(each**2)
+        rmse[label] = float(np.sqrt(square))
+        error[label] = spread / (2.0 * rmse[label]) if rmse[label] > 0.0 else spread
+    return {"rmse": rmse, "rmse_error": error}

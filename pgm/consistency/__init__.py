@@ -7,7 +7,7 @@ are. Results say how many they are made of, as their `count`.
 
 from pgm.consistency.autocorrelation import Whiteness, whiteness
 from pgm.consistency.averages import Average, anees, anis, average, mean_band
-from pgm.consistency.errors import error, kl, nees, nis, rmse
+from pgm.consistency.errors import error, kl, log_score, nees, nis, rmse
 from pgm.consistency.over_time import OverTime, over_time, rmse_over_time
 from pgm.consistency.ranking import Ranked, Ranking, ranking
 from pgm.consistency.regions import Coverage, coverage
@@ -25,6 +25,7 @@ __all__ = [
     "coverage",
     "error",
     "kl",
+    "log_score",
     "mean_band",
     "nees",
     "nis",

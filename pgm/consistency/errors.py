@@ -244,17 +244,66 @@ def nees_and_dof(
     belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str]
 ) -> tuple[Array, Integers]:
     """The NEES, and its degrees of freedom: how many of the components are known, (...)."""
+    squares, dof, _ = _normalised(belief, truth, components)
+    return squares, dof
+
+
+@public
+def log_score(belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str] = ()) -> Array:
+    """The log-density ln N(x; μ, P) of the truth x, in nats, (*runs, T+1): more is better.
+
+    −½ (eᵀP⁻¹e + ln |2πP|), e = μ − x, angles wrapped. On average over truths that the posterior p
+    draws it is the largest for p itself, and less by KL(p ‖ N) for another: it pays for being
+    sharp and for being right. Where the truth of some components is not known it is that of the
+    others, and NaN where that of none is.
+
+    Parameters
+    ----------
+    belief : Gaussian
+    truth : array_like
+        (..., n), its leading axes as `error` asks for.
+    components : sequence of str
+        Whose marginal is judged; all without.
+
+    Raises
+    ------
+    ModelError
+        If the truth or a component does not fit the belief.
+    NumericalError
+        If a covariance is singular or infinite.
+
+    Examples
+    --------
+    >>> x = pgm.Variable("x")
+    >>> belief = pgm.Gaussian(x, mean=[0.0], cov=[1.0])
+    >>> float(pgm.consistency.log_score(belief, [1.0]).round(4))
+    -1.4189
+
+    References
+    ----------
+    Gneiting & Raftery, Strictly proper scoring rules, prediction, and estimation, 2007.
+    """
+    squares, dof, log_det = _normalised(belief, truth, components)
+    return np.asarray(-0.5 * (squares + dof * np.log(2.0 * np.pi) + log_det))
+
+
+def _normalised(
+    belief: Gaussian, truth: npt.ArrayLike, components: Sequence[str]
+) -> tuple[Array, Integers, Array]:
+    """eᵀP⁻¹e, its degrees of freedom and ln |P|, (...) each, of the components that are known."""
     chosen = places(belief, components)
     errors = error(belief, truth)[..., chosen]
     known = ~np.isnan(errors)
     lower = roots.root(independent(block(belief.cov, chosen, chosen), known))
+    pivots = np.diagonal(lower, axis1=-2, axis2=-1)
     # A root that does not exist is NaN.
-    faulty = ~(np.diagonal(lower, axis1=-2, axis2=-1) > 0.0)
+    faulty = ~(pivots > 0.0)
     if faulty.any():
         raise _no_scale(belief, [labels(belief.scope)[k] for k in chosen], faulty)
     white = solving.whiten(lower, np.where(known, errors, 0.0))
     dof = known.sum(axis=-1)
-    return np.where(dof > 0, inner(white, white), np.nan), dof
+    squares = np.where(dof > 0, inner(white, white), np.nan)
+    return squares, dof, 2.0 * np.log(pivots).sum(axis=-1)
 
 
 def _no_scale(belief: Gaussian, judged: list[str], faulty: Mask) -> NumericalError:

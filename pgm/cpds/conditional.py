@@ -184,6 +184,13 @@ class ConditionalGaussian(CPD):
         found._set(noise=None)
         return found
 
+    def _with_noise(self, noise: RobustNoise) -> Self:
+        """The CPD with robust noise of the same scale."""
+        found = object.__new__(type(self))
+        found.__dict__.update(self._bare())
+        found._set_noise(noise)
+        return found
+
     def _set_noise(self, noise: RobustNoise | None) -> None:
         if noise is None:
             return

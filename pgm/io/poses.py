@@ -18,9 +18,10 @@ from pgm.io.alignment import PoseErrors
 from pgm.io.dropped import BACKWARDS, Dropped
 from pgm.io.sources import Origin
 from pgm.io.stamped import as_stamps, clock
-from pgm.io.trajectories import increasing, trajectory
+from pgm.io.trajectories import along, increasing, trajectory
 from pgm.kernels import quaternions
 from pgm.kernels.arrays import Array, Integers, frozen
+from pgm.variables import Variable
 
 BEFORE = "of the frame before the trajectory was aligned"
 REPEATED = "of a stamp seen before"
@@ -283,6 +284,70 @@ class Poses(Shown, NoArray, Immutable):
         errors = alignment.relative(places, turns, int(step))
         kind = f"of the motion over {count(int(step), 'row')}"
         return PoseErrors(kind, self.times[rows[int(step) :]], *errors, len(self.times) - rows.size)
+
+    @public
+    def along(
+        self,
+        variable: Variable,
+        *,
+        times: npt.ArrayLike,
+        position: Sequence[str],
+        heading: str | None,
+        pitch: str | None = None,
+        roll: str | None = None,
+        tolerance: float = 0.01,
+    ) -> Array:
+        """The values of a state at the times of its steps, as a truth or a row of `pgm.compare`.
+
+        A step has the pose that is nearest in time, within a tolerance. `align` comes before, where
+        the trajectory is in a frame of its own.
+
+        Parameters
+        ----------
+        variable : Variable
+            The state, of d components.
+        times : array_like
+            (T+1,): of its steps, seconds, increasing; `Timeline` has them as ``times``.
+        position : sequence of str
+            The components that are x and y, or x, y and z, in units of length.
+        heading : str or None
+            The component that is yaw; None for a state without.
+        pitch, roll : str, optional
+            The components that are the other angles.
+        tolerance : float, optional
+            How far apart in time a step and its pose may be, seconds.
+
+        Returns
+        -------
+        ndarray
+            (T+1, d): NaN at steps without a pose, and in components that are not named.
+
+        Raises
+        ------
+        ModelError
+            If a component is not there, is named twice or, of an angle, was not declared as one; or
+            if a position is in no unit of length.
+        EvidenceError
+            If times are not finite or do not increase, no pose is near a step, or the tolerance is
+            none.
+
+        Examples
+        --------
+        >>> x = pgm.Variable("x", components=("east", "north", "speed"))
+        >>> still = np.tile([0.0, 0.0, 0.0, 1.0], (2, 1))
+        >>> drive = pgm.Poses([0.0, 1.0], [[1.0, 2.0, 0.0], [3.0, 4.0, 0.0]], still)
+        >>> drive.along(x, times=[1.0, 2.0], position=("east", "north"), heading=None)
+        array([[ 3.,  4., nan],
+               [nan, nan, nan]])
+        """
+        if not isinstance(variable, Variable):
+            raise ModelError(f"along takes a state, a pgm.Variable, not {titled(variable)}")
+        stamps = increasing(times)
+        steps, rows = alignment.matched(stamps, self.times, tolerance)
+        each = self.position[rows], quaternions.angles(self.orientation[rows])
+        values = np.full((stamps.size, variable.dimension), np.nan)
+        values[steps] = along(variable, each, position, heading, pitch, roll)
+        return values
 
     def _pairs(self, reference: Any, tolerance: float) -> tuple[Integers, Integers]:
         if not isinstance(reference, Poses):

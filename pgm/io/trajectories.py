@@ -17,6 +17,7 @@ from pgm.factors.scope import listed
 from pgm.io.stamped import as_stamps, clock
 from pgm.kernels.arrays import Array
 from pgm.units import LENGTH, factor, in_words, of_quantity
+from pgm.variables import Variable
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,11 +45,8 @@ def trajectory(
     names = (*straight, *(name for name in (roll, pitch, heading) if name is not None))
     places = _places(gaussian, names)
     for name in (roll, pitch, heading):
-        if name is not None and not gaussian.angles[gaussian.components.index(name)]:
-            raise ModelError(
-                f"{name!r} of {gaussian._title} is no angle; declare it as one, in radians: "
-                f"pgm.Variable(..., angles=({name!r},))"
-            )
+        if name is not None:
+            _require_angle(gaussian, name)
     stamps, steps = increasing(times), len(gaussian.mean)
     if stamps.size != steps:
         raise EvidenceError(f"times= has {stamps.size} of them, and the belief {steps} steps")
@@ -69,6 +67,37 @@ def trajectory(
             "nothing; take the steps from which on it is known, belief[k:]"
         )
     return Trajectory(stamps, xyz, angles, names, cov)
+
+
+def along(
+    variable: Variable,
+    rows: tuple[Array, Array],
+    position: Any,
+    heading: str | None,
+    pitch: str | None,
+    roll: str | None,
+) -> Array:
+    """Values (n, d) of a variable from places and angles (n, 3) each; see `Poses.along`."""
+    any_belief = Gaussian(variable, np.zeros(variable.dimension), 1.0)
+    straight = _position(position)
+    turned = [(k, name) for k, name in enumerate((roll, pitch, heading)) if name is not None]
+    places = _places(any_belief, (*straight, *(name for _, name in turned)))
+    xyz, angles = rows
+    found = np.full((len(xyz), variable.dimension), np.nan)
+    for k, name in enumerate(straight):
+        found[:, places[k]] = xyz[:, k] / _metres(any_belief, name)
+    for place, (k, name) in zip(places[len(straight) :], turned, strict=True):
+        _require_angle(any_belief, name)
+        found[:, place] = angles[:, k]
+    return found
+
+
+def _require_angle(gaussian: Gaussian, name: str) -> None:
+    if not gaussian.angles[gaussian.components.index(name)]:
+        raise ModelError(
+            f"{name!r} of {gaussian._title} is no angle; declare it as one, in radians: "
+            f"pgm.Variable(..., angles=({name!r},))"
+        )
 
 
 def _gaussian(belief: Any) -> Gaussian:

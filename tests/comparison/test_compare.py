@@ -418,7 +418,7 @@ CHAIN = pgm.DynamicBayesianNetwork(
         ({"schedules": ["filter"]}, "'filter' is no schedule of a dynamic network"),
         ({"schedules": [pgm.Flooding()]}, "is no schedule of a dynamic network"),
         ({"oracle": 3}, "oracle= is a pgm.Grid.*not int"),
-        ({"oracle": FILTERED}, "beliefs are filtered, and a schedule's are smoothed"),
+        ({"oracle": FILTERED}, "beliefs are filtered, and a row's are smoothed"),
         (
             {"oracle": Own(FILTERED[a][1:], pgm.Kind(0)), "schedules": [pgm.Filtering()]},
             r"means of shape \(12, 1\); \(13, 1\) was due",
@@ -450,7 +450,7 @@ def test_what_does_not_fit_is_refused_before_any_run(given, told, monkeypatch):
     def ran(*_, **__):
         raise AssertionError("work was started")
 
-    monkeypatch.setattr("pgm.comparison.comparing.send", ran)
+    monkeypatch.setattr("pgm.comparison.entries.send", ran)
     given = {"model": bent(), "evidence": SQUARES, "steps": T} | given
     with pytest.raises(ModelError, match=told):
         pgm.compare(given.pop("model"), given.pop("evidence"), **given)

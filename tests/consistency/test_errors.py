@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.stats import multivariate_normal
 
 import pgm
 from pgm import consistency
@@ -81,6 +82,27 @@ def test_kl_of_one_dimension_and_across_the_turn():
     assert_allclose(consistency.kl(p, q), due, rtol=1e-12)
     with pytest.raises(pgm.ModelError, match="scope"):
         consistency.kl(p, pgm.Gaussian(b, [0.0], [[1.0]]))
+
+
+def test_log_scores_are_log_densities():
+    """SciPy's of the components that are known, and of none NaN."""
+    rng = np.random.default_rng(3)
+    root = rng.normal(size=(4, 3, 3))
+    belief = pgm.Gaussian(x, rng.normal(size=(4, 3)), root @ root.swapaxes(1, 2) + np.eye(3))
+    truth = rng.normal(size=(4, 3))
+    truth[1, 1], truth[2], truth[3, 2] = np.nan, np.nan, truth[3, 2] + 4 * np.pi
+    found = consistency.log_score(belief, truth)
+    assert np.isnan(found[2])
+    off = consistency.error(belief, truth)
+    for k, known in ((0, [0, 1, 2]), (1, [0, 2]), (3, [0, 1, 2])):
+        law = multivariate_normal(cov=belief.cov[k][np.ix_(known, known)])
+        assert found[k] == pytest.approx(law.logpdf(off[k, known]))
+    alone = consistency.log_score(belief, truth, ("north",))
+    assert alone[0] == pytest.approx(
+        multivariate_normal(belief.mean[0, 1], belief.cov[0, 1, 1]).logpdf(truth[0, 1])
+    )
+    with pytest.raises(pgm.NumericalError, match="singular"):
+        consistency.log_score(pgm.Gaussian(x, np.zeros(3), np.diag([1.0, 0.0, 1.0])), np.zeros(3))
 
 
 def test_refusals():

@@ -242,6 +242,9 @@ def filtered():
         "ranked": consistency.ranking(one.innovations)[0],
         "whiteness": consistency.whiteness(many.innovations[Z]),
         "comparison": pgm.compare(model, drawn.evidence, truth={X: drawn[X]}),
+        "judgement": pgm.compare(model, drawn.evidence, oracle=pgm.smooth(model, drawn.evidence))
+        .rows[1]
+        .by_oracle["oracle"],
         "row": pgm.compare(model, drawn.evidence, truth={X: drawn[X]}).rows[0],
     }
 

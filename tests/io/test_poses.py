@@ -276,3 +276,49 @@ def test_euroc_in_its_odd_forms():
 def test_euroc_files_that_are_none(text, said):
     with pytest.raises(pgm.FileError, match=said):
         pgm.read_euroc(io.StringIO(text))
+
+
+def test_values_of_a_state_along_its_steps():
+    """In its units, at the nearest poses; NaN where there is none, and in other components."""
+    km = pgm.Variable(
+        "x",
+        components=("speed", "east", "north", "up", "yaw", "roll"),
+        units=("m/s", "km", "km", "km", "rad", "rad"),
+        angles=("yaw", "roll"),
+    )
+    path = walk(5)
+    names = {"position": ("east", "north", "up"), "heading": "yaw", "roll": "roll"}
+    found = path.along(km, times=[-1.0, 0.1, 0.205, 0.26], **names)
+    assert np.isnan(found[:, 0]).all()
+    assert np.isnan(found[[0, 3]]).all()
+    assert_allclose(found[1:3, 1:4], path.position[1:3] / 1000.0)
+    turned = Rotation.from_quat(path.orientation[1:3]).as_euler("ZYX")
+    assert_allclose(found[1:3, 4:], turned[:, [0, 2]], atol=1e-12)
+    near = path.along(km, times=[0.26], tolerance=0.05, **names)
+    assert_allclose(near[0, 1:4], path.position[3] / 1000.0)
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"position": ("east", "place")}, "has no component 'place'"),
+        ({"heading": "east"}, "named twice"),
+        ({"heading": "north", "position": ("east", "speed")}, "speed.*no position"),
+        ({"heading": "north", "position": ("east", "up")}, "'north' of .* is no angle"),
+        ({"position": "east"}, "position= names two components or three"),
+        ({"times": [100.0]}, "no pose of"),
+        ({"times": [1.0, 0.0]}, "do not increase"),
+    ],
+)
+def test_values_that_cannot_be_found_are_refused(given, told):
+    flat = pgm.Variable(
+        "x", components=("east", "north", "up", "speed"), units=("m", "m", "m", "m/s")
+    )
+    asked = {"times": [0.1], "position": ("east", "north"), "heading": None} | given
+    with pytest.raises((pgm.ModelError, pgm.EvidenceError), match=told):
+        walk(5).along(flat, **asked)
+
+
+def test_only_variables_have_values_along_poses():
+    with pytest.raises(pgm.ModelError, match="along takes a state, a pgm\\.Variable, not 'x'"):
+        walk(5).along("x", times=[0.1], position=("east", "north"), heading=None)

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from math import inf
 from types import MappingProxyType
 from typing import Any, ClassVar
 
@@ -41,6 +42,8 @@ from pgm.posteriors.outcome import Outcome
 from pgm.posteriors.status import Status
 from pgm.posteriors.summaries import over_time
 from pgm.resources import require_memory
+from pgm.schedules.options import Call
+from pgm.schedules.schedule import Filtering, FixedLag, Schedule, Smoothing
 from pgm.variables import Variable
 
 
@@ -98,6 +101,14 @@ class ParticleOutcome(Outcome[ParticleBelief]):
     def family(self) -> ParticleSettings:
         """The family of beliefs that was given: the same as `particles`."""
         return self.particles
+
+    def again(self, seed: int) -> ParticleOutcome:
+        """The posterior of the same evidence by particles that are drawn with another seed."""
+        schedule: Schedule = FixedLag(int(self.kind.lag)) if self.kind.lag < inf else Smoothing()
+        call = Call(Filtering() if self.kind == FILTERED else schedule)
+        family: Any = self.particles.with_seed(seed)
+        found: ParticleOutcome = family.infer(self.graph, self._model.bound, call)
+        return found
 
     @property
     def readings(self) -> Sequence[Reading]:

@@ -1,6 +1,6 @@
 """A user's choice of particles: how many there are, and how they are drawn and replaced."""
 
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -213,6 +213,10 @@ class ParticleSettings(InCode, Immutable):
             impossible=impossible,
             dtype=np.dtype(dtype).type,
         )
+
+    def with_seed(self, seed: int) -> Self:
+        """The same settings with another seed, whose draws are independent of these ones'."""
+        return type(self)(**(self.__dict__ | {"seed": seed}))
 
     @property
     def most(self) -> int:

@@ -15,7 +15,7 @@ import numpy as np
 from pgm.factors import Gaussian
 from pgm.inference.audit.compared import Compared
 from pgm.inference.audit.mixture import Mixture
-from pgm.kernels import roots
+from pgm.kernels import roots, sampled
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import (
     Array,
@@ -25,7 +25,12 @@ from pgm.kernels.arrays import (
     transpose,
 )
 from pgm.kernels.divergence import from_gaussian
+from pgm.kernels.sampled import Spread
 from pgm.variables import Variable
+
+# The groups of draws by which the errors of estimated moments are told; and the floats of their
+# sums at the most, above which there is a single group, and errors are not told.
+GROUPS, ROOM = 16, 2**23
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -33,6 +38,8 @@ class ComparedMoments(Compared):
     """Exact moments of a belief, estimated, beside the Gaussian answer's.
 
     mean, cov: The estimated exact moments, (steps, runs, n) and (steps, runs, n, n).
+    spread: The parts of groups of draws in their errors, (G, steps, runs, ...); None where they
+        are not asked for.
 
     The divergence is KL(N(mean, cov) ‖ the Gaussian answer's belief of the scope), infinite where
     `cov` is not positive definite.
@@ -40,6 +47,7 @@ class ComparedMoments(Compared):
 
     mean: Array
     cov: Array
+    spread: Spread | None = None
 
     @property
     def freedom(self) -> float:
@@ -51,6 +59,10 @@ class ComparedMoments(Compared):
         """The exact moments as a Gaussian, its leading axes the runs, `lead`, then steps if any."""
         mean, cov = self._stacked(self.mean, lead), self._stacked(self.cov, lead)
         return Gaussian._make(self.scope, mean, cov, self.steps)
+
+    def errors(self, spread: Spread, lead: tuple[int, ...]) -> Spread:
+        """The parts of groups in the errors of the moments, (G, *lead, steps, ...)."""
+        return Spread(*(np.stack([self._stacked(p, lead) for p in parts]) for parts in spread))
 
 
 @dataclass(eq=False)
@@ -73,9 +85,13 @@ class Sums:
     plain : bool
         Whether q, whose draws these are, need not have the answer's moments, so that they are of no
         use as control variates.
-    _offsets, _squares : ndarray
-        (2, steps, runs, n) and (2, steps, runs, n, n): the sums of δ and of δ δᵀ, weighed by y and
-        by v.
+    _mass, _offsets, _squares : ndarray
+        (2, G, runs), (2, G, steps, runs, n) and (2, G, steps, runs, n, n): the sums of weights y
+        and v, and of δ and δ δᵀ weighed by them. There are G groups of draws, from which the error
+        of a variable's moments is told; other scopes have a single one, and so have variables of so
+        many runs and steps that the sums would take too much memory.
+    _draws : ndarray
+        (G,): the number of draws in each group.
     """
 
     scope: tuple[Variable, ...]
@@ -86,12 +102,18 @@ class Sums:
     judged: Mask
     timed: bool
     plain: bool = False
+    _mass: Array = field(init=False)
     _offsets: Array = field(init=False)
     _squares: Array = field(init=False)
+    _draws: Array = field(init=False)
 
     def __post_init__(self) -> None:
-        self._offsets = np.zeros((2, *self.mean.shape))
-        self._squares = np.zeros((2, *self.cov.shape))
+        told = len(self.scope) == 1 and GROUPS * self.cov.size <= ROOM
+        groups = GROUPS if told else 1
+        self._mass = np.zeros((2, groups, self.mean.shape[1]))
+        self._offsets = np.zeros((2, groups, *self.mean.shape))
+        self._squares = np.zeros((2, groups, *self.cov.shape))
+        self._draws = np.zeros(groups)
 
     def add(self, values: list[Array], pair: Array, fading: Array) -> None:
         """Add the offsets of S draws for each run to the sums, weighed by y and by v.
@@ -103,15 +125,29 @@ class Sums:
         fading: e^(peak before − peak now), (runs,), by which the sums of earlier draws with weights
             y are multiplied.
         """
+        self._mass[0] *= fading
         self._offsets[0] *= fading[:, None]
         self._squares[0] *= fading[:, None, None]
         angles = np.concatenate([each.angle_mask for each in self.scope])
+        grouped = self._grouped(pair)
+        self._mass += grouped.sum(axis=-1).swapaxes(1, 2)
+        self._draws += self._grouped(np.ones(pair.shape[-1])).sum(axis=-1)
         for row, drawn in enumerate(values[self.first :]):
             off = difference(drawn[..., self.places], self.mean[row][:, None], angles)
-            for kind, weights in enumerate(pair):
-                weighted = transpose(off * weights[..., None])
-                self._offsets[kind, row] += weighted.sum(axis=-1)
-                self._squares[kind, row] += weighted @ off
+            parts = self._grouped(off.swapaxes(-1, -2))  # (runs, n, G, draws)
+            draws = parts.transpose(2, 0, 3, 1)
+            for kind, weights in enumerate(grouped):
+                weighted = (parts * weights[:, None]).transpose(2, 0, 1, 3)
+                self._offsets[kind, :, row] += weighted.sum(axis=-1)
+                self._squares[kind, :, row] += weighted @ draws
+
+    def _grouped(self, values: Array) -> Array:
+        """Values (..., S) of draws in turn of each group, (..., G, S/G), with zeros at the end."""
+        groups = self._draws.size
+        missing = -values.shape[-1] % groups
+        if missing:
+            values = np.concatenate([values, np.zeros((*values.shape[:-1], missing))], axis=-1)
+        return values.reshape(*values.shape[:-1], -1, groups).swapaxes(-1, -2)
 
     def compared(self, mixture: Mixture) -> ComparedMoments:
         """The exact moments, from all draws, beside the Gaussian's.
@@ -126,26 +162,20 @@ class Sums:
         the result is no proper covariance, or the sums are `plain`, the moments weighed by y alone
         are taken. Components in which the Gaussian has no variance are not compared.
         """
-        weights, evidence = mixture.weighed.weights, mixture.evidence
-        lower, slope = roots.root(self.cov), evidence.slope * (not self.plain)
-        total = weights.sum(-1) if self.plain else weights.shape[-1] * evidence.value
-        own = (slope / evidence.value)[:, None, None] * self.cov
-        offset, cov = _moments(
-            (self._offsets[0] - slope[:, None] * self._offsets[1]) / total[:, None],
-            (self._squares[0] - slope[:, None, None] * self._squares[1]) / total[:, None, None]
-            + own,
-        )
+        evidence = mixture.evidence
+        lower = roots.root(self.cov)
+        slope = np.broadcast_to(evidence.slope * (not self.plain), lower.shape[:2])
+        offset, cov = _moments(*self._weighed(slope))
         divergence = from_gaussian(lower, offset, cov)
         lost = ~np.isfinite(divergence)
         if lost.any():
-            total = weights.sum(axis=-1)
-            plain = _moments(
-                self._offsets[0] / total[:, None], self._squares[0] / total[:, None, None]
-            )
-            offset = np.where(lost[..., None], plain[0], offset)
-            cov = np.where(lost[..., None, None], plain[1], cov)
-            divergence = np.where(lost, from_gaussian(lower, *plain), divergence)
+            slope = np.where(lost, 0.0, slope)
+            offset, cov = _moments(*self._weighed(slope))
+            divergence = from_gaussian(lower, offset, cov)
         steps = np.arange(self.first, self.first + len(cov)) if self.timed else None
+        spread = None
+        if len(self._draws) > 1:
+            spread = sampled.spread(*self._weighed(slope), offset, cov)
         return ComparedMoments(
             scope=self.scope,
             steps=steps,
@@ -153,12 +183,29 @@ class Sums:
             judged=self.judged,
             mean=self.mean + offset,
             cov=cov,
+            spread=spread,
         )
 
+    def _weighed(self, slope: Array) -> tuple[Array, Array, Array]:
+        """The sums of weights y − β v + β, of offsets and of squares, by group.
 
-def _moments(offsets: Array, squares: Array) -> tuple[Array, Array]:
-    """The mean E δ (..., n) and covariance E δ δᵀ − E δ E δᵀ (..., n, n) of offsets δ.
+        slope: β, (steps, runs). Returns (G, steps, runs), (G, steps, runs, n) and
+        (G, steps, runs, n, n); β is added to the first for each draw, and β P to the last, the
+        expected values of β v and of β v δ δᵀ.
+        """
+        own = self._draws[:, None, None] * slope
+        mass = self._mass[0][:, None] - slope * self._mass[1][:, None] + own
+        offsets = self._offsets[0] - slope[..., None] * self._offsets[1]
+        squares = self._squares[0] - slope[..., None, None] * self._squares[1]
+        return mass, offsets, squares + own[..., None, None] * self.cov
 
-    `offsets` is E δ, `squares` (..., n, n) is E δ δᵀ.
+
+def _moments(mass: Array, offsets: Array, squares: Array) -> tuple[Array, Array]:
+    """The mean (..., n) and covariance (..., n, n) of offsets δ, from sums by group, (G, ...).
+
+    The sums are those of weights, of δ and of δ δᵀ.
     """
-    return offsets, symmetric(squares - offsets[..., :, None] * offsets[..., None, :])
+    total = mass.sum(axis=0)[..., None]
+    mean = offsets.sum(axis=0) / total
+    square = squares.sum(axis=0) / total[..., None]
+    return mean, symmetric(square - mean[..., :, None] * mean[..., None, :])

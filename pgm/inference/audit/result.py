@@ -11,10 +11,12 @@ from pgm.display import Listing, Shown, Summary, number
 from pgm.factors import Gaussian, Table
 from pgm.immutable import Immutable
 from pgm.inference.audit.compared import Compared
+from pgm.inference.audit.corrected import ComparedMoments
 from pgm.inference.audit.innovation_checks import InnovationCheck
 from pgm.inference.audit.mixture import Mixture
 from pgm.inference.audit.modes import Modes
 from pgm.kernels.arrays import Array, Integers, Mask, frozen
+from pgm.kernels.sampled import Spread
 from pgm.posteriors.summaries import spread
 from pgm.variables import Variable
 
@@ -176,6 +178,9 @@ class Audit(Shown, Immutable):
     missed: Array
     log_weights: Array
     innovations: Mapping[Variable, InnovationCheck]
+    # By variable, the parts that groups of draws have in the errors of its corrected moments,
+    # (G, ..., steps); of variables whose errors are kept.
+    _spreads: Mapping[Variable, Spread]
     _furthest: tuple[float, str]
     _unknown: str
 
@@ -221,6 +226,13 @@ class Audit(Shown, Immutable):
                 {v: each.divergences(lead) for v, each in alone.items()}
             ),
             innovations=MappingProxyType(dict(innovations)),
+            _spreads=MappingProxyType(
+                {
+                    v: each.errors(each.spread, lead)
+                    for v, each in alone.items()
+                    if isinstance(each, ComparedMoments) and each.spread is not None
+                }
+            ),
             _unknown=modes.reason,
             _furthest=max((each.furthest(lead) for each in compared), default=(0.0, "")),
         )

@@ -1,6 +1,5 @@
 """Comparisons over time: of linearisers and schedules, and of sensors by their innovations."""
 
-from collections.abc import Callable
 from typing import Any
 
 import matplotlib
@@ -12,7 +11,8 @@ from matplotlib.ticker import FixedLocator, NullLocator
 
 from pgm.arguments import public
 from pgm.boundary import is_whole
-from pgm.comparison import Comparison, Row
+from pgm.comparison import Comparison, Judgement, Row
+from pgm.comparison.judgement import BAND
 from pgm.consistency import Ranked, Ranking
 from pgm.display import number
 from pgm.errors import ModelError
@@ -32,11 +32,8 @@ from pgm.variables import Variable
 
 # Of linearisers, where the colours begin again; dashes are one a schedule.
 _MARKS = (None, "o", "s", "^", "D", "v")
-# The statistics that can be drawn, by name: at each step of a row, and the label of the axis.
-_STATISTICS: dict[str, tuple[Callable[[Row], Array], str]] = {
-    "kl": (lambda row: row.kl_by_step, "KL(oracle ‖ belief) [nats]"),
-    "nees": (lambda row: row.nees_by_step, "NEES"),
-}
+# The statistics that can be drawn, by name, with the label of the axis.
+_STATISTICS = {"kl": "KL(oracle ‖ belief) [nats]", "nees": "NEES"}
 
 _NEEDS = {"kl": "an oracle=", "nees": "a truth="}
 
@@ -48,13 +45,16 @@ def comparison(
     statistic: str = "kl",
     state: Variable | None = None,
     schedule: str | None = None,
+    oracle: str | None = None,
     times: npt.ArrayLike | None = None,
     ax: Axes | None = None,
 ) -> Axes:
-    """Draw a comparison over time on a logarithmic axis: a colour a lineariser, a style a schedule.
+    """Draw a comparison over time on a logarithmic axis: a colour a label, a style a schedule.
 
-    The oracle's own KL, from the Gaussian of its moments, is grey; zeros, which have no logarithm,
-    are left out. The legend names runs that failed.
+    A band about a KL is 1.96 of its Monte Carlo standard errors to either side, where the oracle is
+    made of draws. The oracle's own KL, from the Gaussian of its moments, is grey; zeros, which have
+    no logarithm, are left out. The legend names runs that failed, and by a "?" rows for which the
+    oracle is too weak.
 
     Parameters
     ----------
@@ -66,6 +66,8 @@ def comparison(
         The state that is drawn, if there are several.
     schedule : str, optional
         The name of the only one that is drawn; all without.
+    oracle : str, optional
+        The oracle whose KL is drawn, of several; the first without.
     times : array_like, optional
         (T+1,), for the horizontal axis; the steps themselves without.
     ax : matplotlib.axes.Axes, optional
@@ -74,8 +76,8 @@ def comparison(
     Raises
     ------
     ModelError
-        If it is no comparison, has no such statistic, state or schedule, or no state is named of
-        several.
+        If it is no comparison, has no such statistic, state, schedule or oracle, or no state is
+        named of several.
 
     Examples
     --------
@@ -87,14 +89,17 @@ def comparison(
         raise ModelError(f"comparison draws what pgm.compare returns, not a {type(found).__name__}")
     if statistic not in _STATISTICS:
         raise ModelError(f"statistic= is one of {list(_STATISTICS)}, not {statistic!r}")
-    of, label = _STATISTICS[statistic]
+    if oracle is not None and oracle not in found.oracles:
+        raise ModelError(f"the comparison has no oracle {oracle!r}; it has {list(found.oracles)}")
+    label = _STATISTICS[statistic]
+    name = oracle or next(iter(found.oracles), "")
     rows = _chosen(found, state, schedule)
-    if all(np.isnan(of(row)).all() for row in rows):
+    if all(np.isnan(_values(row, statistic, name)).all() for row in rows):
         raise ModelError(
             f"no row has a {statistic}: give pgm.compare {_NEEDS[statistic]}, or see the rows' "
             "errors"
         )
-    across, name = along(np.arange(found.steps + 1), times)
+    across, axis = along(np.arange(found.steps + 1), times)
     ax = given_or_new(ax)
     ax.set_yscale("log")
     linearisers, schedules = ([*dict.fromkeys(names)] for names in _names(rows))
@@ -107,19 +112,45 @@ def comparison(
             "markersize": 5.0,
         }
         text = ", ".join([row.lineariser, *([row.schedule] if len(schedules) > 1 else [])])
-        _draw(ax, across, of(row), f"{text} (failed)" if row.error else text, look)
+        judgement = row.by_oracle.get(name) if statistic == "kl" else None
+        if judgement is not None:
+            _band(ax, across, judgement, look["color"])
+            text += " ?" if judgement.weak else ""
+        values = _values(row, statistic, name)
+        _draw(ax, across, values, f"{text} (failed)" if row.error else text, look)
     if statistic == "kl":
         kinds = {row.kind: row.schedule for row in rows}
         for row in found.oracle_rows:
-            if row.kind in kinds and row.state == rows[0].state and np.nanmax(of(row), initial=0):
+            own = row.lineariser.removeprefix("oracle: ") == name
+            values = _values(row, statistic, name)
+            own &= row.kind in kinds and row.state == rows[0].state
+            if own and np.nanmax(values, initial=0):
                 style = DASHES[schedules.index(kinds[row.kind]) % len(DASHES)]
                 text = f"{row.lineariser}, {row.kind},\nfrom its own Gaussian"
-                _draw(ax, across, of(row), text, {"color": MUTED, "ls": style})
+                _draw(ax, across, values, text, {"color": MUTED, "ls": style})
     else:
         ax.axhline(float(np.nanmax([r.nees_expected for r in rows])), color=INK, lw=0.8, zorder=1.5)
-    name_time(ax, name, label)
+    name_time(ax, axis, label)
     useful_legend(ax)
     return ax
+
+
+def _values(row: Row, statistic: str, oracle: str) -> Array:
+    """A statistic of a row at each step, (T+1,); NaN where it has none."""
+    if statistic == "nees":
+        return row.nees_by_step
+    found = row.by_oracle.get(oracle)
+    return np.full(len(row.nees_by_step), np.nan) if found is None else found.kl_by_step
+
+
+def _band(ax: Axes, across: npt.NDArray[Any], judgement: Judgement, colour: str) -> None:
+    """Shade 1.96 standard errors about a KL; downwards no further than a tenth of it."""
+    values, error = judgement.kl_by_step, BAND * judgement.error_by_step
+    known = (values > 0.0) & (error > 0.0)
+    if known.any():
+        low = np.where(known, np.maximum(values - error, 0.1 * values), np.nan)
+        high = np.where(known, values + error, np.nan)
+        ax.fill_between(across, low, high, color=colour, alpha=0.18, lw=0.0, zorder=1.8)
 
 
 def _draw(

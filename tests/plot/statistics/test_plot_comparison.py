@@ -65,6 +65,35 @@ def test_one_schedule_s_nees(found):
     plt.close(ax.figure)
 
 
+def test_errors_are_bands_and_weak_rows_are_marked():
+    smoothed = pgm.smooth(MODEL, EVIDENCE, steps=T)
+    rows = {
+        "same": smoothed,
+        "cubature": pgm.smooth(MODEL, EVIDENCE, lineariser=pgm.Cubature(), steps=T),
+    }
+    audit = pgm.audit(smoothed, samples=200, rng=0)
+    grid = pgm.Grid({"a": (-3.99, 8.0, 120)})
+    found = pgm.compare(MODEL, EVIDENCE, rows=rows, oracle=[audit, grid], steps=T)
+    ax = pgm.plot.comparison(found)
+    assert len(ax.collections) == 2
+    low, high = (f(ax.collections[0].get_paths()[0].vertices[:, 1]) for f in (np.min, np.max))
+    row = found["same"]
+    assert high == pytest.approx(np.max(row.kl_by_step + 1.96 * row.kl_error_by_step))
+    assert low > 0.0
+    weak = pgm.compare(MODEL, EVIDENCE, rows=rows, oracle=pgm.Particles(30), steps=T)
+    names = [line.get_label() for line in pgm.plot.comparison(weak).lines]
+    assert names == ["same ?", "cubature ?"]
+    ax = pgm.plot.comparison(found, oracle="Grid")
+    assert not ax.collections
+    assert_array_equal(ax.lines[0].get_ydata(), found["same"].by_oracle["Grid"].kl_by_step)
+    assert [line.get_label() for line in ax.lines][2:] == [
+        "oracle: Grid, smoothed,\nfrom its own Gaussian"
+    ]
+    with pytest.raises(ModelError, match=r"no oracle 'Other'; it has \['Audit', 'Grid'\]"):
+        pgm.plot.comparison(found, oracle="Other")
+    plt.close("all")
+
+
 @pytest.mark.parametrize(
     ("given", "told"),
     [
