@@ -36,6 +36,17 @@ class Judgement(Shown):
         The standard error of `kl`. Errors of two steps depend on each other, which it counts in.
     weak : str
         Why the oracle is too weak for this row, in words; empty where it is not.
+
+    Examples
+    --------
+    >>> from pgm.examples import squares, z
+    >>> smoothed = pgm.smooth(squares, {z: [[9.0]]})
+    >>> audit = pgm.audit(smoothed, samples=500, rng=0)
+    >>> rows = {"once": smoothed, "iterated": pgm.smooth(squares, {z: [[9.0]]}, iterations=20)}
+    >>> found = pgm.compare(squares, {z: [[9.0]]}, rows=rows, oracle=audit)
+    >>> judgement = found["once"].by_oracle["Audit"]
+    >>> judgement.kl > 10 * judgement.error, judgement.weak
+    (True, '')
     """
 
     kl_by_step: Array

@@ -295,15 +295,14 @@ def _normalised(
     errors = error(belief, truth)[..., chosen]
     known = ~np.isnan(errors)
     lower = roots.root(independent(block(belief.cov, chosen, chosen), known))
-    pivots = np.diagonal(lower, axis1=-2, axis2=-1)
     # A root that does not exist is NaN.
-    faulty = ~(pivots > 0.0)
+    faulty = ~(np.diagonal(lower, axis1=-2, axis2=-1) > 0.0)
     if faulty.any():
         raise _no_scale(belief, [labels(belief.scope)[k] for k in chosen], faulty)
     white = solving.whiten(lower, np.where(known, errors, 0.0))
     dof = known.sum(axis=-1)
     squares = np.where(dof > 0, inner(white, white), np.nan)
-    return squares, dof, 2.0 * np.log(pivots).sum(axis=-1)
+    return squares, dof, solving.log_determinant(lower)
 
 
 def _no_scale(belief: Gaussian, judged: list[str], faulty: Mask) -> NumericalError:

@@ -80,7 +80,7 @@ class Terms(NamedTuple):
 
 def variance(slope: Array, curve: Array) -> Array:
     """The variance of an estimate from G/(G − 1) Σ g_c² and tr S², (...) each."""
-    return np.maximum(slope - 0.5 * curve, 0.5 * curve)
+    return np.asarray(np.maximum(slope - 0.5 * curve, 0.5 * curve))
 
 
 def curvature(second: Array) -> Array:
@@ -88,7 +88,7 @@ def curvature(second: Array) -> Array:
     freedom = len(second) - 1.0
     square, trace = (second**2).sum(axis=(0, 1)), np.einsum("cc...->...", second)
     scale = freedom**2 / ((freedom - 1.0) * (freedom + 2.0))
-    return np.maximum(scale * (square - trace**2 / freedom), 0.0)
+    return np.asarray(np.maximum(scale * (square - trace**2 / freedom), 0.0))
 
 
 def spread(mass: Array, first: Array, second: Array, mean: Array, cov: Array) -> Spread:

@@ -379,9 +379,10 @@ SOLUTIONS = listed(
         "factors/gaussian_mixture.py": "modes",
     },
     {"kernels/normal_density.py": "off whitened whitener", "factors/arrays.py": "covariance_fault"},
+    {"kernels/sampled.py": "_whitened terms worth"},
     {"cpds/conditional.py": "_robust", "beliefs/points/laws.py": "log_density"},
     {"linearisation/weights.py": "of", "posteriors/innovations.py": "whitened"},
-    {"consistency/errors.py": "nees_and_dof", "consistency/ranking.py": "_by_sighting"},
+    {"consistency/errors.py": "_normalised", "consistency/ranking.py": "_by_sighting"},
     {"beliefs/particles/guided_proposal.py": "_whitened steered"},
     {"kernels/divergence.py": "from_gaussian"},
     # Conditionals of Gaussians whose moments are those of draws; points of unit covariance.
