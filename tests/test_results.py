@@ -79,6 +79,7 @@ CALLS = {
     "OnlineBelief": online,
     "ParticleBelief": lambda: pgm.filter(walk, GIVEN, belief=CLOUD)[x],
     "ParticleFigures": lambda: pgm.filter(walk, GIVEN, belief=CLOUD).status._figures,
+    "PointMixture": lambda: pgm.filter(walk, GIVEN, belief=CLOUD).predicted[z],
     "Posterior": lambda: pgm.infer(pgm.compile(rainy), {rain: "no"}),
     "Predictions": lambda: online().predicted,
     "ReadingReport": lambda: pgm.timeline(**LOG).readings[z],
@@ -98,7 +99,14 @@ OLD = sorted(
     set(results.__all__)
     - {"Compilation", "ControlReport", "Derivatives", "GridFigures", "Innovations"}
     - {"Association", "CliqueTree", "Growth", "ParticleFigures", "ReadingReport", "Row", "Sample"}
-    - {"Judgement", "MaxMarginals", "SensitiveEntry", "Sensitivities", "Sensitivity"}
+    - {
+        "Judgement",
+        "MaxMarginals",
+        "PointMixture",
+        "SensitiveEntry",
+        "Sensitivities",
+        "Sensitivity",
+    }
     - {"Predictions", "StepInnovations"}
 )
 # What posteriors, statuses and filters are of, by the name of their class before.

@@ -40,9 +40,9 @@ class Judgement(Shown):
     Examples
     --------
     >>> from pgm.examples import squares, z
-    >>> smoothed = pgm.smooth(squares, {z: [[9.0]]})
-    >>> audit = pgm.audit(smoothed, samples=500, rng=0)
-    >>> rows = {"once": smoothed, "iterated": pgm.smooth(squares, {z: [[9.0]]}, iterations=20)}
+    >>> iterated = pgm.smooth(squares, {z: [[9.0]]}, iterations=20)
+    >>> audit = pgm.audit(iterated, samples=500, rng=0)
+    >>> rows = {"once": pgm.smooth(squares, {z: [[9.0]]}), "iterated": iterated}
     >>> found = pgm.compare(squares, {z: [[9.0]]}, rows=rows, oracle=audit)
     >>> judgement = found["once"].by_oracle["Audit"]
     >>> judgement.kl > 10 * judgement.error, judgement.weak
