@@ -22,7 +22,6 @@ from pgm.kernels.arrays import (
     Index,
     Mask,
     symmetric,
-    transpose,
 )
 from pgm.kernels.divergence import from_gaussian
 from pgm.kernels.sampled import Spread
