@@ -320,6 +320,8 @@ def _between(reference: Reference, own: Reference, kept: Mask) -> Judgement:
     both are the same function of its moments.
     """
     there, back = judge(reference, own.gaussian, kept)[0], judge(own, reference.gaussian, kept)[0]
+    if not kept.any():
+        return there
     each = consistency.kl(own.gaussian[..., kept], reference.gaussian[..., kept])
     bias = np.zeros(kept.size)
     bias[kept] = each.reshape(-1, each.shape[-1]).mean(axis=0) - back.kl_by_step[kept]
