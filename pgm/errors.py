@@ -100,6 +100,10 @@ class ConvergenceWarning(UserWarning):
     """
 
 
+class LostWarning(UserWarning):
+    """A belief that innovations or gates say is wrong; ``posterior.lost`` says where."""
+
+
 class GridWarning(UserWarning):
     """A grid's answer differs from the model's; the status says by how much."""
 

@@ -87,6 +87,7 @@ def drawn(page: Path, target: Path) -> list[list[tuple[Path, int]]]:
         os.symlink(programs.DOCS, Path(place) / "docs")
         warnings.simplefilter("error")
         warnings.simplefilter("default", DeprecationWarning)
+        warnings.filterwarnings("ignore", "the belief was lost")  # of which some pages tell
         known: set[Path] = set()
         for k, _ in enumerate(programs.run(page)):
             paths = []

@@ -118,6 +118,9 @@ def filter(
     -----
     ConvergenceWarning
         If ``iterations`` of two or more end before they settle, in any run.
+    LostWarning
+        If a belief is probably wrong, as `Posterior.lost` says; not where that would take as long
+        as the call: in machine code, and of eight or more runs that are filtered.
     PrecisionWarning
         If rounding leaves fewer than six digits of a mean.
 
@@ -238,6 +241,9 @@ def smooth(
     -----
     ConvergenceWarning
         If ``iterations`` of two or more end before they settle, in any run.
+    LostWarning
+        If a belief is probably wrong, as `Posterior.lost` says; not where that would take as long
+        as the call: in machine code, and of eight or more runs that are filtered.
     PrecisionWarning
         If rounding leaves fewer than six digits of a mean.
 

@@ -33,7 +33,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pgm.display import Listing, Shown, Summary, number, places
+from pgm.display import Listing, Shown, Summary, count, number, places
 from pgm.immutable import Immutable
 from pgm.kernels import cusum
 from pgm.kernels.arrays import Array, Integers, Mask
@@ -112,6 +112,11 @@ class PageTest(NamedTuple):
         """The same state for `runs` runs; a state of a single run is repeated for all of them."""
         wide: list[Any] = [np.broadcast_to(part, (*part.shape[:-1], runs)) for part in self]
         return PageTest(*wide)
+
+    def of(self, run: int) -> PageTest:
+        """The state of one run."""
+        own: list[Any] = [part[..., run] for part in self]
+        return PageTest(*own)
 
     def on(self, step: int, weights: Array) -> PageTest:
         """The state after a step that adds the log-likelihood ratios `weights`, (2, runs)."""
@@ -208,15 +213,19 @@ class Lost(Shown, Immutable):
         `lead` is the shape of the user's leading axes of runs.
         """
         steps, runs = read.nis.shape
-        weights, test = read.weights, PageTest.start(runs)
+        weights = read.weights
         at = np.zeros((steps, runs), dtype=bool)
+        some = np.flatnonzero(_reach(weights))
+        weights, test = weights[..., some], PageTest.start(some.size)
         found: list[tuple[int, int, int, int, int]] = []
-        for step in range(steps):
+        for step in range(steps if some.size else 0):
             before, test = test, test.on(step, weights[:, step])
-            at[step] = test.lost
-            for run in np.flatnonzero(before.lost & ~test.lost).tolist():
-                found.append(_row(run, before, step - 1))
-        found += [_row(run, test, steps - 1) for run in np.flatnonzero(test.lost).tolist()]
+            at[step, some] = test.lost
+            for k in np.flatnonzero(before.lost & ~test.lost).tolist():
+                found.append(_row(int(some[k]), before.of(k), step - 1))
+        found += [
+            _row(int(some[k]), test.of(k), steps - 1) for k in np.flatnonzero(test.lost).tolist()
+        ]
         stretches = []
         for run, first, declared, last, why in sorted(found):
             part, whole = (
@@ -234,6 +243,15 @@ class Lost(Shown, Immutable):
         return bool(self.stretches)
 
     @property
+    def brief(self) -> str:
+        """Where and why in a line, of the first stretch; empty if the belief was never lost."""
+        if not self:
+            return ""
+        more = len(self.stretches) - 1
+        rest = f"; {count(more, 'more stretch', 'more stretches')}" if more else ""
+        return f"{int(self.at.sum()):,} of {self.at.size:,} steps; {self.stretches[0]}{rest}"
+
+    @property
     def _title(self) -> str:
         count, steps = len(self.stretches), int(self.at.sum())
         if not count:
@@ -248,10 +266,30 @@ class Lost(Shown, Immutable):
         return Summary(self._title, lines)
 
 
+def may_be_lost(nis: Array, dof: Array) -> bool:
+    """Whether the test of innovations may find a belief lost whose NIS, (T+1, runs), is no larger.
+
+    `dof` are the degrees of freedom, (T+1, runs or 1).
+    """
+    return bool(_reach(cusum.expected(nis, dof)[None]).any())
+
+
+def _reach(weights: Array) -> Mask:
+    """The runs (runs,) in which a sum of ratios (tests, steps, runs) may reach h, by any test.
+
+    A sum that is kept above zero is, before it reaches h, the sum S of all ratios so far less its
+    least value, min(0, S).
+    """
+    total = weights.cumsum(axis=1)
+    least = np.minimum(np.minimum.accumulate(total, axis=1), 0.0)
+    high = cusum.HIGH * (1.0 - 1e-9)  # since the sums are rounded differently
+    return np.asarray((total - least >= high).any(axis=(0, 1)))
+
+
 def _row(run: int, test: PageTest, last: int) -> tuple[int, int, int, int, int]:
-    """The latest stretch of one run as numbers, from the state `test` after the step `last`.
+    """The latest stretch of a run as numbers, from its state `test` after the step `last`.
 
     They are the run, the steps where it probably began, was noticed and ended, and the number of
     the test that noticed it.
     """
-    return run, int(test.first[run]), int(test.declared[run]), last, int(test.why[run])
+    return run, int(test.first), int(test.declared), last, int(test.why)

@@ -189,6 +189,10 @@ class Outcome(Shown, ABC, Generic[B]):
         """Why messages round loops have not settled, as a sentence; empty if it is not known."""
         return ""
 
+    def _doubt(self) -> str:
+        """Why the beliefs are probably wrong, for a warning; empty if nothing says so at once."""
+        return ""
+
 
 def marginal(beliefs: Any, variable: Variable) -> Any:
     """The marginal of a variable in a form with moments, if a family's own form may have none.

@@ -681,6 +681,9 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
     def _why_unsettled(self) -> str:
         return self._outcome._why_unsettled()
 
+    def _doubt(self) -> str:
+        return self._outcome._doubt()
+
     @property
     def _title(self) -> str:
         return self._outcome._title

@@ -15,10 +15,12 @@ import numpy as np
 from pgm.beliefs.moments.outcomes.innovations import by_step, innovations
 from pgm.beliefs.moments.passes.forward import Forward
 from pgm.beliefs.moments.steps.plan import ChainPlan
-from pgm.kernels.arrays import quiet
+from pgm.kernels import roots
+from pgm.kernels.arrays import LOG_2PI, quiet
+from pgm.kernels.solving import log_determinant
 from pgm.posteriors.associations import Found
 from pgm.posteriors.innovations import BySensor, Innovations
-from pgm.posteriors.lost import Lost, Read
+from pgm.posteriors.lost import Lost, Read, may_be_lost
 from pgm.posteriors.rejections import Rejections, RejectionsBySensor
 from pgm.variables import Variable
 
@@ -93,3 +95,26 @@ class Innovated(ABC):
                 np.add.at(total, each.step, rows)
             read = read.and_(Read.of_open(strange, opened, each.outliers))
         return Lost.of(read, plan.lead)
+
+    @property
+    def _surely_kept(self) -> bool:
+        """Whether log-densities alone tell, in a tenth of the time, that no belief was lost.
+
+        As S ≥ R, a step of d components has the NIS −2 ln p − ln |2πS| ≤ −2 ln p − ln |2πR|. It is
+        not told where sightings are weighed, left out or associated, or a direction is unknown.
+        """
+        plan = self._planned
+        if plan.robust or self.associations or self._forward.diffuse is not None:
+            return False
+        bound, dof = -2.0 * self._forward.log_density, np.zeros((plan.steps + 1, 1))
+        for sensor in plan.read:
+            if sensor.gated is not None or sensor.taken is not None or sensor.exact:
+                return False
+            noise, count = sensor.family.own_noise, np.diff(sensor.edges)[:, None]
+            level = log_determinant(roots.root(noise)) + noise.shape[-1] * LOG_2PI
+            dof += noise.shape[-1] * count
+            if len(level) == 1:
+                bound -= level * count
+            else:
+                np.subtract.at(bound, sensor.family.step, level)
+        return not may_be_lost(np.maximum(bound, 0.0), dof)

@@ -25,6 +25,7 @@ from pgm.beliefs.moments.digits import adjoint
 from pgm.beliefs.moments.digits.adjoint_belief import Smooth
 from pgm.beliefs.moments.digits.careful_belief import rounded_belief
 from pgm.beliefs.moments.digits.careful_pass import Careful
+from pgm.beliefs.moments.outcomes import doubts
 from pgm.beliefs.moments.outcomes.draws import draws
 from pgm.beliefs.moments.outcomes.innovated import Innovated
 from pgm.beliefs.moments.outcomes.left_out import left_out
@@ -543,6 +544,9 @@ class ChainOutcome(Innovated, Outcome[Gaussian]):
             scope, *(part.reshape((*lead, *part.shape[1:])) for part in parts)
         )
 
+    def _doubt(self) -> str:
+        return doubts.doubt(self)
+
     @property
     def _title(self) -> str:
         runs = f", runs {self._planned.lead}" if self._planned.lead else ""
@@ -551,4 +555,5 @@ class ChainOutcome(Innovated, Outcome[Gaussian]):
     def _summary(self) -> Summary:
         hidden, last = self.graph.layout.slice, self.graph.steps
         told = [f"{v!r}: {found._title}" for v, found in self.rejected.items()]
+        told += doubts.told(self)
         return over_time(self._title, self, hidden, self._planned.lead, last, told)
