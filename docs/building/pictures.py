@@ -23,6 +23,7 @@ _DPI = 160  # twice a screen's, for letters that stay sharp
 _TEXT = 720  # dots that a line of text is wide
 _FILES = {".gif", ".html"}
 _LIVE = "_views"  # the folder of the viewer's pages, within the site
+_GRID = "gallery"  # the page that begins with its pictures, small, as links to them
 
 
 class Pictures(SphinxTransform):
@@ -51,6 +52,9 @@ class Pictures(SphinxTransform):
             for path, width in reversed(paths):
                 shown = self._live(path) if path.suffix == ".html" else _image(page, path, width)
                 where.parent.insert(where.parent.index(where) + 1, shown)
+        if self.env.docname == _GRID:
+            first = next(self.document.findall(nodes.paragraph))
+            first.parent.insert(first.parent.index(first) + 1, _grid(self.document))
 
     def _live(self, path: Path) -> nodes.Node:
         """A page of the viewer, in a frame: a copy of it becomes part of the site."""
@@ -127,6 +131,19 @@ def _image(page: Path, path: Path, width: int) -> nodes.Node:
     uri = os.path.relpath(path, page.parent)
     alt = "the picture that the program above draws"
     return nodes.image(uri=uri, alt=alt, width=f"{width}px", classes=["drawn"])
+
+
+def _grid(document: nodes.document) -> nodes.Node:
+    """The first picture of each section that has one, with its title, as a link to the section."""
+    grid = nodes.container(classes=["thumbnails"])
+    for section in document.findall(nodes.section):
+        own = [child for child in section.children if isinstance(child, nodes.image)]
+        if own:
+            picture = nodes.image(uri=own[0]["uri"], alt="", classes=["thumbnail"])
+            title = nodes.inline("", section.next_node(nodes.title).astext())
+            link = nodes.reference("", "", picture, title, refid=section["ids"][0], internal=True)
+            grid += nodes.paragraph("", "", link)
+    return grid
 
 
 def _last_of_block(node: nodes.Element) -> nodes.Element:
