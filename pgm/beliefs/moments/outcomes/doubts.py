@@ -33,7 +33,7 @@ def told(posterior: ChainOutcome) -> list[str]:
         return [*lines, f"posterior.nonlinearity: none: {error}"]
     if wrong:
         iterated = posterior.status.iterations > 1
-        advice = "see pgm.audit" if iterated else "smooth with iterations=, and see pgm.audit"
+        advice = "try pgm.estimate" if iterated else "smooth with iterations=, or try pgm.estimate"
         lines.append(f"linearised where no line is right: {wrong}; {advice}")
     return lines
 
@@ -52,5 +52,5 @@ def doubt(posterior: ChainOutcome) -> str:
     return (
         "the belief was lost at some steps: innovations are too large for it, or gates reject too "
         "much; posterior.lost says where, and print(posterior) whether it was linearised where no "
-        "line is right. Smooth with iterations=, or look at the model's noise"
+        "line is right. Smooth with iterations=, try pgm.estimate, or look at the model's noise"
     )
