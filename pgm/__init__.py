@@ -218,8 +218,14 @@ def _pages() -> Callable[[Any], str]:
     return html
 
 
+def _reports() -> Callable[..., Any]:
+    from pgm.viewer import report
+
+    return report
+
+
 # Networks and posteriors are shown by modules of layers above theirs, loaded when a notebook asks.
-_hand_in(pictures=_pictures, pages=_pages)
+_hand_in(pictures=_pictures, pages=_pages, reports=_reports)
 
 
 if not TYPE_CHECKING:  # to type checkers it would say that every name exists

@@ -12,7 +12,7 @@ from pgm.display.brief import (
     vector,
 )
 from pgm.display.moments import axes, by_component, named_matrix, stacked, whereabouts
-from pgm.display.notebook import Drawn, Viewed
+from pgm.display.notebook import Drawn, Judged, Viewed
 from pgm.display.shown import ByAttributes, InCode, NoArray, Shown, titled
 from pgm.display.summary import ENDS, LEFT_OUT, TITLE, Listing, Summary, few, places
 from pgm.display.told import Told
@@ -24,6 +24,7 @@ __all__ = [
     "ByAttributes",
     "Drawn",
     "InCode",
+    "Judged",
     "Listing",
     "NoArray",
     "Shown",

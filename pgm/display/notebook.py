@@ -1,16 +1,18 @@
-"""Rich display in notebooks; the pictures are made by `pgm.plot` and `pgm.viewer`.
+"""Rich display in notebooks, and pages; they are made by `pgm.plot` and `pgm.viewer`.
 
 A network is declared below the modules that draw it, and these load matplotlib. `pgm/__init__`,
 which knows every layer, hands in what loads them; nothing is loaded before a notebook asks.
 """
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from pgm.display.shown import Shown
 
-# Loads a function from a value to markup; networks and graphs, and posteriors, have one each.
-Loader = Callable[[], Callable[[Any], str]]
+# Loads a function from a value to markup; networks and graphs, and posteriors, have one each. That
+# of reports takes a path and more.
+Loader = Callable[[], Callable[..., Any]]
 _loaders: dict[type, Loader] = {}
 
 
@@ -29,12 +31,23 @@ class Viewed:
     __slots__ = ()
 
     def _repr_html_(self) -> str:
-        return _loaders[Viewed]()(self)
+        markup: str = _loaders[Viewed]()(self)
+        return markup
 
 
-def hand_in(*, pictures: Loader, pages: Loader) -> None:
-    """Take the loaders of the functions that draw a `Drawn` value, and write a `Viewed` one."""
-    _loaders.update({Drawn: pictures, Viewed: pages})
+class Judged(Viewed):
+    """A result that writes a report on itself, too."""
+
+    __slots__ = ()
+
+    def _report(self, *asked: Any) -> Path:
+        written: Path = _loaders[Judged]()(self, *asked)
+        return written
+
+
+def hand_in(*, pictures: Loader, pages: Loader, reports: Loader) -> None:
+    """Take the loaders of functions that draw `Drawn`, or write `Viewed` and `Judged` values."""
+    _loaders.update({Drawn: pictures, Viewed: pages, Judged: reports})
 
 
 def picture(value: Drawn) -> str:
@@ -45,4 +58,5 @@ def picture(value: Drawn) -> str:
         if (error.name or "").partition(".")[0] != "matplotlib":
             raise
         return ""
-    return draw(value)
+    markup: str = draw(value)
+    return markup

@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from os import PathLike
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Never
 
 import numpy as np
+import numpy.typing as npt
 
 from pgm.arguments import public
 from pgm.boundary import as_generator, as_lengths
 from pgm.clustergraph import Cluster
-from pgm.display import NoArray, Shown, Summary, Viewed
+from pgm.display import Judged, NoArray, Shown, Summary
 from pgm.errors import EvidenceError
 from pgm.factors.listing import moments_frame, run_names
 from pgm.factors.scope import Scope, as_scope, listed
@@ -24,6 +27,7 @@ from pgm.variables import Discrete, Variable
 
 if TYPE_CHECKING:
     from pgm.factors import CanonicalForm, Table
+    from pgm.networks import Sample
     from pgm.posteriors.associations import Found
     from pgm.posteriors.belief_kind import Kind
     from pgm.posteriors.entered import Entered
@@ -36,7 +40,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
+class Posterior(Labelled, Judged, Shown, NoArray, Generic[B]):
     """The beliefs of a cluster graph after a schedule of messages; leading axes are runs.
 
     ``posterior[x]`` is the marginal of a variable without evidence: a `Gaussian`, a `Table` of a
@@ -636,6 +640,65 @@ class Posterior(Labelled, Viewed, Shown, NoArray, Generic[B]):
         They tell the candidate, such as a landmark, that each was taken to be of.
         """
         return self._ask("associations")  # type: ignore[no-any-return]
+
+    @public
+    def report(
+        self,
+        path: str | PathLike[str],
+        *,
+        truth: Mapping[Variable, npt.ArrayLike] | Sample | None = None,
+    ) -> Path:
+        """Write one page that says how far the beliefs may be trusted, for a browser.
+
+        On top it says in a line each, with a mark, what its sections find:
+
+        - the verdict of `pgm.estimate`, of a posterior that has one;
+        - whether the schedule converged, and its residuals;
+        - the decimal digits that rounding leaves;
+        - stretches at which the belief was probably lost, `lost`;
+        - sensors ranked by their innovations, with the NIS at each step in the band of a right
+          model;
+        - with a truth the RMSE, the NEES and the share of truths inside 95 % regions.
+
+        A chain has its path beside them, as `pgm.view` draws it, with the truth and the stretches
+        that were lost. A family that has no innovations has no sections of them. The page asks
+        nothing of a network.
+
+        Parameters
+        ----------
+        path : str or path-like
+            The file's path, like ``"report.html"``; an old one is replaced.
+        truth : mapping of Variable to array_like, or Sample, optional
+            True values: of a state (*runs, T+1, d), of a hidden control (*runs, T, d), without time
+            (*runs, d), or any without the axes of runs, for all of them; of discrete variables
+            names or indices of states, without the last axis. NaN, or −1, is not known. Variables
+            that were observed are left out, so that `model.sample()` may be given.
+
+        Returns
+        -------
+        Path
+            The file's path.
+
+        Raises
+        ------
+        GraphError
+            If the truth is none, is of no variable of the network, or does not fit its beliefs.
+        ModelError
+            If a value of the truth is no number or no state.
+        OSError
+            If the file cannot be written.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from pgm.examples import walk, z
+        >>> drawn = walk.sample(steps=20, rng=1)
+        >>> smoothed = pgm.smooth(walk, drawn.evidence)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     smoothed.report(f"{folder}/report.html", truth=drawn).name
+        'report.html'
+        """
+        return self._report(path, truth)
 
     def __getattr__(self, name: str) -> Any:
         # What a family alone has, such as the grid at the resolution that was used.

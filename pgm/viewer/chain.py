@@ -25,6 +25,9 @@ from pgm.viewer.numbers import (
 )
 from pgm.viewer.truth import at_steps
 
+# The arrays that a path is drawn of, or the probabilities of states over time.
+_PATH = ("mean", "cov", "there.mean", "draws", "belief")
+
 
 def page(
     outcome: Outcome[Any],
@@ -43,7 +46,9 @@ def page(
     for run in runs:
         place = int(np.ravel_multi_index(run, log_evidence.shape)) if run else 0
         arrays = {
-            name: _added(numbers, shown, name, array) for name, array in shown.arrays(run).items()
+            name: _added(numbers, shown, name, array)
+            for name, array in shown.arrays(run).items()
+            if limits.factors or name in _PATH
         }
         rows.append(
             {

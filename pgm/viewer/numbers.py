@@ -27,6 +27,7 @@ class Limits:
     entries: Of a table; of larger ones the largest entries are kept, and the marginals.
     refuse: Whether more steps are an error, and not cut.
     moved: Whether it tells how far evidence moved beliefs, for which the prior is inferred.
+    factors: Whether it has potentials and messages, beside what a path is drawn of.
     """
 
     runs: int
@@ -36,9 +37,11 @@ class Limits:
     numbers: int
     refuse: bool
     moved: bool
+    factors: bool = True
 
 
 FILE = Limits(8, 20_000, 2_000, 4_096, 8_000_000, True, True)
+REPORT = Limits(8, 20_000, 2_000, 4_096, 8_000_000, refuse=False, moved=False, factors=False)
 CELL = Limits(1, 200, 150, 256, 200_000, False, False)
 
 
@@ -85,7 +88,7 @@ def chosen_steps(
                 f"a page holds {limits.steps:,} steps of a chain, which has {last + 1:,}; give "
                 f"steps=(first, last), as steps=(0, {limits.steps - 1})"
             )
-        note = f"steps 0 to {limits.steps - 1} of 0 to {last:,} are shown in this small page"
+        note = f"steps 0 to {limits.steps - 1} of 0 to {last:,} are shown in this page"
         return range(limits.steps), note
     ends = as_tuple(steps)
     if ends is None or len(ends) != 2 or not all(map(is_whole, ends)):

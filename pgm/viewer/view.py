@@ -1,11 +1,7 @@
 """The page of a posterior or map, which asks nothing of a network: a file, or in a cell."""
 
-import base64
-import hashlib
-import json
 from collections.abc import Sequence
 from html import escape
-from importlib.resources import files
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -19,12 +15,12 @@ from pgm.errors import GraphError
 from pgm.inference import GrowingMap, Posterior
 from pgm.posteriors.outcome import BY_PATTERN, CHAIN, MARGINALS, MIXTURES, SLICES, SWITCHING
 from pgm.viewer import chain, graph, growing
+from pgm.viewer.assembly import assembled
 from pgm.viewer.numbers import CELL, FILE, Limits, Numbers, Run, chosen_runs, chosen_steps
-from pgm.viewer.scripts import script
 from pgm.viewer.truth import Truth, truths
 
 # The forms of beliefs that a page shows step by step, and not cluster by cluster.
-_OVER_TIME = (CHAIN, SLICES, MARGINALS, SWITCHING)
+OVER_TIME = (CHAIN, SLICES, MARGINALS, SWITCHING)
 _NO_CLUSTERS = (MIXTURES, BY_PATTERN)
 
 
@@ -131,7 +127,7 @@ def _content(
     lead = np.asarray(posterior.log_evidence).shape
     runs, few = chosen_runs(run, lead, limits)
     numbers, true = Numbers(), truths(posterior, truth)
-    if outcome.form in _OVER_TIME:
+    if outcome.form in OVER_TIME:
         span, cut = chosen_steps(steps, posterior.graph.steps, limits)
         found = chain.page(outcome, numbers, runs, span, limits, true)
     elif steps is not None:
@@ -162,49 +158,8 @@ def _of_map(
 
 def _named(posterior: Posterior[Any]) -> str:
     outcome = posterior._outcome
-    if outcome.form in _OVER_TIME:
+    if outcome.form in OVER_TIME:
         return outcome.called
     if isinstance(posterior.graph, DynamicGraph):
         return "balanced tree"
     return "cluster tree" if posterior.graph.is_tree else "cluster graph with loops"
-
-
-def assembled(data: dict[str, Any], numbers: Numbers) -> str:
-    """The text of the page."""
-    folder = files("pgm.viewer")
-    style = folder.joinpath("viewer.css").read_text("utf-8")
-    code = script()
-    parts = {
-        "{{policy}}": _policy(code, style),
-        "{{style}}": style,
-        "{{data}}": embedded(data),
-        "{{numbers}}": numbers.text(),
-        "{{script}}": code,
-    }
-    before, rest = folder.joinpath("page.html").read_text("utf-8"), ""
-    # Each mark once, in order: what a user wrote may hold the text of another.
-    found = []
-    for mark, text in parts.items():
-        head, _, rest = before.partition(mark)
-        found += [head, text]
-        before = rest
-    return "".join([*found, before])
-
-
-def embedded(data: Any) -> str:
-    """JSON escaped so that it cannot end or begin a script element."""
-    text = json.dumps(data, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
-    for mark in "<>&":
-        text = text.replace(mark, f"\\u{ord(mark):04x}")
-    return text
-
-
-def _policy(script: str, style: str) -> str:
-    """A policy that lets this script and this style in, and nothing from anywhere else."""
-    own = {"script-src": script, "style-src": style}
-    hashes = [f"{what} 'sha256-{_hash(text)}'" for what, text in own.items()]
-    return "; ".join(["default-src 'none'", *hashes, "base-uri 'none'", "form-action 'none'"])
-
-
-def _hash(text: str) -> str:
-    return base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()

@@ -14,9 +14,10 @@ from viewer import posteriors
 
 import pgm
 from pgm.examples import rainy, wet
+from pgm.viewer.assembly import embedded
 from pgm.viewer.numbers import EXACT, FILE, SHOWN, Numbers, lower, rounded
 from pgm.viewer.placing import HEIGHT, place
-from pgm.viewer.view import _content, embedded
+from pgm.viewer.view import _content
 
 
 def written(posterior, tmp_path, **choice):
@@ -91,7 +92,7 @@ def test_frames_of_notebooks_are_small_and_say_what_is_cut():
     frame = posterior._repr_html_()
     page = html.unescape(re.search(r'srcdoc="(.*?)" sandbox="allow-scripts"', frame, re.S)[1])
     assert data_of(page)["steps"] == {"first": 0, "last": 199, "end": 400, "base": 0}
-    assert data_of(page)["notes"] == ["steps 0 to 199 of 0 to 400 are shown in this small page"]
+    assert data_of(page)["notes"] == ["steps 0 to 199 of 0 to 400 are shown in this page"]
     assert len(frame) < 400_000
 
 
@@ -216,23 +217,25 @@ def test_no_cluster_lies_on_another(made):
 def test_the_package_holds_what_the_page_is_made_of():
     from importlib.resources import files
 
-    from pgm.viewer.scripts import SCRIPTS
+    from pgm.viewer.assembly import REPORT, VIEWER
 
     folder = files("pgm.viewer")
     there = {each.name for each in folder.joinpath("script").iterdir()}
-    assert there == {f"{name}.js" for name in SCRIPTS}
-    assert folder.joinpath("viewer.css").is_file()
-    assert folder.joinpath("page.html").is_file()
+    assert there == {f"{name}.js" for page in (VIEWER, REPORT) for name in page.modules}
+    for page in (VIEWER, REPORT):
+        for name in (page.html, *page.styles):
+            assert folder.joinpath(name).is_file()
 
 
 def test_the_script_is_its_modules_in_order():
     from importlib.resources import files
 
-    from pgm.viewer.scripts import SCRIPTS, script
+    from pgm.viewer.scripts import REPORTING, VIEWING, script
 
-    folder, whole, end = files("pgm.viewer").joinpath("script"), script(), 0
-    for name in SCRIPTS:
-        end = whole.index(folder.joinpath(f"{name}.js").read_text("utf-8"), end) + 1
+    for names in (VIEWING, REPORTING):
+        folder, whole, end = files("pgm.viewer").joinpath("script"), script(names), 0
+        for name in names:
+            end = whole.index(folder.joinpath(f"{name}.js").read_text("utf-8"), end) + 1
 
 
 def test_pages_ask_an_outcome_and_read_no_family():

@@ -185,10 +185,6 @@ function chip(name, { anew, moved }) {
   return found;
 }
 
-function sample(role) {
-  return svg("svg", { class: "sample", width: 22, height: 10, "aria-hidden": "true" }, svg("path", { class: `shape ${role}`, d: "M1 5H21" }));
-}
-
 // The product of the two messages of an edge; null where there is none.
 function product(a, b) {
   if (a.type === "gaussian" && b.type === "gaussian") {

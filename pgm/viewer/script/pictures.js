@@ -2,6 +2,11 @@
 
 const PICTURE = { width: 420, height: 280, left: 52, right: 12, top: 12, bottom: 34 };
 
+// The line in which something is drawn, for legends.
+function sample(role) {
+  return svg("svg", { class: "sample", width: 22, height: 10, "aria-hidden": "true" }, svg("path", { class: `shape ${role}`, d: "M1 5H21" }));
+}
+
 // The axes that factors can be drawn along: components that variables share, or all labels.
 function axesOf(variables) {
   const vectors = variables.filter((variable) => variable.components.length > 1);
@@ -96,8 +101,8 @@ function spot(value) {
   return Math.min(Math.max(value, -1e5), 1e5).toFixed(2);
 }
 
-function framed([x0, x1], [y0, y1], xName, yName, label) {
-  const { width, height, left, right, top, bottom } = PICTURE;
+function framed([x0, x1], [y0, y1], xName, yName, label, size = PICTURE) {
+  const { width, height, left, right, top, bottom } = size;
   const x = (value) => left + (value - x0) / (x1 - x0) * (width - left - right);
   const y = (value) => height - bottom - (value - y0) / (y1 - y0) * (height - top - bottom);
   const root = svg("svg", { class: "picture", viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": label });

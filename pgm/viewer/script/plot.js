@@ -73,7 +73,12 @@ class Plot {
   line(xs, ys, colour, dash, width, first = 0) {
     const { pen, at } = this;
     pen.beginPath();
-    for (let k = first; k < xs.length; k++) pen.lineTo(at.x(xs[k]), at.y(ys[k]));
+    let drawn = false;
+    for (let k = first; k < xs.length; k++) {
+      const known = Number.isFinite(xs[k]) && Number.isFinite(ys[k]);
+      if (known) pen[drawn ? "lineTo" : "moveTo"](at.x(xs[k]), at.y(ys[k]));
+      drawn = known;
+    }
     pen.strokeStyle = colour;
     pen.lineWidth = width;
     pen.setLineDash(dash);

@@ -69,6 +69,13 @@ class Trajectory extends Plot {
     return this.source.arrays.cov.column((a * (a + 1)) / 2 + b);
   }
 
+  // The steps of the arrays at which the belief was lost, where the page knows: NaN elsewhere.
+  lost(values) {
+    const { lost } = this.source.data.runs[this.source.run];
+    if (!lost?.length) return null;
+    return values.map((value, k) => (lost.some(([first, last]) => k + this.source.base >= first && k + this.source.base <= last) ? value : NaN));
+  }
+
   get offset() {
     return this.source.first - this.source.base;
   }
@@ -126,13 +133,15 @@ class Trajectory extends Plot {
     for (let step = this.source.first; step <= this.source.last; step += every) show(step, false);
     this.line(xs, ys, ink.text, [], 1.6, this.offset);
     if (tx) this.line(tx, ty, ink.fourth, [], 1.4, this.offset);
+    const lost = this.lost(xs);
+    if (lost) this.line(lost, ys, ink.second, [], 4, this.offset);
     for (let step = this.step - 2; step <= this.step + 2; step++) {
       if (step !== this.step && step >= this.source.first && step <= this.source.last) show(step, false);
     }
     show(this.step, true);
     this.mark(at.x(xs[this.step - this.source.base]), at.y(ys[this.step - this.source.base]));
     pen.restore();
-    this.explain([["belief", String(this.source.data.about)], ...(filtered ? [["first", "filtered"]] : []), ...(tx ? [["truth", "truth"]] : []), ...(draws ? [["cloud", "draws"]] : []), ...(seen ? [["third", "sighted at this step"]] : [])]);
+    this.explain([["belief", String(this.source.data.about)], ...(filtered ? [["first", "filtered"]] : []), ...(tx ? [["truth", "truth"]] : []), ...(lost ? [["lost", "lost"]] : []), ...(draws ? [["cloud", "draws"]] : []), ...(seen ? [["third", "sighted at this step"]] : [])]);
   }
 
   // A span with the places of what was seen, where they are not much further away.
@@ -231,6 +240,8 @@ class Trajectory extends Plot {
     if (own >= 0) this.line(steps, there.column(own), ink.first, [4, 3], 1, this.offset);
     this.line(steps, values, ink.text, [], 1.6, this.offset);
     if (truth) this.line(steps, truth, ink.fourth, [], 1.4, this.offset);
+    const lost = this.lost(values);
+    if (lost) this.line(steps, lost, ink.second, [], 4, this.offset);
     pen.strokeStyle = ink.second;
     pen.lineWidth = 1;
     pen.beginPath();
@@ -240,7 +251,7 @@ class Trajectory extends Plot {
     const value = values[this.step - base];
     if (!Number.isNaN(value)) this.mark(at.x(this.step), at.y(value));
     pen.restore();
-    this.explain([["belief", `${this.source.data.about}, 95 %`], ...(own >= 0 ? [["first", "filtered"]] : []), ...(truth ? [["truth", "truth"]] : [])]);
+    this.explain([["belief", `${this.source.data.about}, 95 %`], ...(own >= 0 ? [["first", "filtered"]] : []), ...(truth ? [["truth", "truth"]] : []), ...(lost ? [["lost", "lost"]] : [])]);
   }
 
   // The probability of each state at each step, darker where it is larger.

@@ -1,0 +1,228 @@
+"""Reports: sections by the numbers of a textbook, what is left out, the page in a browser."""
+
+import json
+import re
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from viewer import posteriors
+from viewer.test_page import data_of, numbers_of
+
+import pgm
+from pgm.results import Posterior
+
+
+def written(posterior, tmp_path, truth=None):
+    page = posterior.report(tmp_path / "report.html", truth=truth)
+    assert page == tmp_path / "report.html"
+    return page.read_text("utf-8")
+
+
+def sections_of(page):
+    return {section["title"]: section for section in data_of(page)["sections"]}
+
+
+def row_of(section, table=0):
+    sheet = section["tables"][table]
+    return dict(zip(sheet["heads"], sheet["rows"][0], strict=True))
+
+
+def column(page, ref):
+    return numbers_of(page)[ref["at"] :][: ref["rows"]]
+
+
+def misled():
+    """A drive of which some ranges are 6 m too long."""
+    due = posteriors.drive(60)
+    seen = due[posteriors.z]
+    values = np.array(seen.values)
+    values[15:30, 0] += 6.0
+    sightings = pgm.sightings(values, step=seen.step, given=seen.given)
+    return pgm.filter(
+        posteriors.robot(), {posteriors.u: due[posteriors.u], posteriors.z: sightings}
+    )
+
+
+def test_innovations_and_errors_are_those_of_a_textbook(tmp_path):
+    """A scalar walk, filtered in ten lines: its NIS and NEES, and their χ² bands."""
+    from scipy.stats import chi2
+
+    a, b = pgm.variables("a b")
+    model = pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(a, 0.0, 1.0)],
+        transition=[pgm.LinearGaussianCPD(a, given={a.previous: 1.0}, cov=0.5)],
+        observation=[pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=0.3)],
+    )
+    drawn = model.sample(steps=30, rng=4)
+    page = written(pgm.filter(model, drawn.evidence), tmp_path, drawn)
+    mean, var, nis, nees = 0.0, 1.0, [], [drawn[a][0, 0] ** 2]
+    for true, read in zip(drawn[a][1:, 0], drawn[b][:, 0], strict=True):
+        var += 0.5
+        off, total = read - mean, var + 0.3
+        nis.append(off**2 / total)
+        mean, var = mean + var / total * off, var * 0.3 / total
+        nees.append((true - mean) ** 2 / var)
+    found = sections_of(page)
+    sensors, truth = found["Sensors, by their innovations"], found["Against the truth"]
+    np.testing.assert_allclose(column(page, sensors["curves"][0]["values"]), nis, rtol=1e-8)
+    np.testing.assert_allclose(column(page, sensors["curves"][0]["steps"]), np.arange(1, 31))
+    np.testing.assert_allclose(column(page, truth["curves"][0]["values"]), nees, rtol=1e-8)
+    np.testing.assert_allclose(
+        column(page, truth["curves"][0]["high"]), chi2.ppf(0.995, 1), rtol=1e-8
+    )
+    row = row_of(sensors)
+    assert float(row["NIS a component"]) == pytest.approx(np.mean(nis), rel=5e-3)
+    low, high = (float(end) for end in row["band, 99 %"].split(" to "))
+    assert (low, high) == pytest.approx(chi2.ppf([0.005, 0.995], 30) / 30, rel=5e-3)
+    row = row_of(truth)
+    assert float(row["NEES a component"]) == pytest.approx(np.mean(nees), rel=5e-3)
+    inside = np.mean(np.array(nees) < chi2.ppf(0.95, 1))
+    assert row["in 95 % regions"] == f"{100 * inside:.0f} %"
+
+
+def test_lost_stretches_and_the_sensor_outside_its_band(tmp_path):
+    posterior = misled()
+    (stretch,) = posterior.lost.stretches
+    page = written(posterior, tmp_path)
+    found = sections_of(page)
+    assert found["Lost stretches"]["state"] == "look"
+    assert row_of(found["Lost stretches"])["steps"] == f"{stretch.first}..{stretch.last}"
+    sensors = found["Sensors, by their innovations"]
+    assert sensors["state"] == "look"
+    assert "1 above the band" in sensors["told"]
+    assert sensors["curves"][0]["marked"] == [[stretch.first, stretch.last]]
+    assert data_of(page)["chain"]["runs"][0]["lost"] == [[stretch.first, stretch.last]]
+    assert found["Against the truth"]["state"] == "unknown"
+
+
+def test_a_schedule_that_has_not_settled_is_to_be_looked_at(tmp_path):
+    posterior = posteriors.smoothed()
+    page = written(posterior, tmp_path)
+    section = sections_of(page)["Convergence"]
+    assert (section["state"], section["told"][:28]) == ("look", "not converged in 3 iteration")
+    np.testing.assert_allclose(
+        column(page, section["curves"][0]["values"]), posterior.status.residuals, rtol=1e-8
+    )
+    settled = pgm.smooth(posteriors.robot(), posteriors.drive(), iterations=30)
+    assert sections_of(written(settled, tmp_path))["Convergence"]["state"] == "right"
+    once = sections_of(written(posteriors.filtered(), tmp_path))["Convergence"]
+    assert (once["state"], once["curves"]) == ("unknown", [])
+
+
+def test_digits_that_rounding_leaves(tmp_path):
+    a, b = pgm.variables("a b")
+    model = pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(a, 0.0, 1e16)],
+        transition=[pgm.LinearGaussianCPD(a, given={a.previous: 1.0}, cov=1e-8)],
+        observation=[pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=1e-4)],
+    )
+    posterior = pgm.smooth(model, {b: np.full((5, 1), 1e7)})
+    section = sections_of(written(posterior, tmp_path))["Numerical digits"]
+    assert posterior.status.digits is not None
+    assert f"leaves {float(posterior.status.digits):.1f} decimal digits" in section["told"]
+
+
+@pytest.mark.parametrize(
+    ("made", "due"),
+    [
+        (posteriors.days, ["Convergence", "Against the truth"]),
+        (posteriors.tree, ["Convergence", "Against the truth"]),
+        (posteriors.lattice, ["Convergence", "Numerical digits", "Against the truth"]),
+        (posteriors.particles, ["Figures of the beliefs", "Against the truth"]),
+        (posteriors.grid, ["Figures of the beliefs", "Against the truth"]),
+        (
+            lambda: pgm.smooth(posteriors.robot(), posteriors.drive(), keep=[posteriors.x]),
+            ["Convergence", "Numerical digits", "Against the truth"],
+        ),
+    ],
+)
+def test_what_a_family_has_no_answer_to_has_no_section(made, due, tmp_path):
+    page = written(made(), tmp_path)
+    assert list(sections_of(page)) == due
+    assert (data_of(page)["chain"] is None) == (made in (posteriors.tree, posteriors.lattice))
+
+
+def test_states_are_judged_by_the_probability_of_the_true_ones(tmp_path):
+    states = [0, 1, 1, 1, 2, -1, 2, 0, 0]
+    posterior = posteriors.days()
+    page = written(posterior, tmp_path, {posteriors.weather: states})
+    own = [posterior[posteriors.weather].values[k, s] for k, s in enumerate(states) if s >= 0]
+    row = row_of(sections_of(page)["Against the truth"])
+    assert row["known"] == "8"
+    assert float(row["probability of the true state"]) == pytest.approx(np.mean(own), rel=5e-3)
+    assert float(row["−ln of it, mean"]) == pytest.approx(-np.log(own).mean(), rel=5e-3)
+
+
+def test_errors_without_a_scale_are_told_in_words(tmp_path):
+    """A static state that is known exactly has no NEES."""
+    a, b = pgm.variables("a b")
+    model = pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(a, 0.0, 0.0)],
+        transition=[pgm.LinearGaussianCPD(a, given={a.previous: 1.0}, cov=0.0)],
+        observation=[pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=0.5)],
+    )
+    posterior = pgm.smooth(model, {b: np.zeros((4, 1))})
+    section = sections_of(written(posterior, tmp_path, {a: np.zeros((5, 1))}))["Against the truth"]
+    assert section["state"] == "unknown"
+    assert "an error has no scale" in section["words"][0]
+
+
+@pytest.mark.parametrize(("vouched", "state"), [([True, True], "right"), ([True, False], "look")])
+def test_the_verdict_of_an_estimate_stands_first(vouched, state, tmp_path, monkeypatch):
+    class Verdict(SimpleNamespace):
+        def __str__(self):
+            return "two runs\nof which <b>some</b>\nare right"
+
+    verdict = Verdict(vouched=np.array(vouched), within=np.array([0.012, 0.5]), of="density")
+    monkeypatch.setattr(Posterior, "verdict", verdict, raising=False)
+    section = data_of(written(posteriors.batch(), tmp_path))["sections"][0]
+    assert (section["title"], section["state"]) == ("Verdict", state)
+    assert section["told"] == (
+        f"{sum(vouched)} of 2 runs vouched for, within {0.5 if all(vouched) else 0.012} nats"
+    )
+    assert section["words"] == ["two runs", "of which <b>some</b>", "are right"]
+    monkeypatch.setattr(Posterior, "verdict", None, raising=False)
+    assert "Verdict" not in sections_of(written(posteriors.batch(), tmp_path))
+
+
+def test_a_truth_that_does_not_fit_leaves_no_page(tmp_path):
+    with pytest.raises(pgm.GraphError, match="was due"):
+        written(posteriors.filtered(), tmp_path, {posteriors.x: np.zeros((3, 3))})
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_page_asks_for_nothing_and_is_small(tmp_path):
+    posterior = pgm.smooth(posteriors.robot(), posteriors.drive(2_000))
+    page = written(posterior, tmp_path)
+    assert not re.search(r"https?:", page.replace("http://www.w3.org/2000/svg", ""))
+    assert len(page) < 600_000
+    assert len(re.findall("<script", page)) == 3
+    assert set(data_of(page)["chain"]["runs"][0]["arrays"]) == {"mean", "cov", "there.mean"}
+    json.dumps(data_of(page), allow_nan=False)
+
+
+def test_a_report_in_a_browser(browser, tmp_path):
+    drawn, posterior = posteriors.simulated()
+    browser.open(posterior.report(tmp_path / "report.html", truth=drawn))
+    assert browser.complaints() == []
+    rows = browser.run(
+        "return [...document.querySelectorAll('#glance tr')].map((r) => r.innerText)"
+    )
+    assert len(rows) == len(browser.all("#sections section")) == 5
+    assert "never lost" in rows[2]
+    assert browser.all("#sections figure path.value")
+    assert "truth" in browser.text("#path .legend")
+    assert "lost" not in browser.text("#path .legend")
+    browser.pick("#path select", 1)
+    assert "over time" in browser.one("#path canvas").get_attribute("aria-label")
+    assert browser.run("return document.documentElement.scrollWidth <= window.innerWidth")
+    browser.open(misled().report(tmp_path / "report.html"))
+    assert browser.all("#sections rect.lost")
+    assert "lost" in browser.text("#path .legend")
+    assert len(browser.all("#glance .look")) == 2
+    browser.open(posteriors.batch().report(tmp_path / "report.html"))
+    browser.pick("#run", 3)
+    browser.open(posteriors.hostile().report(tmp_path / "report.html"))
+    assert browser.run("return window.hacked") is None
+    assert browser.complaints() == []
