@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from pgm.arguments import public
 from pgm.errors import Unanswered
 from pgm.inference import Posterior
 from pgm.kernels.arrays import Array
@@ -23,6 +24,7 @@ from pgm.viewer.truth import Truth, truths
 from pgm.viewer.view import OVER_TIME
 
 
+@public
 def report(posterior: Posterior[Any], path: str | PathLike[str], truth: Truth | None) -> Path:
     """Write the page that `Posterior.report` describes."""
     target = Path(path)
