@@ -21,7 +21,7 @@ summary.json, by sensor (far, near, two_ranges, collinear, position), s and rule
   ``alarms``), and how many wrong ones it neither does nor says to be beyond its trust (``missed``);
   off by the KL of the pose after the step, of a smoother that of both poses together, or by the
   error of the log-evidence, whichever is larger;
-- ``verdict``: three sentences made of these numbers;
+- ``verdict``: three points made of these numbers, of short sentences;
 - ``truth``: by sensor and s, the least and the median effective sample size, and how many
   simulations were dropped because theirs was too small;
 - ``against_reference``: the difference of ``kl`` from an earlier implementation's, and z, in

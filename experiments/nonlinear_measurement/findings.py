@@ -17,51 +17,53 @@ _SURE = 2.0
 
 
 def verdict(found: Study) -> list[str]:
-    """The page's verdict in three sentences."""
+    """The page's verdict in three points, each of short sentences."""
     cases = {sensor: scores[_WIDEST] for sensor, scores in found.scores.items()}
     better = [s for s, c in cases.items() if _below(c[SMOOTHER], c[ITERATED])]
     worse = [s for s, c in cases.items() if _below(c[ITERATED], c[SMOOTHER])]
     harmed = [s for s, c in cases.items() if _below(c["Cubature"], c[ITERATED])]
 
-    def pairs(sensors: Iterable[str], first: str, second: str) -> str:
+    def told(sensors: Iterable[str], first: str, second: str) -> str:
+        """The mean KL of two rules with some sensors."""
         return _listed(
-            f"{SENSORS[s].title} {cases[s][first].kl:.2g} to {cases[s][second].kl:.2g}"
+            f"from {cases[s][first].kl:.2g} to {cases[s][second].kl:.2g} nats with "
+            f"{SENSORS[s].title}"
             for s in sensors
         )
 
-    sentences = []
+    points = []
     if better:
-        sentences.append(
-            "Linearise the motion again too: with the heading known to "
-            f"{_WIDEST} rad, smoothing with ten iterations takes the mean KL of a filter that "
-            "iterates its sensors alone from "
-            f"{pairs(better, ITERATED, SMOOTHER)} nats."
+        most = max(better, key=lambda s: cases[s][ITERATED].kl / cases[s][SMOOTHER].kl)
+        points.append(
+            f"Linearise the motion again too. With {len(better)} of {len(cases)} sensors a "
+            "smoother of ten iterations is nearer than a filter that iterates its sensors alone. "
+            f"The heading known to {_WIDEST} rad, it takes the mean KL "
+            f"{told([most], ITERATED, SMOOTHER)}."
         )
     else:
-        sentences.append(
+        points.append(
             "In this run linearising the motion again gains nothing certain over linearising the "
             "sensors again."
         )
     if harmed or worse:
-        parts = []
+        harms = "Iterating harms where a reading leaves two places, since it settles at one."
         if harmed:
-            told = pairs(harmed, "Cubature", ITERATED)
-            parts.append(f"sensors ten times instead of once: {told}")
+            harms += (
+                " Linearising the sensors ten times instead of once takes the mean KL "
+                f"{told(harmed, 'Cubature', ITERATED)}."
+            )
         if worse:
-            parts.append(f"the motion too: {pairs(worse, ITERATED, SMOOTHER)}")
-        sentences.append(
-            f"Iterating harms where a reading leaves two places ({'; '.join(parts)} nats), since "
-            "it settles at one of them."
-        )
+            harms += f" The motion too takes it {told(worse, ITERATED, SMOOTHER)}."
+        points.append(harms)
     else:
-        sentences.append("In this run iterating does no certain harm with any sensor.")
+        points.append("In this run iterating does no certain harm with any sensor.")
     total = _sum(each for audits in found.audits.values() for each in audits.values())
-    sentences.append(
+    points.append(
         f"An audit tells which: it calls {_share(total.caught, total.wrong)} of the results "
         f"suspect that are {WRONG:g} nats or more off, and {_share(total.alarms, total.right)} "
         f"of those less than {RIGHT:g} off."
     )
-    return sentences
+    return points
 
 
 def means(found: Study, s: str, rules: dict[str, Rule]) -> str:

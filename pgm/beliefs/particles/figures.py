@@ -107,29 +107,24 @@ class ParticleFigures(Figures):
         """Whether, at some step of a run, no particle explained the measurements."""
         return bool(self.ignored.any() or self.restarted.any())
 
-    def warn(self, first: int = 0) -> None:
+    def warn(self) -> None:
         """Warn of few effective particles, and of impossible measurements, by `ParticleWarning`s.
 
-        first: The step of the arrays' first entry, from which the warnings' texts count steps.
+        Their texts are the same of all calls, so that Python shows them once a place and not once a
+        call or step; how many and where stands in the status.
         """
         if self.few:
-            share = np.where(self._few, self.effective, np.inf)
-            least = np.unravel_index(int(share.argmin()), share.shape)
-            runs = int(self._few.any(axis=-1).sum())
             message = (
-                f"the weights of the particles are worth {self.effective[least]:.2g} of them at "
-                f"step {first + int(least[-1])} (status.effective), in {runs} of "
-                f"{int(np.prod(self.effective.shape[:-1]))} runs below {FEW:g}: give more "
-                "particles, or the sensor more noise"
+                f"the weights of the particles are worth fewer than {FEW:g} of them at some step "
+                "(print(posterior.status) says where): give more particles, or the sensor more "
+                "noise"
             )
             warnings.warn(message, ParticleWarning, stacklevel=levels_to_user())
         if self.impossible:
-            where = self.ignored | self.restarted
-            place = np.unravel_index(int(where.argmax()), where.shape)
             message = (
-                f"no particle explains the measurements at step {first + int(place[-1])}, and of "
-                f"{int(where.sum())} steps in all (status.ignored, status.restarted): beliefs go "
-                "on as they were asked to, and the log-evidence is minus infinity"
+                "no particle explains the measurements of some step (status.ignored, "
+                "status.restarted): beliefs go on as they were asked to, and the log-evidence is "
+                "minus infinity"
             )
             warnings.warn(message, ParticleWarning, stacklevel=levels_to_user())
 
@@ -142,6 +137,14 @@ class ParticleFigures(Figures):
             f"{self.number.max():,}",
             f"drawn anew at {int(self.resampled.sum())} of {self.resampled.size} steps",
         ]
+        if self.few and steps > 1:
+            share = np.where(self._few, self.effective, np.inf)
+            least = np.unravel_index(int(share.argmin()), share.shape)
+            few = self._few.any(axis=-1)
+            parts.append(
+                f"worth {share[least]:.2g} at step {int(least[-1])}, below {FEW:g} in "
+                f"{int(few.sum())} of {few.size} runs"
+            )
         if self.injected.any():
             parts.append(f"{int(self.injected.sum()):,} put elsewhere")
         for name in ("ignored", "restarted"):

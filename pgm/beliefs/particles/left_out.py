@@ -70,17 +70,12 @@ def _without(sensor: Sensor, row: int, step: int, cloud: Cloud) -> tuple[Cloud, 
 def _warn(found: PointMixture) -> None:
     """Warn of readings that are sharper than particles can leave out."""
     assert found.pareto is not None
-    assert found.steps is not None
-    bad = found.pareto > UNSOUND
-    if not bad.any():
+    if not (found.pareto > UNSOUND).any():
         return
-    worst = np.unravel_index(int(np.nanargmax(found.pareto)), bad.shape)
-    step, effective = int(found.steps[worst[-1]]), float(found.effective[worst])
     warnings.warn(
-        f"left_out[{found.variable!r}]: {int(bad.sum())} of {bad.size} readings cannot be left out "
-        "by weights: a few particles decide (.pareto above 0.7), the worst at step "
-        f"{step}, of {effective:.3g} effective ones; smooth again without such a reading, NaN in "
-        "its place, or take more particles",
+        f"left_out[{found.variable!r}]: readings whose .pareto is above {UNSOUND:g} cannot be left "
+        "out by weights: a few particles decide, .effective says how many; smooth again without "
+        "such a reading, NaN in its place, or take more particles",
         ParticleWarning,
         stacklevel=levels_to_user(),
     )

@@ -311,7 +311,7 @@ class ParticleSteps(PointFilter[OnlineParticleBelief]):
         """
         record.effective[step], record.number[step] = cloud.effective, cloud.counts
         figures = record.figures(bound.lead).at(step)
-        figures.warn(step)
+        figures.warn()
         status = Status.of_figures(figures, bound.lead)
         log_evidence = np.array(log_evidence).reshape(bound.lead)
         return OnlineParticleBelief(step, log_evidence, status, kind, self, cloud, model, before)

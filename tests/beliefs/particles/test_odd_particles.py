@@ -41,15 +41,28 @@ def test_equal_particles_are_worth_their_number(count):
     assert not found.status.few
 
 
-def test_the_warning_names_the_step_that_is_short_of_particles():
+def test_the_status_names_the_step_that_is_short_of_particles():
     """Not one with fewer particles in all, which are all worth something."""
     shares = np.array([[4.0, 5.0]])
     zero = np.zeros((1, 2))
     status = pgm.results.ParticleFigures(
         shares, np.array([[4, 900]]), zero > 0, zero.astype(int), zero > 0, zero > 0
     )
-    with pytest.warns(pgm.ParticleWarning, match="worth 5 of them at step 1 .* in 1 of 1 runs"):
+    assert "worth 5 at step 1, below 10 in 1 of 1 runs" in status.phrases
+    with pytest.warns(pgm.ParticleWarning, match="worth fewer than 10 of them"):
         status.warn()
+
+
+def test_python_shows_a_warning_once_a_place():
+    """Of calls whose particles are worth other numbers, at other steps."""
+    with warnings.catch_warnings(record=True) as shown:
+        warnings.simplefilter("default")
+        for reading in (2.0, 2.5, 3.0):
+            found = pgm.filter(
+                walk(), {z: [[0.0], [reading]]}, belief=pgm.Particles(11, seed=int(10 * reading))
+            )
+            assert found.status.few
+    assert [each.category for each in shown] == [pgm.ParticleWarning]
 
 
 @pytest.mark.parametrize("smoothing", ["full", "metropolis"])

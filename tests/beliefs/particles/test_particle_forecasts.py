@@ -64,7 +64,7 @@ def test_left_out_tells_its_shape(smoothed):
         walk.prior, walk.transition, [pgm.LinearGaussianCPD(z, {x: 1.0}, cov=0.02)]
     )
     found = pgm.smooth(sharp, {z: [[2.0], [-1.0]]}, belief=pgm.Particles(8000, seed=1))
-    with pytest.warns(pgm.ParticleWarning, match=r"left_out\[z\]: 2 of 2 .*NaN in its place"):
+    with pytest.warns(pgm.ParticleWarning, match=r"left_out\[z\]: .*NaN in its place"):
         found = found.left_out[z]
     assert (found.pareto > 0.7).all()
 

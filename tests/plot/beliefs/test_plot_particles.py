@@ -70,7 +70,7 @@ def test_one_particle_with_all_the_weight_stays_in_the_picture():
         [pgm.LinearGaussianCPD(z, given={z.previous: 1.0}, cov=np.eye(2))],
         [pgm.LinearGaussianCPD(y := pgm.Variable("y"), given={z: [[1.0, 0.0]]}, cov=1e-8)],
     )
-    with pytest.warns(pgm.ParticleWarning, match="at step 1 "):
+    with pytest.warns(pgm.ParticleWarning, match="worth"):
         found = pgm.filter(model, {y: [[0.5]]}, belief=pgm.Particles(300, seed=2))
     points, ticks = drawn(pgm.plot.particles(found[z.at(1)]))
     assert not ticks
