@@ -12,6 +12,7 @@ from experiments.differential_drive.results import Solved
 from experiments.record import Record
 from pgm import consistency
 
+PARTICLES = 100  # of the animations, as many as the reference's
 By = dict[str, dict[str, Any]]  # numbers, by meaning of the noise and by problem
 
 
@@ -173,11 +174,12 @@ def show(record: Record, solved: dict[str, dict[str, Solved]], drawn: str) -> di
         drive = each.drive()
         file = f"problem_{name}.gif"
         with record.file(file) as path:
-            counts[file], every = animate(drive, path), EVERY[name]
+            counts[file], every = animate(drive, each.cloud(PARTICLES), path), EVERY[name]
         record.picture(
             file,
-            f"{drive.problem.title}: truth, the filter's estimate, and its ellipse (95 %), by "
-            f"turns blue after a motion halfway between readings and orange after a reading. A "
+            f"{drive.problem.title}: truth, the Kalman filter's estimate, and its ellipse (95 %), "
+            "by turns blue after a motion halfway between readings and orange after a reading; "
+            f"beside them {PARTICLES} particles of the same drive, in green, and their mean. A "
             f"picture every {every} motions ({every * DT:g} s), which skips the {every - 1} "
             "between and what was read after them. Right, what is near the robot; axes in metres.",
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -54,6 +54,41 @@ def follow(problem: Problem, readings: Array, particles: pgm.Particles) -> Follo
     runs, n = len(readings), problem.state.dimension
     mean, cov = np.empty((problem.steps + 1, runs, n)), np.empty((problem.steps + 1, runs, n, n))
     number = np.empty((problem.steps + 1, runs), dtype=int)
+    for t, belief in enumerate(_beliefs(problem, readings, particles)):
+        found = belief[problem.state]
+        mean[t], cov[t], number[t] = found.mean, found.cov, found.number
+    return Followed(mean.swapaxes(0, 1), cov.swapaxes(0, 1), belief.log_evidence, number.T)
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """One drive followed by particles, as an animation shows it.
+
+    Attributes
+    ----------
+    mean : ndarray
+        (T+1, n), given the readings up to each step.
+    states : ndarray
+        (T+1, N, n): N draws of each belief, equally weighted.
+    """
+
+    mean: Array
+    states: Array
+
+
+def cloud(problem: Problem, readings: Array, count: int, *, seed: int) -> Cloud:
+    """Follow one drive, its readings (M, 2), with so many particles."""
+    particles = pgm.Particles(count, seed=seed)
+    every = [belief[problem.state] for belief in _beliefs(problem, readings[None], particles)]
+    states = [found.sample(count, rng=seed).reshape(count, -1) for found in every]
+    return Cloud(np.stack([found.mean.reshape(-1) for found in every]), np.stack(states))
+
+
+def _beliefs(
+    problem: Problem, readings: Array, particles: pgm.Particles
+) -> Iterator[pgm.results.OnlineBelief]:
+    """The belief of drives, readings (runs, M, 2), at each step."""
+    runs = len(readings)
     robot = pgm.OnlineFilter(problem.network, belief=particles)
     belief = robot.initial()
     with warnings.catch_warnings():
@@ -67,9 +102,7 @@ def follow(problem: Problem, readings: Array, particles: pgm.Particles) -> Follo
             if t and t % MOTIONS == 0:
                 read = {problem.reading: readings[:, t // MOTIONS - 1]}
                 belief = robot.update(belief, {**read, **problem.given})
-            found = belief[problem.state]
-            mean[t], cov[t], number[t] = found.mean, found.cov, found.number
-    return Followed(mean.swapaxes(0, 1), cov.swapaxes(0, 1), belief.log_evidence, number.T)
+            yield belief
 
 
 def against_kalman(

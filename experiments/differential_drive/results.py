@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 import pgm
 from experiments.differential_drive.errors import about_landmark, errors, later, mean_nees
+from experiments.differential_drive.particles import Cloud, cloud
 from experiments.differential_drive.problems import DT, MOTIONS, Problem, deviations, linear
 
 Array = npt.NDArray[np.float64]
@@ -87,6 +88,11 @@ class Solved:
         posterior, state = list(self.posteriors.values())[-1], self.problem.state
         marginals = (posterior.predicted, posterior.filtered, posterior)
         return Drive(self.problem, self.truth[run], *(m[state].run(run) for m in marginals))
+
+    def cloud(self, count: int, run: int = 0) -> Cloud:
+        """One of the drives, followed by so many particles."""
+        readings = self.evidence[self.problem.reading].values[run]
+        return cloud(self.problem, readings, count, seed=run)
 
 
 def solve(problem: Problem, runs: int, rng: np.random.Generator) -> Solved:

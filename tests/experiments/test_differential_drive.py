@@ -1,6 +1,7 @@
 """The wheeled robot's problems: what was declared, what was found, and what was drawn."""
 
 import json
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from PIL import Image
 
 import pgm
 from experiments import differential_drive
-from experiments.differential_drive import page
+from experiments.differential_drive import animation, page
 from experiments.differential_drive.animation import EVERY
 from experiments.differential_drive.errors import about_landmark
 from experiments.differential_drive.figures import RINGS, drive_figure
@@ -211,6 +212,49 @@ def _ellipses(figure):
         [len(c.get_offsets()) for c in ax.collections if isinstance(c, EllipseCollection)]
         for ax in figure.axes
     ]
+
+
+def test_pictures_have_whole_titles_and_particles_beside_the_kalman_filter(monkeypatch, tmp_path):
+    solved = solve(problems("deviation", 5)["2b"], 2, np.random.default_rng(0))
+    drive, cloud = solved.drive(1), solved.cloud(50, 1)
+    seen = []
+
+    class Looking:
+        """In place of a writer: what is in a picture, and whether its texts are inside."""
+
+        def __init__(self, fps):
+            pass
+
+        @contextmanager
+        def saving(self, figure, path, dpi):
+            self.figure = figure
+            yield
+
+        def grab_frame(self):
+            self.figure.canvas.draw()
+            whole = self.figure.bbox
+            for ax in self.figure.axes:
+                box = ax.title.get_window_extent()
+                assert ax.get_title()
+                assert whole.y0 <= box.y0 < box.y1 <= whole.y1
+                assert whole.x0 <= box.x0 < box.x1 <= whole.x1
+            seen.append({line.get_label(): line for line in self.figure.axes[1].lines})
+
+    monkeypatch.setattr(animation, "GifWriter", Looking)
+    assert animation.animate(drive, cloud, tmp_path / "a.gif") == len(seen)
+    last, step = seen[-1], EVERY["2b"] * (len(seen) - 1)
+    assert_allclose(last["50 particles"].get_xydata(), cloud.states[step, :, :2])
+    assert_allclose(last["particles' mean"].get_xydata(), cloud.mean[: step + 1, :2])
+    assert_allclose(last["Kalman filter"].get_xydata(), drive.filtered.mean[: step + 1, :2])
+
+
+def test_a_cloud_of_particles_is_the_belief_of_its_drive(linear):
+    """With 3000 of them within their sampling error, as equally weighted draws."""
+    cloud, drive = linear.cloud(3000, 5), linear.drive(5)
+    off = np.abs(cloud.states.mean(axis=1) - drive.filtered.mean)
+    assert (off <= 0.3 * drive.filtered.std).all()
+    assert cloud.states.shape == (161, 3000, 2)
+    assert np.abs(cloud.mean - drive.filtered.mean).max() < 0.03
 
 
 @pytest.mark.parametrize("name", ["1", "2a", "2b"])
