@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from pgm.arguments import public
-from pgm.errors import Unanswered
 from pgm.inference import Posterior
 from pgm.kernels.arrays import Array
 from pgm.posteriors.summaries import spread
@@ -18,8 +17,8 @@ from pgm.variables import Variable
 from pgm.viewer import chain
 from pgm.viewer.assembly import REPORT as PAGE
 from pgm.viewer.assembly import assembled
-from pgm.viewer.numbers import REPORT, Numbers, Run, chosen_runs, chosen_steps
-from pgm.viewer.sections import sections
+from pgm.viewer.numbers import REPORT, Numbers, chosen_runs, chosen_steps
+from pgm.viewer.sections import sections, stretches
 from pgm.viewer.truth import Truth, truths
 from pgm.viewer.view import OVER_TIME
 
@@ -55,18 +54,7 @@ def _path(
     runs, few = chosen_runs(None, np.shape(posterior.log_evidence), REPORT)
     span, cut = chosen_steps(None, posterior.graph.steps, REPORT)
     found = chain.page(outcome, numbers, runs, span, REPORT, truth)
-    lost = _stretches(posterior)
+    lost = stretches(posterior)
     for row in found["runs"]:
         row["lost"] = lost.get(tuple(row["run"]), [])
     return found, [note for note in (few, cut) if note]
-
-
-def _stretches(posterior: Posterior[Any]) -> dict[Run, list[tuple[int, int]]]:
-    """The first and last steps of the stretches at which each run was lost."""
-    found: dict[Run, list[tuple[int, int]]] = {}
-    try:
-        for each in posterior.lost.stretches:
-            found.setdefault(each.run, []).append((each.first, each.last))
-    except Unanswered:
-        pass
-    return found

@@ -11,14 +11,14 @@ import numpy.typing as npt
 
 from pgm.consistency import Average, anees, anis, coverage, ranking, rmse
 from pgm.display import LEFT_OUT, count, number, places
-from pgm.errors import PgmError, Unanswered
+from pgm.errors import EvidenceError, PgmError, Unanswered
 from pgm.factors import Gaussian
 from pgm.factors.scope import listed
 from pgm.inference import Posterior
 from pgm.kernels.arrays import Array
 from pgm.posteriors.status import ENOUGH_DIGITS
 from pgm.variables import Discrete, Variable
-from pgm.viewer.numbers import SHOWN, Numbers, Ref
+from pgm.viewer.numbers import SHOWN, Numbers, Ref, Run
 
 # What a section finds: nothing against the answer, something to look at, or nothing either way.
 RIGHT, LOOK, UNKNOWN = "right", "look", "unknown"
@@ -88,6 +88,17 @@ def sections(
             continue
         if section is not None:
             found.append(asdict(section))
+    return found
+
+
+def stretches(posterior: Posterior[Any]) -> dict[Run, list[tuple[int, int]]]:
+    """The first and last steps of the stretches at which each run was lost; none if not known."""
+    found: dict[Run, list[tuple[int, int]]] = {}
+    try:
+        for each in posterior.lost.stretches:
+            found.setdefault(each.run, []).append((each.first, each.last))
+    except Unanswered:
+        pass
     return found
 
 
@@ -221,8 +232,7 @@ def _sensors(posterior: Posterior[Any], numbers: Numbers) -> Section | None:
                 f"{row.probability:.2g}",
             )
         )
-    alone = not np.shape(posterior.log_evidence)
-    lost = [(each.first, each.last) for each in posterior.lost.stretches if alone]
+    lost = stretches(posterior).get((), [])  # of a single run
     curves = [
         _band(f"NIS a component of {row.name}", anis(innovations[row.sensor]), numbers, lost)
         for row in ranked.rows[:_CURVES]
@@ -253,15 +263,22 @@ def _truth(posterior: Posterior[Any], truth: Mapping[Variable, Array], numbers: 
             each = anees(belief, values)
             whole = each.overall() if np.ndim(each.value) else each
             inside = coverage(belief, values)
-            lengths = [f"{c} {_length(belief, values, c)}" for c in variable.components]
         except PgmError as error:
-            failed.append(f"{variable!r}: {error}")
+            # Without time only what was observed has no belief: its truth is its evidence.
+            if not (isinstance(error, EvidenceError) and posterior.kind is None):
+                failed.append(f"{variable!r}: {error}")
             continue
         average = whole.per_dof()
         outside += [variable] * (not bool(average.inside))
         share = f"{100.0 * float(inside.actual):.0f} %"
         rows.append(
-            (repr(variable), f"{whole.count:,}", ", ".join(lengths), *_in_band(average), share)
+            (
+                repr(variable),
+                f"{whole.count:,}",
+                _lengths(belief, values),
+                *_in_band(average),
+                share,
+            )
         )
         if belief.steps is not None and len(curves) < _CURVES:
             curves.append(_band(f"NEES a component of {variable!r}", each, numbers))
@@ -273,7 +290,7 @@ def _truth(posterior: Posterior[Any], truth: Mapping[Variable, Array], numbers: 
         told = (
             f"true states had the probability {states[0][2]} on average"
             if len(states) == 1
-            else (f"{len(states)} discrete states judged by the probability of the true ones")
+            else f"{len(states)} discrete states judged by the probability of the true ones"
         )
         return Section(title, UNKNOWN, told, failed, tables)
     words = [
@@ -294,9 +311,14 @@ def _gaussian(variable: Variable, belief: Any) -> Gaussian:
     return Gaussian(variable, belief.mean, belief.cov, steps=belief.steps)
 
 
-def _length(belief: Gaussian, values: Array, component: str) -> str:
-    unit = belief.scope[0].unit_of(component) or ""
-    return f"{number(rmse(belief, values, (component,)), 3)} {unit}".strip()
+def _lengths(belief: Gaussian, values: Array) -> str:
+    """The RMSE of each component of which some truth is known."""
+    variable, found = belief.scope[0], []
+    for k, name in enumerate(variable.components):
+        if not np.isnan(values[..., k]).all():
+            length = number(rmse(belief, values, (name,)), 3)
+            found.append(f"{name} {length} {variable.unit_of(name)}".strip())
+    return ", ".join(found)
 
 
 def _of_states(variable: Discrete, belief: Any, values: Array) -> tuple[str, ...]:

@@ -168,6 +168,31 @@ def test_errors_without_a_scale_are_told_in_words(tmp_path):
     assert "an error has no scale" in section["words"][0]
 
 
+def test_truths_of_which_parts_are_known(tmp_path):
+    """A recording's truth has places and no heading; of a network without time it has evidence."""
+    drawn, posterior = posteriors.simulated()
+    true = np.array(drawn[posteriors.x])
+    true[:, 2] = np.nan
+    row = row_of(
+        sections_of(written(posterior, tmp_path, {posteriors.x: true}))["Against the truth"]
+    )
+    off = posterior[posteriors.x].mean[:, :2] - true[:, :2]
+    rms = np.sqrt(np.mean(off**2, axis=0))
+    assert row["RMSE"] == f"east {rms[0]:.3g}, north {rms[1]:.3g}"
+    a, b = pgm.variables("a b")
+    net = pgm.BayesianNetwork(
+        [pgm.GaussianCPD(a, 0.0, 1.0), pgm.LinearGaussianCPD(b, {a: 1.0}, cov=1.0)]
+    )
+    drawn = net.sample(50, rng=0)
+    section = sections_of(written(pgm.infer(pgm.compile(net), {b: drawn[b]}), tmp_path, drawn))[
+        "Against the truth"
+    ]
+    assert [row[0] for row in section["tables"][0]["rows"]] == ["a"]
+    nees = (drawn[a] - 0.5 * drawn[b]) ** 2 / 0.5
+    assert float(row_of(section)["NEES a component"]) == pytest.approx(nees.mean(), rel=5e-3)
+    assert "observed" not in " ".join(section["words"])
+
+
 @pytest.mark.parametrize(("vouched", "state"), [([True, True], "right"), ([True, False], "look")])
 def test_the_verdict_of_an_estimate_stands_first(vouched, state, tmp_path, monkeypatch):
     class Verdict(SimpleNamespace):
