@@ -262,7 +262,7 @@ class Drawing {
     const { variables, observed } = this.source.about(id);
     const { note, touched } = this.source.node(id);
     const [most] = this.source.moved(id);
-    const parts = [`cluster ${id}: ${variables.join(", ") || "∅"}`];
+    const parts = [`cluster ${id}: ${variables.join(", ") || "nothing hidden"}`];
     if (note) parts.push(`reads ${note}`);
     else if (observed.length) parts.push(`observed: ${observed.join(", ")}`);
     if (touched) parts.push("touched");
