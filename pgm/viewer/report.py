@@ -20,7 +20,7 @@ from pgm.viewer.assembly import assembled
 from pgm.viewer.numbers import REPORT, Numbers, chosen_runs, chosen_steps
 from pgm.viewer.sections import sections, stretches
 from pgm.viewer.truth import Truth, truths
-from pgm.viewer.view import OVER_TIME
+from pgm.viewer.view import is_over_time
 
 
 @public
@@ -49,7 +49,7 @@ def _path(
 ) -> tuple[dict[str, Any] | None, list[str]]:
     """The path of a chain, with the stretches at which it was lost, and notes on what is cut."""
     outcome = posterior._outcome
-    if outcome.form not in OVER_TIME:
+    if not is_over_time(outcome):
         return None, []
     runs, few = chosen_runs(None, np.shape(posterior.log_evidence), REPORT)
     span, cut = chosen_steps(None, posterior.graph.steps, REPORT)

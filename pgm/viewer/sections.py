@@ -104,19 +104,12 @@ def stretches(posterior: Posterior[Any]) -> dict[Run, list[tuple[int, int]]]:
 
 def _verdict(posterior: Posterior[Any]) -> Section | None:
     """What `pgm.estimate` vouches for; None of a posterior of another call."""
-    verdict = getattr(posterior, "verdict", None)
+    verdict = posterior.verdict
     if verdict is None:
         return None
-    vouched = np.asarray(verdict.vouched)
-    good = int(vouched.sum())
-    told = "vouched for" if good == vouched.size else "not vouched for"
-    if vouched.size > 1:
-        told = f"{good} of {count(vouched.size, 'run')} vouched for"
-    within = np.broadcast_to(verdict.within, vouched.shape)[vouched]
-    if within.size:
-        told += f", within {number(float(within.max()), 2)} nats"
-    words = str(verdict).splitlines()
-    return Section("Verdict", RIGHT if good == vouched.size else LOOK, told, words)
+    words = [line.strip() for line in str(verdict).splitlines()[1:]]
+    every = bool(verdict.vouched.all())
+    return Section("Verdict", RIGHT if every else LOOK, verdict.headline, words)
 
 
 def _convergence(posterior: Posterior[Any], numbers: Numbers) -> Section:

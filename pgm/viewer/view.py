@@ -13,15 +13,49 @@ from pgm.compile import DynamicGraph
 from pgm.display import Shown
 from pgm.errors import GraphError
 from pgm.inference import GrowingMap, Posterior
-from pgm.posteriors.outcome import BY_PATTERN, CHAIN, MARGINALS, MIXTURES, SLICES, SWITCHING
+from pgm.posteriors.outcome import (
+    BY_PATTERN,
+    CHAIN,
+    MARGINALS,
+    MIXTURES,
+    SLICES,
+    SWITCHING,
+    Outcome,
+)
 from pgm.viewer import chain, graph, growing
 from pgm.viewer.assembly import assembled
 from pgm.viewer.numbers import CELL, FILE, Limits, Numbers, Run, chosen_runs, chosen_steps
 from pgm.viewer.truth import Truth, truths
 
 # The forms of beliefs that a page shows step by step, and not cluster by cluster.
-OVER_TIME = (CHAIN, SLICES, MARGINALS, SWITCHING)
-_NO_CLUSTERS = (MIXTURES, BY_PATTERN)
+_OVER_TIME = (CHAIN, SLICES, MARGINALS, SWITCHING)
+
+
+def is_over_time(outcome: Outcome[Any]) -> bool:
+    """Whether a page shows beliefs step by step: those of a chain."""
+    return outcome.kind is not None and outcome.form in _OVER_TIME
+
+
+def _no_clusters(posterior: Posterior[Any]) -> str:
+    """Why a page has no beliefs of clusters to show, for a refusal; empty where it has."""
+    outcome = posterior._outcome
+    if outcome.form == MIXTURES:
+        return (
+            f"view shows beliefs of clusters, and {posterior._title} has mixtures over the "
+            "configurations of its discrete variables: print it, or plot its beliefs"
+        )
+    if outcome.form == BY_PATTERN:
+        return (
+            f"view shows beliefs of clusters, which are over other variables in runs with other "
+            f"gaps, and {posterior._title} has several patterns of these: give runs of one to a "
+            "call, print it, or plot its beliefs"
+        )
+    if outcome.form == MARGINALS and outcome.kind is None:
+        return (
+            f"view shows beliefs of clusters, and {posterior._title} has marginals of variables "
+            "alone: print it, plot its beliefs, or have posterior.report(path) judge them"
+        )
+    return ""
 
 
 @public
@@ -88,7 +122,7 @@ def view(
 @public
 def html(posterior: Posterior[Any] | GrowingMap) -> str:
     """The page of a posterior or map in a frame, for notebooks: small, and cut where it says so."""
-    if isinstance(posterior, Posterior) and posterior._outcome.form in _NO_CLUSTERS:
+    if isinstance(posterior, Posterior) and _no_clusters(posterior):
         return Shown._repr_html_(posterior)
     whole = assembled(*_content(posterior, None, None, CELL))
     return (
@@ -113,21 +147,12 @@ def _content(
             f"not {type(posterior).__name__}"
         )
     outcome = posterior._outcome
-    if outcome.form == MIXTURES:
-        raise GraphError(
-            f"view shows beliefs of clusters, and {posterior._title} has mixtures over the "
-            "configurations of its discrete variables: print it, or plot its beliefs"
-        )
-    if outcome.form == BY_PATTERN:
-        raise GraphError(
-            f"view shows beliefs of clusters, which are over other variables in runs with other "
-            f"gaps, and {posterior._title} has several patterns of these: give runs of one to a "
-            "call, print it, or plot its beliefs"
-        )
+    if why := _no_clusters(posterior):
+        raise GraphError(why)
     lead = np.asarray(posterior.log_evidence).shape
     runs, few = chosen_runs(run, lead, limits)
     numbers, true = Numbers(), truths(posterior, truth)
-    if outcome.form in OVER_TIME:
+    if is_over_time(outcome):
         span, cut = chosen_steps(steps, posterior.graph.steps, limits)
         found = chain.page(outcome, numbers, runs, span, limits, true)
     elif steps is not None:
@@ -158,7 +183,7 @@ def _of_map(
 
 def _named(posterior: Posterior[Any]) -> str:
     outcome = posterior._outcome
-    if outcome.form in OVER_TIME:
+    if is_over_time(outcome):
         return outcome.called
     if isinstance(posterior.graph, DynamicGraph):
         return "balanced tree"

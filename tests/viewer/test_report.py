@@ -2,7 +2,6 @@
 
 import json
 import re
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ from viewer import posteriors
 from viewer.test_page import data_of, numbers_of
 
 import pgm
-from pgm.results import Posterior
 
 
 def written(posterior, tmp_path, truth=None):
@@ -193,22 +191,33 @@ def test_truths_of_which_parts_are_known(tmp_path):
     assert "observed" not in " ".join(section["words"])
 
 
-@pytest.mark.parametrize(("vouched", "state"), [([True, True], "right"), ([True, False], "look")])
-def test_the_verdict_of_an_estimate_stands_first(vouched, state, tmp_path, monkeypatch):
-    class Verdict(SimpleNamespace):
-        def __str__(self):
-            return "two runs\nof which <b>some</b>\nare right"
-
-    verdict = Verdict(vouched=np.array(vouched), within=np.array([0.012, 0.5]), of="density")
-    monkeypatch.setattr(Posterior, "verdict", verdict, raising=False)
-    section = data_of(written(posteriors.batch(), tmp_path))["sections"][0]
-    assert (section["title"], section["state"]) == ("Verdict", state)
-    assert section["told"] == (
-        f"{sum(vouched)} of 2 runs vouched for, within {0.5 if all(vouched) else 0.012} nats"
-    )
-    assert section["words"] == ["two runs", "of which <b>some</b>", "are right"]
-    monkeypatch.setattr(Posterior, "verdict", None, raising=False)
+def test_the_verdict_of_an_estimate_stands_first(tmp_path):
+    """Of a product of two unknowns from few starts, which do not agree; and of an exact answer."""
+    a, b, y = pgm.variables("a b y")
+    product = pgm.NonlinearGaussianCPD(y, (a, b), lambda a, b: a * b, cov=0.1)
+    net = pgm.BayesianNetwork([pgm.GaussianCPD(a, 0.0, 1.0), pgm.GaussianCPD(b, 0.0, 1.0), product])
+    posterior = pgm.estimate(net, {y: [[0.7], [0.2]]})
+    page = written(posterior, tmp_path, {a: [1.0]})
+    section = data_of(page)["sections"][0]
+    assert section["title"] == "Verdict"
+    assert section["told"] == posterior.verdict.headline
+    assert section["state"] == ("right" if posterior.verdict.vouched.all() else "look")
+    assert section["words"][-1].startswith("cost: ")
+    assert data_of(page)["chain"] is None
+    linear = net.replace(pgm.LinearGaussianCPD(y, {a: 1.0, b: 1.0}, cov=0.1))
+    exact = sections_of(written(pgm.estimate(linear, {y: [0.7]}), tmp_path))["Verdict"]
+    assert (exact["state"], exact["told"]) == ("right", "vouched for: exact")
     assert "Verdict" not in sections_of(written(posteriors.batch(), tmp_path))
+
+
+def test_marginals_without_time_have_no_page_of_clusters(tmp_path):
+    a, y = pgm.variables("a y")
+    square = pgm.NonlinearGaussianCPD(y, (a,), lambda a: a**2, cov=0.1)
+    net = pgm.BayesianNetwork([pgm.GaussianCPD(a, 0.0, 1.0), square])
+    posterior = pgm.estimate(net, {y: [1.0]})
+    with pytest.raises(pgm.GraphError, match=r"posterior\.report\(path\)"):
+        pgm.view(posterior, tmp_path / "page.html")
+    assert "iframe" not in posterior._repr_html_()
 
 
 def test_a_truth_that_does_not_fit_leaves_no_page(tmp_path):
