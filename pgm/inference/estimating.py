@@ -24,7 +24,7 @@ from pgm.evidence import Evidence
 from pgm.inference.dynamic import over_time
 from pgm.inference.engine import infer
 from pgm.inference.families import answered, family_of
-from pgm.inference.vouching.climbing import PLAIN, Answer, Sought, seek, weigh
+from pgm.inference.vouching.climbing import PLAIN, Answer, Sought, climb
 from pgm.networks import BayesianNetwork, DynamicBayesianNetwork, MarkovNetwork
 from pgm.posteriors.posterior import Posterior
 from pgm.posteriors.status import Status
@@ -138,8 +138,7 @@ def estimate(
         with naming_factors(), warnings.catch_warnings():
             warnings.simplefilter("ignore", PrecisionWarning)  # of starts that go astray
             search = posed.search()
-            sought = seek(search)
-            answer = weigh(search, sought.laws, effort, generator)
+            sought, answer = climb(search, effort, generator)
             outcome = _outcome(search, sought, answer)
     except PgmError as error:
         return posed.careful()._judged(Verdict.unknown(lead, f"nothing is weighed: {error}"))

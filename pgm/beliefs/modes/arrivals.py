@@ -21,6 +21,7 @@ from pgm.factors.scope import Scope
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.semirings import log_sum
+from pgm.linearisers import Cubature, GaussHermite, Lineariser
 from pgm.posteriors.status import Status
 from pgm.schedules.damping import LevenbergMarquardt
 from pgm.schedules.options import Call
@@ -41,6 +42,16 @@ def patient(call: Call, kind: type[Kind]) -> Kind:
     if isinstance(asked, kind) and asked.iterations > 1:
         return kind(asked.iterations, asked.tolerance, damping)
     return kind(ITERATIONS, damping=damping)
+
+
+def spread_rule(size: int) -> Lineariser:
+    """The rule by which nonlinear functions of so many components are averaged over a belief.
+
+    It is as exact as its number of points, a power of the components, allows.
+    """
+    if size <= 2:
+        return GaussHermite(5)
+    return GaussHermite(3) if size <= 4 else Cubature()
 
 
 def arrived(infer: Callable[[Integers], Any], starts: int) -> list[Part]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pgm.beliefs.modes.adapted import adapt, warn_of_few
-from pgm.beliefs.modes.arrivals import arrived, chosen, patient, warn_of_unsettled
+from pgm.beliefs.modes.arrivals import arrived, chosen, patient, spread_rule, warn_of_unsettled
 from pgm.beliefs.modes.chain_laws import ModeBeliefs, Trajectories, laws_of
 from pgm.beliefs.modes.laws import Laws
 from pgm.beliefs.modes.outcome import ChainModes, Found, Part
@@ -108,6 +108,11 @@ class ChainSearch:
         """The search by smoothers of so many iterations."""
         schedule = Smoothing(iterations, tolerance, damping)
         return replace(self, call=self.call._replace(schedule=schedule))
+
+    def otherwise(self) -> ChainSearch:
+        """The search by a rule that takes means of nonlinear functions, not their slopes."""
+        size = self.graph.layout.slice_size
+        return replace(self, call=self.call._replace(lineariser=spread_rule(size)))
 
     def arrived(self, starts: int) -> list[Part]:
         """The smoothers from so many starts."""

@@ -16,7 +16,7 @@ from pgm.beliefs.gaussian.layout import Layout
 from pgm.beliefs.gaussian.model import Model
 from pgm.beliefs.gaussian.outcome import GaussianOutcome, places_of
 from pgm.beliefs.modes.adapted import adapt, warn_of_few
-from pgm.beliefs.modes.arrivals import arrived, chosen, patient, warn_of_unsettled
+from pgm.beliefs.modes.arrivals import arrived, chosen, patient, spread_rule, warn_of_unsettled
 from pgm.beliefs.modes.laws import Laws, Scoped, without_density
 from pgm.beliefs.modes.linear_part import LinearPart, linear_part
 from pgm.beliefs.modes.network_density import NetworkDensity
@@ -31,7 +31,7 @@ from pgm.errors import EvidenceError, GraphError, ModelError
 from pgm.evidence import Evidence
 from pgm.evidence.static import BoundValues
 from pgm.factors import Gaussian
-from pgm.factors.scope import Scope, angle_mask, as_scope, listed
+from pgm.factors.scope import Scope, angle_mask, as_scope, dimension, listed
 from pgm.kernels.arrays import Array, Index, Integers, deviation
 from pgm.kernels.moments import Conditional
 from pgm.networks import BayesianNetwork
@@ -147,6 +147,11 @@ class NetworkSearch:
         """The search by calibrations of so many iterations."""
         schedule = Calibration(iterations, tolerance, damping)
         return replace(self, call=self.call._replace(schedule=schedule))
+
+    def otherwise(self) -> NetworkSearch:
+        """The search by a rule that takes means of nonlinear functions, not their slopes."""
+        size = max(dimension(f.hidden) for f in self.model.families if not f.exact)
+        return replace(self, call=self.call._replace(lineariser=spread_rule(size)))
 
     def arrived(self, starts: int) -> list[Part]:
         """The calibrations from so many starts."""

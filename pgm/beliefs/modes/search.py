@@ -40,6 +40,10 @@ class Search(Protocol):
         """The search by schedules of so many iterations."""
         ...
 
+    def otherwise(self) -> Self:
+        """The search by a rule that takes means of nonlinear functions, not their slopes."""
+        ...
+
     def arrived(self, starts: int) -> list[Part]:
         """The beliefs that so many starts, points of the prior, lead to."""
         ...

@@ -23,6 +23,8 @@ STARTS, MOST_STARTS, MODES, NEGLIGIBLE = 16, 64, 16, 10.0
 # Linearisations, their tolerance and damping: of the first search, and of more careful ones.
 PLAIN = 25, 1e-4, 0.0
 CAREFUL = 25, 1e-4, LevenbergMarquardt(tries=3)
+# Those by another rule, whose steps are held back, and the number of its starts.
+HELD, HALF = (25, 1e-3, 0.3), 8
 # Draws of the first round; of a chain of more steps than LONG of the first and only one.
 FIRST, FEW, LONG = 1000, 200, 1000
 # An answer is vouched for within so many nats.
@@ -95,6 +97,16 @@ class Answer(ByRun):
     effective: Array
     pareto_k: Array
 
+    @property
+    def rank(self) -> Array:
+        """How much can be said of each run: whether it is vouched for, then by what draws."""
+        grade = 1.0 * (self.of > 0) + self.sound + self.usable
+        return np.asarray(grade + self.effective / (1.0 + self.draws))
+
+    def of_runs(self, runs: Integers) -> Answer:
+        """The answers of some runs."""
+        return Answer(self.laws.of(runs), *(each[runs] for each in _figures(self)))
+
 
 @quiet()
 def seek(search: Search) -> Sought:
@@ -130,6 +142,25 @@ def _sought(search: Search, starts: int) -> Sought:
 
 
 @quiet()
+def climb(search: Search, effort: int, rng: np.random.Generator) -> tuple[Sought, Answer]:
+    """The modes of all runs, and their answers.
+
+    Runs that draws of these modes do not vouch for have modes by another rule as well, and the
+    answer of whose draws more can be said.
+    """
+    sought = seek(search)
+    answer = weigh(search, sought.laws, effort, rng)
+    runs = np.flatnonzero(answer.of == 0)
+    if runs.size and answer.draws.max() > FEW:
+        part = search.of(runs).otherwise().by(*HELD)
+        found = part.chosen([*part.unled(), *part.arrived(HALF)], MODES)
+        other = weigh(part, part.laws(found), effort, rng)
+        better = np.flatnonzero(other.rank > answer.rank[runs])
+        answer = answer.put(runs[better], other.of_runs(better))
+    return sought, answer
+
+
+@quiet()
 def weigh(search: Search, laws: Laws, effort: int, rng: np.random.Generator) -> Answer:
     """The answers of all runs: draws of the modes, and more where they do not vouch for it."""
     size = laws.first.shape[-1] + laws.mean.shape[1] * laws.mean.shape[-1]
@@ -147,9 +178,7 @@ def weigh(search: Search, laws: Laws, effort: int, rng: np.random.Generator) -> 
 
 def _empty(answer: Answer, runs: int) -> Answer:
     """An answer of so many runs, of the shapes of another."""
-    first = np.zeros(runs, dtype=np.intp)
-    rest = (getattr(answer, field.name)[first] for field in fields(answer)[1:])
-    return Answer(answer.laws.of(first), *rest)
+    return answer.of_runs(np.zeros(runs, dtype=np.intp))
 
 
 def _weighed(search: Search, laws: Laws, effort: int, rng: np.random.Generator) -> Answer:
@@ -182,8 +211,7 @@ def _better(found: Answer, own: Answer, runs: Integers) -> Answer:
 
     Laws stay as they were where these draws are of no use, and those before were.
     """
-    before, now = (each.sound.astype(int) + each.usable for each in (found, own))
-    keep = np.flatnonzero(before[runs] > now)
+    keep = np.flatnonzero(np.floor(found.rank[runs]) > np.floor(own.rank))
     laws = own.laws.padded(max(len(own.laws.weights), len(found.laws.weights)))
     kept = found.laws.padded(len(laws.weights)).of(runs[keep])
     return found.put(runs, Answer(laws.put(keep, kept), *_figures(own)))
