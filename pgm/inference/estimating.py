@@ -14,7 +14,6 @@ from pgm.beliefs.modes.laws import Laws
 from pgm.beliefs.modes.network import NetworkSearch
 from pgm.beliefs.modes.outcome import Found, ModeFigures, ModesOutcome, Part
 from pgm.beliefs.modes.search import Search
-from pgm.beliefs.moments.family import MOMENTS
 from pgm.boundary import as_generator, is_whole
 from pgm.compile import compile
 from pgm.cpds.base import naming_factors
@@ -170,7 +169,7 @@ def _over_time(model: DynamicBayesianNetwork, evidence: Evidence, steps: int | N
 
     return Posed(
         answer(call),
-        family is MOMENTS,
+        family.by_modes,
         lambda: ChainSearch.make(graph, bound, call),
         lambda: told(answer(call._replace(schedule=schedule)), schedule),
     )
@@ -187,7 +186,7 @@ def _without_time(
     call = Call(schedule)
     return Posed(
         infer(graph, evidence),
-        family_of(model) is MOMENTS,
+        family_of(model).by_modes,
         lambda: NetworkSearch.make(graph, evidence, call),
         lambda: infer(graph, evidence, schedule=schedule),
     )

@@ -33,6 +33,7 @@ class Moments(BeliefFamily[Gaussian]):
     beliefs: ClassVar[str] = "Gaussian beliefs"
     spare: ClassVar[str] = "is not for Gaussian beliefs"
     by_pattern: ClassVar[bool] = True
+    by_modes: ClassVar[bool] = True
 
     # The moments of all slices, or of the variables to keep.
     infer = staticmethod(run)

@@ -85,6 +85,8 @@ class BeliefFamily(ByAttributes, Generic[B]):
     more: ClassVar[Mapping[str, str]] = {}
     # Whether networks without time are solved by pattern of gaps where runs differ in these.
     by_pattern: ClassVar[bool] = False
+    # Whether an estimate looks for several modes, and weighs draws of them.
+    by_modes: ClassVar[bool] = False
 
     def __init_subclass__(cls, **settings: Any) -> None:
         super().__init_subclass__(**settings)
