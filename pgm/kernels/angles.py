@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pgm.kernels import step
-from pgm.kernels.arrays import Array, Mask
+from pgm.kernels.arrays import Array, Index, Integers, Mask
 
 TURN = step.TURN
 
@@ -23,9 +23,19 @@ def difference(a: Array, b: Array, angles: Mask) -> Array:
     `angles` (d,) marks these components.
     """
     delta = np.asarray(a - b)
-    for k in np.flatnonzero(angles):
-        delta[..., k] = wrap(delta[..., k])
+    places = np.flatnonzero(angles)
+    if places.size:
+        of = _evenly(places)
+        delta[..., of] = wrap(delta[..., of])
     return delta
+
+
+def _evenly(places: Integers) -> Index:
+    """Places as a slice, which takes a view, if they are evenly apart."""
+    first, last = int(places[0]), int(places[-1])
+    step = (last - first) // (places.size - 1) if places.size > 1 else 1
+    even = places.size < 3 or bool((np.diff(places) == step).all())
+    return slice(first, last + 1, step) if even else places
 
 
 def nearest_branch(value: Array, reference: Array, angles: Mask) -> Array:

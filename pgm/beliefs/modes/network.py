@@ -306,5 +306,5 @@ class AllVariables:
         nothing = np.zeros((*shape, 0))
         proposed, afresh = source.propose(nothing)
         found = self._density.at(proposed, afresh, strict=False)
-        source.weigh(nothing, found.values, found.log_tails)
-        return Weighed(found.log_density, [found.values])
+        source.weigh(nothing[None], found.values[None], found.log_tails[None])
+        return Weighed(found.log_density, found.values[None])

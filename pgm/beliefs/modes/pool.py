@@ -16,8 +16,10 @@ S is the number of draws of a run in all rounds. Arrays of slices have the steps
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from math import log
 from typing import NamedTuple
 
@@ -25,11 +27,12 @@ import numpy as np
 
 from pgm.beliefs.modes.laws import Laws, Target, without_density
 from pgm.beliefs.moments.trajectories.density import Afresh
+from pgm.beliefs.moments.trajectories.model import BLOCK
 from pgm.beliefs.moments.trajectories.proposal import Path
 from pgm.beliefs.moments.trajectories.student import log_ratio, stretch
 from pgm.errors import NumericalError
 from pgm.kernels.angles import nearest_branch
-from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.arrays import Array, Integers, inner
 from pgm.kernels.semirings import log_sum
 
 # The components up to which draws have Student's t; the part of draws that is defensive, and that
@@ -150,7 +153,7 @@ class Pool:
         source = _Source(self.target, made, kinds, scale, rng)
         drawn = self.target.draw(source, kinds.shape)
         log_target = np.where(np.isnan(drawn.log_density), -np.inf, drawn.log_density)
-        values, prior = np.stack(drawn.values), source.prior
+        values, prior = drawn.values, source.prior
         if not self.rounds:
             self.values, self.log_target, self.log_prior = values, log_target, prior
         else:
@@ -222,28 +225,29 @@ class _Source:
         laws, paths = self._made.laws, self._made.paths
         proposal, row = paths[0].at(self._index)
         white = self._scale * proposal.white(row, self._kinds.shape[1], self._rng)
-        values = proposal.values(row, near(self._target, laws, 0, self._index, given), white)
+        about = near(self._target, laws, 0, self._index, given[None])[0]
+        values = proposal.values(row, about, white)
         for k, path in enumerate(paths[1:], 1):
             own, place = path.at(self._index)
             here = (self._kinds == k)[..., None]
-            about = near(self._target, laws, k, self._index, given)
+            about = near(self._target, laws, k, self._index, given[None])[0]
             values = np.where(here, own.values(place, about, white), values)
+        self._index += 1
         return values, Afresh(self._kinds == len(paths), self._rng)
 
     def weigh(self, given: Array, values: Array, predicted: Array) -> None:
-        """Add the density of a slice by the model's own CPDs; see `Proposing`."""
-        self.prior += predicted
-        self._index += 1
+        """Add the density of slices by the model's own CPDs; see `Proposing`."""
+        self.prior += predicted.sum(axis=0)
 
 
 def near(target: Target, laws: Laws, k: int, index: int, given: Array) -> Array:
-    """The states before slice `index`, their angles on the branch of a mode.
+    """The states before slices from `index` on, (steps, runs, S, m), on the branch of a mode.
 
-    Its law is linear, and knows no turns.
+    Its law is linear, and knows no turns of angles.
     """
     if index < 2 or not target.turned.any():
         return given
-    mean = laws.mean[k, index - 1][:, None, : given.shape[-1]]
+    mean = laws.mean[k, index - 1 : index - 1 + len(given)][:, :, None, : given.shape[-1]]
     return nearest_branch(given, mean, target.turned[target.states])
 
 
@@ -251,18 +255,21 @@ def _heights(target: Target, laws: Laws, paths: list[Path], values: Array) -> He
     """The densities of draws (T+1, runs, S, m + n) under laws."""
     before = target.before
     squared = np.zeros((len(paths), *values.shape[1:3]))
+    many = max(1, BLOCK // max(1, math.prod(values.shape[1:])))
     level = np.zeros(squared.shape[:2])
     for k, path in enumerate(paths):
-        for index, pair in enumerate(values):
-            own, row = path.at(index)
-            given, slices = pair[..., :before], pair[..., before:]
-            if not index:
-                given, slices = pair[..., :0], slices[..., target.states]
-            turned = target.turned if index and target.turned.any() else None
-            about = near(target, laws, k, index, given)
-            white = own.whitened(row, about, slices, turned)
-            squared[k] += np.einsum("rsi,rsi->rs", white, white)
-            level[k] += own.level[row]
+        start = values[0][..., before:][..., target.states]
+        white = path.first.whitened(0, start[..., :0], start)
+        squared[k], level[k] = inner(white, white), path.first.level[0]
+        if path.later is None:
+            continue
+        turned = target.turned if target.turned.any() else None
+        for first, last in pairwise([1, *range(2, len(values), many), len(values)]):
+            pairs, rows = values[first:last], slice(first - 1, last - 1)
+            about = near(target, laws, k, first, pairs[..., :before])
+            white = path.later.whitened(rows, about, pairs[..., before:], turned)
+            squared[k] += inner(white, white).sum(axis=0)
+            level[k] += path.later.level[rows].sum(axis=0)
     return Heights(squared, level, _size(paths[0]))
 
 

@@ -145,12 +145,7 @@ class ChainDraws:
     @property
     def width(self) -> int:
         """The number of floats that one slice of a draw of one run occupies while it is made."""
-        size = self.plan.layout.state_size + 2 * self.plan.layout.slice_size
-        seen = [
-            np.diff(sensor.bounds).max() * sum(sensor.family.shape[2:])
-            for sensor in self.plan.sensors
-        ]
-        return size + int(max(seen, default=0))
+        return self.model.width
 
     @property
     def length(self) -> int:

@@ -8,6 +8,7 @@ answer's mean. A *scope* is the variables of one belief; n is the number of thei
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -30,6 +31,8 @@ from pgm.variables import Variable
 # The groups of draws by which the errors of estimated moments are told; and the floats of their
 # sums at the most, above which there is a single group, and errors are not told.
 GROUPS, ROOM = 16, 2**23
+# Numbers of draws that are summed up together: they stay in cache.
+BLOCK = 2**18
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -114,11 +117,11 @@ class Sums:
         self._squares = np.zeros((2, groups, *self.cov.shape))
         self._draws = np.zeros(groups)
 
-    def add(self, values: list[Array], pair: Array, fading: Array) -> None:
+    def add(self, values: Array, pair: Array, fading: Array) -> None:
         """Add the offsets of S draws for each run to the sums, weighed by y and by v.
 
-        values: By step, the draws' whole vectors, (runs, S, ...), from which `places` takes the
-            components of `scope`. Offsets of angles are wrapped.
+        values: By step, the draws' whole vectors, (T+1, runs, S, ...), from which `places` takes
+            the components of `scope`. Offsets of angles are wrapped.
         pair: The weights y / e^peak and v, (2, runs, S), peak being the largest ln y of the run so
             far.
         fading: e^(peak before − peak now), (runs,), by which the sums of earlier draws with weights
@@ -131,14 +134,17 @@ class Sums:
         grouped = self._grouped(pair)
         self._mass += grouped.sum(axis=-1).swapaxes(1, 2)
         self._draws += self._grouped(np.ones(pair.shape[-1])).sum(axis=-1)
-        for row, drawn in enumerate(values[self.first :]):
-            off = difference(drawn[..., self.places], self.mean[row][:, None], angles)
-            parts = self._grouped(off.swapaxes(-1, -2))  # (runs, n, G, draws)
-            draws = parts.transpose(2, 0, 3, 1)
+        many = max(1, BLOCK // max(1, math.prod(pair.shape[1:]) * self.mean.shape[-1]))
+        for first in range(0, len(self.mean), many):
+            rows = slice(first, first + many)
+            drawn = values[self.first :][rows][..., self.places]
+            off = difference(drawn, self.mean[rows][..., None, :], angles)
+            parts = self._grouped(off.swapaxes(-1, -2))  # (k, runs, n, G, draws)
+            draws = parts.transpose(3, 0, 1, 4, 2)
             for kind, weights in enumerate(grouped):
-                weighted = (parts * weights[:, None]).transpose(2, 0, 1, 3)
-                self._offsets[kind, :, row] += weighted.sum(axis=-1)
-                self._squares[kind, :, row] += weighted @ draws
+                weighted = (parts * weights[:, None]).transpose(3, 0, 1, 2, 4)
+                self._offsets[kind, :, rows] += weighted.sum(axis=-1)
+                self._squares[kind, :, rows] += weighted @ draws
 
     def _grouped(self, values: Array) -> Array:
         """Values (..., S) of draws in turn of each group, (..., G, S/G), with zeros at the end."""

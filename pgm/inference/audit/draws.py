@@ -22,7 +22,7 @@ from pgm.beliefs.moments.trajectories.density import Afresh
 from pgm.beliefs.moments.trajectories.proposal import Path
 from pgm.inference.audit.excursions import PREDICTION, TAILS, Excursions
 from pgm.inference.audit.modes import Modes
-from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.arrays import Array, Integers, Mask, inner
 
 
 class Draws(NamedTuple):
@@ -31,19 +31,19 @@ class Draws(NamedTuple):
     target: ln p(x, z) of the model with the measurements z; NaN where a function of the model is
         NaN or infinite at a defensive draw.
     gaussian, defensive: ln q and ln d.
-    values: In a chain, for each step the vectors of the states before, then the slice, with zeros
-        for the states before step 0; in a network without time a single array, (runs, S, n).
+    values: In a chain, by step the vectors of the states before, then the slice, with zeros for the
+        states before step 0, (T+1, runs, S, m + n); in a network without time (1, runs, S, n).
     """
 
     target: Array
     gaussian: Array
     defensive: Array
-    values: list[Array]
+    values: Array
 
 
 @dataclass(eq=False)
 class Strand:
-    """Draws from q or d under construction: call `propose`, then `weigh`, for each slice in turn.
+    """Draws from q or d under construction: call `propose` for each slice, `weigh` for several.
 
     A defensive draw leaves q for an excursion, or is of another mode's Gaussian q_k:
 
@@ -85,8 +85,9 @@ class Strand:
         if self.defensive and self.modes.paths:
             self._mode = self.modes.drawn(self.shape[1], self.rng)
             self._excursion = self._mode == len(self.modes.paths)
-        self._white = np.zeros(0)
-        self._index = 0
+        self._white: list[Array] = []  # of the slices that are not weighed yet
+        self._away: list[Mask] = []  # and where they are not made of it by q
+        self._index = self._weighed = 0
 
     def propose(self, given: Array) -> tuple[Array, Afresh | None]:
         """Draw the next slice (runs, S, n) given the states before, (runs, S, m).
@@ -107,43 +108,45 @@ class Strand:
                 other, place = path.at(self._index)
                 here = self._mode == k
                 values = np.where(here[..., None], other.values(place, given, white), values)
-        self._white = white
+        self._white.append(white)
+        self._away.append((self._stage == PREDICTION) | ~self._excursion)
+        self._index += 1
         return values, afresh
 
     def weigh(self, given: Array, values: Array, predicted: Array) -> None:
-        """Add the log-densities of a slice to ln q and ln d.
+        """Add the log-densities of the next k slices to ln q and ln d.
 
-        given: The states before, (runs, S, m).
-        values: The slice as it was drawn, (runs, S, n).
-        predicted: Its log-density by the model's own CPDs, with Student's t for their noise,
-            (runs, S).
+        given: The states before them, (k, runs, S, m).
+        values: The slices as they were drawn, (k, runs, S, n).
+        predicted: Their log-densities by the model's own CPDs, with Student's t for their noise,
+            (k, runs, S).
         """
-        proposal, row = self.answer.at(self._index)
-        white = self._white
-        away = (self._stage == PREDICTION) | ~self._excursion
+        first, self._weighed = self._weighed, self._weighed + len(values)
+        proposal, row = self.answer.at(first)
+        rows = slice(row, row + len(values))
+        white, away = np.stack(self._white), np.stack(self._away)
+        self._white, self._away = [], []
         if away.any():
-            again = proposal.whitened(row, given, values)
+            again = proposal.whitened(rows, given, values)
             white = np.where(away[..., None], again, white)
-        squared = np.einsum("rsi,rsi->rs", white, white)
-        gaussian = np.zeros(self.shape)
+        squared = inner(white, white)
+        gaussian = np.zeros(squared.shape)
         if not self.relative:
-            gaussian = proposal.log_density(row, squared)
-        tails = proposal.log_tails(row, squared)
-        self._density = self.excursions.extend(
-            self._index, self._density, gaussian, predicted, tails
-        )
-        self.gaussian += gaussian
+            gaussian = proposal.log_density(rows, squared)
+        tails = proposal.log_tails(rows, squared)
+        self._density = self.excursions.extend(first, self._density, gaussian, predicted, tails)
+        self.gaussian += gaussian.sum(axis=0)
         for k, path in enumerate(self.modes.paths):
-            other, place = path.at(self._index)
-            white = other.whitened(place, given, values)
-            self._by_mode[k] += other.log_density(place, np.einsum("rsi,rsi->rs", white, white))
-        self._index += 1
+            other, place = path.at(first)
+            rows = slice(place, place + len(values))
+            white = other.whitened(rows, given, values)
+            self._by_mode[k] += other.log_density(rows, inner(white, white)).sum(axis=0)
 
-    def drawn(self, target: Array, values: list[Array]) -> Draws:
+    def drawn(self, target: Array, values: Array) -> Draws:
         """The finished draws, after the last slice.
 
         target: ln p(x, z) of the model, (runs, S).
-        values: The values of the draws, (runs, S, ...), by step.
+        values: The values of the draws, by step.
         """
         defensive = self._density.log()
         if self.modes.paths:

@@ -81,9 +81,9 @@ class Excursions:
         return Density(np.zeros(shape), shares)
 
     def extend(
-        self, index: int, so_far: Density, gaussian: Array, predicted: Array, tails: Array
+        self, first: int, so_far: Density, gaussian: Array, predicted: Array, tails: Array
     ) -> Density:
-        """The density of draws up to slice `index`, from that before it.
+        """The density of draws up to some slices, from that before these.
 
         Let a be the densities up to the slice before, by stage: a_before, a_after, and a_kind for
         each kind of excursion, PREDICTION and TAILS. Let π_kind be the part of excursions of a
@@ -97,28 +97,31 @@ class Excursions:
 
         Parameters
         ----------
-        index : int
-            The number of the slice, from 0.
+        first : int
+            The number of the first of k slices, from 0.
         so_far : Density
             The density up to the slice before.
         gaussian, predicted : ndarray
-            (runs, S): the slice's log-density by the Gaussian, and by the model with Student's t.
+            (k, runs, S): the slices' log-densities by the Gaussian, and by the model with Student's
+            t.
         tails : ndarray
-            (runs, S): the log-density by the Gaussian with Student's t for its noise, less
+            (k, runs, S): the log-densities by the Gaussian with Student's t for its noise, less
             `gaussian`.
         """
-        begin, before = self._begin(index), so_far.shares
         scale = np.maximum(np.maximum(predicted, gaussian), gaussian + tails)
-        by_gaussian = np.exp(gaussian - scale)
-        shares = np.empty_like(before)
-        shares[BEFORE] = (1.0 - begin) * before[BEFORE] * by_gaussian
-        for kind, part in ((PREDICTION, self.predicted), (TAILS, 1.0 - self.predicted)):
-            shares[kind] = (1.0 - END) * before[kind] + begin * part * before[BEFORE]
-        shares[PREDICTION] *= np.exp(predicted - scale)
-        shares[TAILS] *= np.exp(gaussian + tails - scale)
-        shares[AFTER] = before[AFTER] + END * (before[PREDICTION] + before[TAILS])
-        shares[AFTER] *= by_gaussian
-        return Density(so_far.scale + scale, shares)
+        by_gaussian, by_model = np.exp(gaussian - scale), np.exp(predicted - scale)
+        by_tails = np.exp(gaussian + tails - scale)
+        none, model, wide, after = so_far.shares
+        for k in range(len(scale)):
+            begin = self._begin(first + k)
+            after = (after + END * (model + wide)) * by_gaussian[k]
+            model = ((1.0 - END) * model + begin * self.predicted * none) * by_model[k]
+            wide = ((1.0 - END) * wide + begin * (1.0 - self.predicted) * none) * by_tails[k]
+            none = (1.0 - begin) * none * by_gaussian[k]
+        shares = np.stack([none, model, wide, after])
+        peak = shares.max(axis=0)
+        peak = np.where(peak > 0.0, peak, 1.0)
+        return Density(so_far.scale + scale.sum(axis=0) + np.log(peak), shares / peak)
 
 
 class Density(NamedTuple):

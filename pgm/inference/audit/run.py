@@ -30,6 +30,8 @@ from pgm.posteriors.posterior import Posterior
 from pgm.progress import Progress, reporting
 from pgm.schedules.limits import require_runs
 
+# Draws from the answer unless a call asks for others; of a chain of more steps than LONG.
+SAMPLES, FEW, LONG = 1000, 100, 1000
 # The draws from beliefs of each form.
 _DRAWS: dict[str, Any] = {
     CHAIN: ChainDraws,
@@ -43,7 +45,7 @@ _DRAWS: dict[str, Any] = {
 def audit(
     posterior: Posterior[Any],
     *,
-    samples: int = 1000,
+    samples: int | None = None,
     rng: np.random.Generator | int,
     progress: Progress = False,
 ) -> Audit:
@@ -113,8 +115,9 @@ def audit(
     posterior : Posterior
         The posterior of a filter or smoother, or of a tree: of Gaussian beliefs, or of mixtures of
         Gaussians over time.
-    samples : int
+    samples : int, optional
         S, the number of draws from q for each run, 2 or more; there are as many defensive draws.
+        1,000 without; 100 of a chain of more than 1,000 steps.
         The result keeps a number for each draw, and the draws are made in batches of bounded size.
     rng : numpy.random.Generator or int
         The generator of draws, or its seed.
@@ -150,7 +153,7 @@ def audit(
     >>> found.correction.round(2), found.standard_error.round(3)
     (np.float64(0.01), np.float64(0.002))
     """
-    if not is_whole(samples) or samples < 2:
+    if samples is not None and (not is_whole(samples) or samples < 2):
         raise ModelError(f"samples is the number of draws, 2 or more; not {samples!r}")
     generator = as_generator(rng)
     outcome = posterior._outcome if isinstance(posterior, Posterior) else None
@@ -160,6 +163,9 @@ def audit(
     for cpd in () if outcome.form == NETWORK else graph.model.prior:
         cpd.require_proper("an audit draws from the posterior, and weighs with the prior")
     known = posterior.log_evidence
+    if samples is None:
+        steps = 0 if outcome.form == NETWORK else outcome.graph.steps
+        samples = FEW if steps > LONG else SAMPLES
     require_runs(8 * samples, known.size, "the weights of an audit")
     with naming_factors():
         draws: ChainDraws | TreeDraws | SwitchingDraws = _DRAWS[outcome.form].make(outcome)

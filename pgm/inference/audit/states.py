@@ -62,7 +62,7 @@ class StateSums:
     def __post_init__(self) -> None:
         self._sums = np.zeros(self.probabilities.shape)
 
-    def add(self, values: list[Array], pair: Array, fading: Array) -> None:
+    def add(self, values: Array, pair: Array, fading: Array) -> None:
         """Add S draws for each run to the sums; as of `Sums.add`."""
         self._sums *= fading[:, None]
         for row, drawn in enumerate(values[self.first :]):

@@ -133,7 +133,7 @@ class SwitchingDraws:
         own = np.concatenate([values, self._states(paths)], axis=-1).swapaxes(1, 2)
         answer, alone = (self.law.log_probability(paths, defensive=d).T for d in (False, True))
         if all(isinstance(case, AffineCPD) for case in chain.roles.cases):
-            return Draws(followed.log_density.T, answer, alone, list(own))
+            return Draws(followed.log_density.T, answer, alone, own)
         law = TrajectoryDensity(chain)
         if not np.isfinite(density).all():
             raise NumericalError(
@@ -141,7 +141,7 @@ class SwitchingDraws:
                 "switching model draws these: give the exact CPDs some noise"
             )
         exact = law.log_density(values, paths) + self.law.of_model(paths)
-        return Draws(exact.T, answer + density.T, alone + density.T, list(own))
+        return Draws(exact.T, answer + density.T, alone + density.T, own)
 
     def _states(self, paths: Integers) -> Array:
         """The states of hidden discrete variables along paths, (T+1, draws, runs, variables)."""

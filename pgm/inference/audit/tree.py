@@ -164,8 +164,8 @@ class TreeDraws:
         nothing = np.zeros((*shape, 0))
         proposed, afresh = strand.propose(nothing)
         found = self.density.at(proposed, afresh, strict=not defensive)
-        strand.weigh(nothing, found.values, found.log_tails)
-        return strand.drawn(self.reference[:, None] + found.log_density, [found.values])
+        strand.weigh(nothing[None], found.values[None], found.log_tails[None])
+        return strand.drawn(self.reference[:, None] + found.log_density, found.values[None])
 
 
 def _based(

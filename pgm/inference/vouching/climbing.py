@@ -25,7 +25,8 @@ PLAIN = 25, 1e-4, 0.0
 CAREFUL = 25, 1e-4, LevenbergMarquardt(tries=3)
 # Those by another rule, whose steps are held back, and the number of its starts.
 HELD, HALF = (25, 1e-3, 0.3), 8
-# Draws of the first round; of a chain of more steps than LONG of the first and only one.
+# Draws of the first round; of a chain of more steps than LONG of the first and only one, and only
+# the first search is made.
 FIRST, FEW, LONG = 1000, 200, 1000
 # An answer is vouched for within so many nats.
 WITHIN = 0.1
@@ -113,11 +114,12 @@ def seek(search: Search) -> Sought:
     """The modes of all runs, from 16 starts and from none, by Gauss–Newton.
 
     Where few settle, or one alone found a mode, by Levenberg–Marquardt from twice as many, up to
-    64.
+    64; of a long chain by no more.
     """
     found = _sought(search.by(*PLAIN), STARTS)
     starts = 2 * STARTS
-    while starts <= MOST_STARTS and not found.agreed.all():
+    long = found.laws.mean.shape[1] > LONG
+    while starts <= MOST_STARTS and not long and not found.agreed.all():
         runs = np.flatnonzero(~found.agreed)
         found = found.put(runs, _sought(search.of(runs).by(*CAREFUL), starts))
         starts *= 2

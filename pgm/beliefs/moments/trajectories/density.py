@@ -49,11 +49,11 @@ class Afresh(NamedTuple):
 class Drawn(NamedTuple):
     """The children of draws by one CPD, with their log-densities.
 
-    values: The children, (runs, S, d).
-    log_density: The CPD's log-density, (runs, S); a relative one if the `Term` is relative.
+    values: The children, (..., S, d).
+    log_density: The CPD's log-density, (..., S); a relative one if the `Term` is relative.
     log_tails: The log-density, never relative, with Student's t in place of the CPD's Gaussian
-        noise, (runs, S).
-    lost: The mask of draws at which f is not finite, (runs, S).
+        noise, (..., S).
+    lost: The mask of draws at which f is not finite, (..., S).
     """
 
     values: Array
@@ -129,6 +129,14 @@ class Term:
         """The mask of child components that have noise, (rows or 1, runs or 1, d)."""
         return ~roots.determined(self.own)
 
+    @cached_property
+    def _all_free(self) -> bool:
+        return bool(self.free().all())
+
+    @cached_property
+    def _turns(self) -> bool:
+        return bool(self.family.cpd.child.angle_mask.any())
+
     def child(
         self,
         row: int,
@@ -148,24 +156,49 @@ class Term:
         strict: Whether a lost draw raises a LinearisationError.
         """
         value, lost = self._value(row, parents, on_chart=self.near, strict=strict)
-        own = _at(self.own, row)
+        return self._weighed(row, parents, value, lost, self._made(row, value, proposed, afresh))
+
+    def made(self, row: int, parents: Array, proposed: Array, afresh: Afresh | None) -> Array:
+        """The children of draws at one row, as of `child`, (runs, S, d), without densities.
+
+        The CPD's function is called only where the children depend on it.
+        """
+        turning = not (self.near or self.family.exact) and self._turns
+        if self._all_free and not turning and (afresh is None or not afresh.where.any()):
+            return proposed
+        value, _ = self._value(row, parents, on_chart=self.near, strict=False)
+        return self._made(row, value, proposed, afresh)
+
+    def weighed(self, rows: slice, parents: Array, child: Array, *, strict: bool = True) -> Drawn:
+        """The log-densities of children, as of `child`, of draws at k rows, (k, runs, S)."""
+        value, lost = self._value(rows, parents, on_chart=self.near, strict=strict)
+        return self._weighed(rows, parents, value, lost, child)
+
+    def _made(self, row: int, value: Array, proposed: Array, afresh: Afresh | None) -> Array:
+        """The children of draws whose function values are `value`, both (runs, S, d)."""
         if not (self.near or self.family.exact):
             proposed = nearest_branch(proposed, value, self.family.cpd.child.angle_mask)
         if afresh is not None:
-            proposed = self._redrawn(value, own, proposed, afresh)
-        # A component of infinite variance has the density (2π)^(−1/2) wherever it is.
+            proposed = self._redrawn(value, _at(self.own, row), proposed, afresh)
+        if self._all_free:
+            return proposed
         white = self._white(row, self._read(row, proposed - value))
+        implied = value + white @ transpose(_at(self.own, row))
+        return np.where(_at(self.free(), row)[..., None, :], proposed, implied)
+
+    def _weighed(
+        self, rows: int | slice, parents: Array, value: Array, lost: Mask, child: Array
+    ) -> Drawn:
+        """The log-densities of children, beside the values (..., S, d) of the function."""
+        own = _at(self.own, rows)
+        # A component of infinite variance has the density (2π)^(−1/2) wherever it is.
+        white = self._white(rows, self._read(rows, child - value))
         log_density = normal_density.log_density(own, white)
-        free = self.free()
-        if not free.all():
-            implied = value + white @ transpose(own)
-            proposed = np.where(_at(free, row)[..., None, :], proposed, implied)
-        squared = np.einsum("rsi,rsi->rs", white, white)
-        size = (~roots.determined(own)).sum(axis=-1)[:, None]
+        size = (~roots.determined(own)).sum(axis=-1)[..., None]
         return Drawn(
-            proposed,
-            self._relative(row, parents, proposed, log_density),
-            log_density + log_ratio(size, squared),
+            child,
+            self._relative(rows, parents, child, log_density),
+            log_density + log_ratio(size, inner(white, white)),
             lost,
         )
 

@@ -7,6 +7,7 @@ vector of the states of the step before, then the slice.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -16,6 +17,9 @@ from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.beliefs.moments.trajectories.density import Afresh, Term
 from pgm.beliefs.moments.trajectories.law import ChainLaw
 from pgm.kernels.arrays import Array
+
+# Numbers of the draws of steps that are weighed together: they stay in cache.
+BLOCK = 2**18
 
 
 class Proposing(Protocol):
@@ -28,21 +32,22 @@ class Proposing(Protocol):
         """
 
     def weigh(self, given: Array, values: Array, predicted: Array) -> None:
-        """Take note of a slice (runs, S, n) as it was drawn, given the states before.
+        """Take note of the next k slices (k, runs, S, n) as they were drawn.
 
-        `predicted` is its log-density by the model's own CPDs, with Student's t for their noise.
+        They are given the states before them, (k, runs, S, m). `predicted` are their log-densities
+        by the model's own CPDs, with Student's t for their noise, (k, runs, S).
         """
 
 
 class Weighed(NamedTuple):
-    """Draws: ln p(x, z) by the model, (runs, S), and by step their pairs, (runs, S, m + n).
+    """Draws: ln p(x, z) by the model, (runs, S), and their pairs, (T+1, runs, S, m + n).
 
     At step 0 the states before are zeros. The log-density is NaN where a function of the model is
     NaN or infinite.
     """
 
     log_density: Array
-    values: list[Array]
+    values: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,59 +75,72 @@ class ChainModel:
         ]
         return cls(plan, ChainLaw.make(plan, relative=relative, near=near), sensors)
 
+    @property
+    def width(self) -> int:
+        """The number of floats that one slice of a draw of one run occupies while it is made."""
+        size = self.plan.layout.state_size + 2 * self.plan.layout.slice_size
+        seen = [
+            np.diff(sensor.bounds).max() * sum(sensor.family.shape[2:])
+            for sensor in self.plan.sensors
+        ]
+        return size + int(max(seen, default=0))
+
     def draw(self, source: Proposing, shape: tuple[int, int], *, strict: bool) -> Weighed:
         """Draw trajectories that a source proposes, for a `shape` of (runs, S).
 
         Where a function of the model is NaN or infinite, a LinearisationError is raised if
         `strict`.
         """
-        plan, layout = self.plan, self.plan.layout
+        layout, steps = self.plan.layout, self.plan.steps
         places, front = layout.state_places, layout.state_size
-        total = np.zeros(shape)
-        states, values = np.zeros((*shape, 0)), []
-        for step in range(plan.steps + 1):
-            links = self.law.transition if step else self.law.prior
-            row = max(step - 1, 0)
-            fresh, afresh = source.propose(states)
-            vector = np.concatenate([states, fresh], axis=-1)
-            start = states.shape[-1]
-            predicted = np.zeros(shape)
-            for link, term in links:
-                drawn = term.child(
-                    row,
-                    vector[..., link.parents],
-                    vector[..., link.child],
-                    afresh,
-                    strict=strict,
-                )
-                vector[..., link.child] = drawn.values
-                predicted += drawn.log_tails
-                total += np.where(drawn.lost, np.nan, drawn.log_density)
-            source.weigh(states, vector[..., start:], predicted)
-            if step:
-                pair = vector
-            else:
-                pair = np.zeros((*shape, front + layout.slice_size))
-                pair[..., front:][..., places] = vector
-            slices = pair[..., front:]
-            total += self._readings(step, slices, strict=strict)
-            values.append(pair)
-            states = slices[..., places]
+        values = np.zeros((steps + 1, *shape, front + layout.slice_size))
+        total, states = np.zeros(shape), np.zeros((*shape, 0))
+        many = max(1, BLOCK // max(1, shape[0] * shape[1] * self.width))
+        edges = [0, *range(1, steps + 1, many), steps + 1]
+        for first, last in pairwise(edges):
+            for step in range(first, last):
+                fresh, afresh = source.propose(states)
+                vector = np.concatenate([states, fresh], axis=-1)
+                for link, term in self.law.transition if step else self.law.prior:
+                    parents, child = vector[..., link.parents], vector[..., link.child]
+                    vector[..., link.child] = term.made(max(step - 1, 0), parents, child, afresh)
+                slices = values[step][..., front:]
+                if step:
+                    values[step] = vector
+                else:
+                    slices[..., places] = vector
+                states = slices[..., places]
+            total += self._weighed(source, first, values[first:last], strict=strict)
         return Weighed(total, values)
 
-    def _readings(self, step: int, slices: Array, *, strict: bool) -> Array:
-        """The log-density (runs, S) of a step's measurements at draws of its slice (runs, S, n)."""
-        total = np.zeros(slices.shape[:2])
+    def _weighed(self, source: Proposing, first: int, pairs: Array, *, strict: bool) -> Array:
+        """The log-density (runs, S) of k steps, by their pairs (k, runs, S, m + n).
+
+        The source is told of them. Step 0, which has no states before, is weighed alone.
+        """
+        layout, links, rows = self.plan.layout, self.law.prior, slice(0, 1)
+        slices, vector, start = pairs[..., layout.state_size :], pairs, layout.state_size
+        if first:
+            links, rows = self.law.transition, slice(first - 1, first - 1 + len(pairs))
+        else:
+            vector, start = slices[..., layout.state_places], 0
+        total, predicted = np.zeros(pairs.shape[1:3]), np.zeros(pairs.shape[:3])
+        for link, term in links:
+            parents, child = vector[..., link.parents], vector[..., link.child]
+            drawn = term.weighed(rows, parents, child, strict=strict)
+            predicted += drawn.log_tails
+            total += np.where(drawn.lost, np.nan, drawn.log_density).sum(axis=0)
+        source.weigh(vector[..., :start], vector[..., start:], predicted)
         for sensor, term in self.sensors:
-            rows = sensor.rows(step)
-            if rows.start == rows.stop:
+            read = slice(sensor.rows(first).start, sensor.rows(first + len(pairs) - 1).stop)
+            if read.start == read.stop:
                 continue
-            parents = slices[..., sensor.parents]
+            at = sensor.family.step[read] - self.plan.first - first
             total += term.readings(
-                rows,
-                np.broadcast_to(parents, (rows.stop - rows.start, *parents.shape)),
-                sensor.values[rows],
-                sensor.moved[rows],
+                read,
+                slices[at][..., sensor.parents],
+                sensor.values[read],
+                sensor.moved[read],
                 strict=strict,
             )
         return total

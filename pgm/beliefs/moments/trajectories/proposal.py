@@ -93,18 +93,21 @@ class Proposal:
         """
         return self._mean(row, given) + white @ transpose(self.lower[row])
 
-    def whitened(self, row: int, given: Array, values: Array, turned: Mask | None = None) -> Array:
-        """The white noise s, (runs, S, n), that makes given draws: the inverse of `values`.
+    def whitened(
+        self, rows: int | slice, given: Array, values: Array, turned: Mask | None = None
+    ) -> Array:
+        """The white noise s, (..., S, n), that makes given draws: the inverse of `values`.
 
-        `given` is x, (runs, S, m), and `values` are the draws F x + b + L s, (runs, S, n), of which
-        components that are `turned` (n,) may be off by whole turns.
+        `given` is x, (..., S, m), and `values` are the draws F x + b + L s, (..., S, n), of which
+        components that are `turned` (n,) may be off by whole turns. Leading axes are (runs,) of a
+        row, and (k, runs) of k rows.
         """
-        off = values - self._mean(row, given)
+        off = values - self._mean(rows, given)
         if turned is not None:
             off = difference(off, np.zeros(off.shape[-1]), turned)
         if self._inverse is None:
-            return normal_density.whitened(self.lower[row], off)[0]
-        white: Array = off @ transpose(self._inverse[row])
+            return normal_density.whitened(self.lower[rows], off)[0]
+        white: Array = off @ transpose(self._inverse[rows])
         return white
 
     @cached_property
@@ -124,21 +127,21 @@ class Proposal:
         found: Array = -0.5 * (solving.log_determinant(self.lower) + self.size * LOG_2PI)
         return found
 
-    def log_density(self, row: int, squared: Array) -> Array:
-        """The log-density of draws by the Gaussian, (runs, S); `squared` is |s|², (runs, S)."""
-        value: Array = self.level[row][:, None] - 0.5 * squared
+    def log_density(self, rows: int | slice, squared: Array) -> Array:
+        """The log-density of draws by the Gaussian, (..., S); `squared` is |s|², (..., S)."""
+        value: Array = self.level[rows][..., None] - 0.5 * squared
         return value
 
-    def log_tails(self, row: int, squared: Array) -> Array:
-        """The log-density of draws by Student's t, less that by the Gaussian, (runs, S).
+    def log_tails(self, rows: int | slice, squared: Array) -> Array:
+        """The log-density of draws by Student's t, less that by the Gaussian, (..., S).
 
-        `squared` is |s|², (runs, S), with the white noise s of the draws.
+        `squared` is |s|², (..., S), with the white noise s of the draws.
         """
-        return log_ratio(self.size[row][:, None], squared)
+        return log_ratio(self.size[rows][..., None], squared)
 
-    def _mean(self, row: int, given: Array) -> Array:
-        """The conditional means F x + b, (runs, S, n), given x (runs, S, m)."""
-        mean: Array = given @ transpose(self.matrix[row]) + self.offset[row][:, None, :]
+    def _mean(self, rows: int | slice, given: Array) -> Array:
+        """The conditional means F x + b, (..., S, n), given x (..., S, m)."""
+        mean: Array = given @ transpose(self.matrix[rows]) + self.offset[rows][..., None, :]
         return mean
 
 
