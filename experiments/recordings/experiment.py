@@ -57,6 +57,9 @@ def run(
     every_stamp: Annotated[
         bool, typer.Option(help="States at the stamps of all rows, so that no reading is moved.")
     ] = False,
+    estimate: Annotated[
+        bool, typer.Option(help="By pgm.estimate, too, which chooses by itself, and its verdict.")
+    ] = False,
 ) -> None:
     """Estimate recorded drives by filters, smoothers, gates and robust noise."""
     if data == "pose_graph":
@@ -121,6 +124,8 @@ def run(
         record.note(f"{name}: {drive.setting.about}")
         record.note(repr(drive.timeline))
         results[name], shown = estimated(drive, used)
+        if estimate and drive.sensors:
+            results[name]["estimate"] = {"": _vouched(record, drive)}
         _tables(record, drive, results[name])
         _pictures(record, drive, shown, rankings)
     record.summary(results=results, ranking=rankings)
@@ -184,6 +189,22 @@ def estimated(drive: Drive, linearisers: list[str]) -> tuple[dict[str, Any], dic
             if name == linearisers[0]:
                 shown[label] = posterior
     return results, shown
+
+
+def _vouched(record: Record, drive: Drive) -> dict[str, Any]:
+    """The errors of `pgm.estimate`; its verdict is noted."""
+    posterior = pgm.estimate(drive.network(), drive.evidence)
+    verdict = posterior.verdict
+    assert verdict is not None
+    record.note(f"{drive.name}: {verdict!r}")
+    belief = posterior[pose]
+    return {
+        **_judged(drive, belief if isinstance(belief, pgm.Gaussian) else belief.gaussian()),
+        "log_evidence": float(posterior.log_evidence),
+        "log_evidence_kind": posterior.log_evidence_kind,
+        "vouched": bool(verdict.vouched),
+        "within": float(verdict.within),
+    }
 
 
 def _judged(drive: Drive, belief: pgm.Gaussian) -> dict[str, float]:

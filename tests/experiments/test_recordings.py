@@ -39,6 +39,39 @@ def test_errors_are_those_of_the_textbooks(name):
     np.testing.assert_allclose(errors, BASELINES[name], rtol=0.03)
 
 
+@pytest.mark.parametrize(
+    ("name", "draws"),
+    [("labyrinth", 1000), ("plaza2", 200), pytest.param("plaza1", 200, marks=pytest.mark.slow)],
+)
+def test_an_estimate_is_vouched_for_and_near_the_best_fixed_scheme(name, draws):
+    found = drive(name)
+    model, evidence = found.network(), found.evidence
+    fixed = [
+        consistency.rmse(belief, found.truth, PLANE)
+        for lineariser in (pgm.Taylor(), pgm.Unscented(), pgm.Cubature())
+        for belief in (
+            pgm.smooth(model, evidence, lineariser=lineariser)[pose],
+            pgm.smooth(model, evidence, lineariser=lineariser, iterations=10)[pose],
+        )
+    ]
+    posterior = pgm.estimate(model, evidence)
+    error = consistency.rmse(posterior[pose].gaussian(), found.truth, PLANE)
+    assert error <= 1.02 * min(fixed)
+    assert bool(posterior.verdict.vouched)
+    assert int(posterior.verdict.draws) == draws
+
+
+def test_a_long_drive_is_audited_by_few_draws():
+    found = drive("plaza2")
+    smoothed = pgm.smooth(found.network(), found.evidence, iterations=10)
+    audit = pgm.audit(smoothed, rng=0)
+    assert audit.samples == 100
+    assert bool(audit.trusted)
+    more = pgm.audit(smoothed, samples=300, rng=1)
+    spread = np.hypot(audit.standard_error, more.standard_error)
+    assert abs(audit.log_evidence - more.log_evidence) <= 5.0 * spread
+
+
 def test_a_robust_smoother_of_labyrinth_is_near_a_batch_of_gtsam():
     found = drive("labyrinth")
     posterior = methods.methods(found.setting.ways)["robust smoother"](found, pgm.Taylor())

@@ -38,6 +38,14 @@ def test_only_angles_are_wrapped(a, b):
     assert_allclose(np.exp(1j * found[1]), np.exp(1j * (a - b)), atol=1e-12)
 
 
+@given(st.lists(st.booleans(), min_size=1, max_size=9))
+@example([False, True, False] * 3)
+def test_angles_are_wrapped_wherever_they_stand(marked):
+    off = np.linspace(-20.0, 20.0, 2 * len(marked)).reshape(2, -1)
+    due = np.where(marked, angles.wrap(off), off)
+    assert_array_equal(angles.difference(off, np.zeros(len(marked)), np.array(marked)), due)
+
+
 @algebra
 @given(radians, radians)
 def test_the_nearest_branch(value, reference):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import pgm
+from pgm.beliefs.moments.trajectories import model as trajectories
 from pgm.inference.audit.chain import ChainDraws
 
 a, z, glance = pgm.variables("a z glance")
@@ -140,3 +141,19 @@ def test_hidden_controls_have_moments_from_step_one():
     assert found.moment_divergence[u].shape == (5,)
     np.testing.assert_allclose(found.corrected[u].mean, posterior[u].mean, atol=0.05)
     assert not found.suspect
+
+
+@pytest.mark.parametrize("defensive", [False, True])
+def test_steps_are_weighed_together_as_one_by_one(monkeypatch, defensive):
+    posterior = smoothed(0.0, {3: 0.5, 9: 0.3}, runs=2)
+    draws = ChainDraws.make(posterior._outcome)
+
+    def made():
+        return draws.draw(50, np.random.default_rng(3), defensive=defensive)
+
+    together = made()
+    monkeypatch.setattr(trajectories, "BLOCK", 1)
+    alone = made()
+    for name in ("target", "gaussian", "defensive"):
+        np.testing.assert_allclose(getattr(together, name), getattr(alone, name), rtol=1e-10)
+    np.testing.assert_array_equal(together.values, alone.values)
