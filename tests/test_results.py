@@ -93,6 +93,7 @@ CALLS = {
     "Status": lambda: pgm.smooth(walk, GIVEN).status,
     "StepInnovations": lambda: read().innovations[z],
     "Timeline": lambda: pgm.timeline(**LOG),
+    "Verdict": lambda: pgm.estimate(walk, GIVEN).verdict,
 }
 # Those that had the same name before, in the package itself.
 OLD = sorted(
@@ -107,7 +108,7 @@ OLD = sorted(
         "Sensitivities",
         "Sensitivity",
     }
-    - {"Predictions", "StepInnovations"}
+    - {"Predictions", "StepInnovations", "Verdict"}
 )
 # What posteriors, statuses and filters are of, by the name of their class before.
 POSTERIORS = {

@@ -71,11 +71,10 @@ class Gaussians(BeliefFamily[Any]):
         and a `ModelError` names what these leave open. Of a filter the number of narrower Gaussians
         that its prior is cut into, which are merged into `count` from the first step on.
     draws : int
-        With `starts`, the number of draws of all hidden variables in each run, by which the modes'
-        weights and moments are adapted, in three rounds; 0 is none. Draws are of the modes'
-        mixture, one in twenty of the model alone, and are weighed with the model as it was
-        declared. Some 4,000 are a good number; ``status.effective`` tells how many the last were
-        worth.
+        With `starts`, the number of draws of all hidden variables in each run and each of three
+        rounds, by which the modes' weights and moments are adapted; 0 is none. Draws are of the
+        modes' mixture, some of the model alone, and are weighed with the model as it was declared.
+        Some 4,000 are a good number; ``status.effective`` tells how many all of them are worth.
 
     References
     ----------
