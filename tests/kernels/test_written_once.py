@@ -385,6 +385,8 @@ SOLUTIONS = listed(
     {"consistency/errors.py": "_normalised", "consistency/ranking.py": "_by_sighting"},
     {"beliefs/particles/guided_proposal.py": "_whitened steered"},
     {"kernels/divergence.py": "from_gaussian"},
+    # Covariances as they are given, in other axes.
+    {"recordings/drives/spreads.py": "turned"},
     # Conditionals of Gaussians whose moments are those of draws; points of unit covariance.
     {"beliefs/modes/chain_laws.py": "_given", "beliefs/modes/points.py": "cut"},
     {"kernels/joint_compatibility.py": "__init__"},

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+import pgm
 from pgm.errors import EvidenceError, FileError
 from pgm.recordings import read_bag
-from pgm.recordings.readers.messages import CORRELATED
+from pgm.recordings.readers.messages import IMPROPER, UNKNOWN
 
 rosbags = pytest.importorskip("rosbags")
 from rosbags.rosbag1 import Writer as Writer1  # noqa: E402
@@ -17,6 +18,8 @@ from rosbags.typesys import Stores, get_typestore  # noqa: E402
 
 TYPES = {1: get_typestore(Stores.ROS1_NOETIC), 2: get_typestore(Stores.ROS2_HUMBLE)}
 BEGIN = 1_700_000_000
+# Of x, y, z and three turns, each correlated with all others.
+POSE_COV = np.diag(np.arange(1.0, 7.0)) + 0.1 * np.outer(np.arange(6.0), np.arange(6.0))
 geo = pytest.mark.skipif(find_spec("pymap3d") is None, reason="pip install 'sepset[geo]'")
 
 
@@ -86,7 +89,7 @@ class Maker:
         pose = self.make(
             "geometry_msgs/msg/PoseWithCovariance",
             pose=self.pose(x, y, yaw),
-            covariance=np.arange(36.0),
+            covariance=POSE_COV.ravel(),
         )
         return self.make(
             "geometry_msgs/msg/PoseWithCovarianceStamped", header=self.header(t), pose=pose
@@ -185,7 +188,7 @@ def test_each_message_is_read(bag):
     assert_allclose(reckoned["heading"], np.unwrap(POSES[:, 2]))
     guess = found.sightings["/amcl"]
     assert_allclose(guess.values, POSES)
-    assert_array_equal(guess.variances[0], [0.0, 7.0, 35.0])
+    assert_array_equal(guess.cov[0], POSE_COV[np.ix_([0, 1, 5], [0, 1, 5])])
     assert_allclose(found.imu["rate_z"], 0.1 * np.arange(4))
     assert np.isnan(found.imu["heading"]).all()
     assert_array_equal(found.imu.variances[0, :3], [0.1, 0.2, 0.3])
@@ -195,7 +198,7 @@ def test_each_message_is_read(bag):
     assert_allclose(found.fixes["north"], [0.0, 1.11192, 3.33577], rtol=2e-5)
     assert_array_equal(found.fixes.variances[0], [1.0, 4.0, 9.0])
     told = {each.stream: each.fate for each in found.dropped}
-    due = {"fixes": "without a fix", "/chat": "of std_msgs/msg/String", "/amcl": CORRELATED}
+    due = {"fixes": "without a fix", "/chat": "of std_msgs/msg/String"}
     assert told == due
 
 
@@ -305,15 +308,62 @@ def test_covariances_of_fixes_are_those_of_each_row(tmp_path):
     make = Maker(2)
     fixes = [make.fix(k, 48.0, 11.0 + 1e-5 * k) for k in range(3)]
     fixes[1].position_covariance_type = 0  # its covariance is unknown
-    fixes[2].position_covariance = np.array([1.0, 0.5, 0.0, 0.5, 4.0, 0.0, 0.0, 0.0, 9.0])
+    cov = np.array([[1.0, 0.5, 0.2], [0.5, 4.0, -0.3], [0.2, -0.3, 9.0]])
+    fixes[2].position_covariance = cov.ravel()  # of east, north and up
     drive = read_bag(write(tmp_path / "a", 2, [("/gps", each) for each in fixes]))
-    assert_array_equal(drive.fixes.variances[[0, 2]], [[1.0, 4.0, 9.0]] * 2)
-    assert np.isnan(drive.fixes.variances[1]).all()
+    assert drive.fixes.components == ("east", "north", "up")
+    assert_array_equal(drive.fixes.cov[0], np.diag([1.0, 4.0, 9.0]))
+    assert_allclose(drive.fixes.cov[2], cov, atol=1e-5)
+    assert np.isnan(drive.fixes.cov[1]).all()
     told = [(each.fate, each.rows.tolist(), each.kept) for each in drive.dropped]
-    assert told == [
-        ("of a fix without a covariance, whose variances are NaN", [1], True),
-        (CORRELATED, [2], True),
-    ]
+    assert told == [(UNKNOWN, [1], True)]
+
+
+@geo
+def test_correlated_fixes_of_a_bag_reach_the_noise(tmp_path):
+    make, cov = Maker(2), np.array([[4.0, 1.8], [1.8, 1.0]])
+    fixes = [make.fix(k, 48.0, 11.0 + 1e-5 * k) for k in range(2)]
+    for fix in fixes:
+        fix.position_covariance[[0, 1, 3, 4]] = cov.ravel()
+    drive = read_bag(write(tmp_path / "a", 2, [("/gps", each) for each in fixes]))
+    x, z = (pgm.Variable(name, components=("east", "north")) for name in "xz")
+    r = pgm.Variable("r", components=("east", "east*north", "north"))
+    noise = pgm.noise(lambda r: r[..., [[0, 1], [1, 2]]], given=r)
+    model = pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(x, [0, 0], 100.0)],
+        transition=[pgm.LinearGaussianCPD(x, {x.previous: 1.0}, cov=0)],
+        observation=[pgm.LinearGaussianCPD(z, {x: 1.0}, cov=noise)],
+    )
+    log = drive.timeline(drive.fixes.stamps, sensors={z: "fixes"}, variances={z: r})
+    found = pgm.filter(model, log.evidence, steps=1)[x]
+    # Of a place that does not move, information adds.
+    due = np.linalg.inv(np.eye(2) / 100.0 + 2.0 * np.linalg.inv(cov))
+    assert_allclose(found.cov[-1], due, rtol=1e-5)
+    told = np.linalg.solve(cov, drive.fixes.values[:, :2].sum(axis=0))
+    assert_allclose(found.mean[-1], due @ told, atol=1e-6)
+
+
+@geo
+@pytest.mark.parametrize(
+    "odd",
+    [
+        [1.0, 9.0, 0.0, 9.0, 4.0, 0.0, 0.0, 0.0, 9.0],  # indefinite
+        [1.0, 0.5, 0.0, 0.1, 4.0, 0.0, 0.0, 0.0, 9.0],  # not symmetric
+        [-1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0],  # as some say that they know nothing
+        [1.0, np.nan, 0.0, np.nan, 4.0, 0.0, 0.0, 0.0, 9.0],
+    ],
+)
+def test_covariances_of_a_bag_that_are_none_are_told(tmp_path, odd):
+    make = Maker(2)
+    fixes = [make.fix(k, 48.0, 11.0, status=-1 if k == 0 else 0) for k in range(3)]
+    fixes[2].position_covariance = np.array(odd)
+    drive = read_bag(write(tmp_path / "a", 2, [("/gps", each) for each in fixes]))
+    told = [(each.fate, each.rows.tolist(), each.kept) for each in drive.dropped]
+    assert told == [("without a fix", [0], False), (IMPROPER, [2], True)]
+    assert_array_equal(drive.fixes.variances, [[1.0, 4.0, 9.0], [np.nan] * 3])
+    z, r = (pgm.Variable(name, components=("east", "north")) for name in "zr")
+    with pytest.raises(EvidenceError, match=r"'fixes' has no variances in 1 row \(row 1\)"):
+        drive.timeline(drive.fixes.stamps, sensors={z: "fixes"}, variances={z: r})
 
 
 @geo

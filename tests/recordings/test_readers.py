@@ -235,6 +235,8 @@ def test_a_pose_graph(tmp_path):
     assert_allclose(reckoned.values[-1, :2], [1, 0] + turn @ [1.0, 0.1])
     assert drive.sightings["landmark"].subject.tolist() == [2]
     assert_allclose(drive.odometry.variances[1], [0.1, 0.05, 1 / 30])
+    assert_allclose(drive.odometry.cov[0], np.linalg.inv(graph.edges.information[0]))
+    assert_allclose(drive.sightings["landmark"].cov[0], np.linalg.inv([[7.0, 1.0], [1.0, 9.0]]))
 
 
 def test_edges_told_from_the_later_pose():
@@ -254,8 +256,8 @@ def test_edges_told_from_the_later_pose():
     c, s = np.cos(drawn[:, 2]), np.sin(drawn[:, 2])
     forward = -(c * drawn[:, 0] + s * drawn[:, 1])
     left = s * drawn[:, 0] - c * drawn[:, 1]
-    due = 1e6 * np.var([forward, left, -drawn[:, 2]], axis=1)
-    assert_allclose(odometry.variances[0], due, rtol=0.02)
+    due = 1e6 * np.cov([forward, left, -drawn[:, 2]])
+    assert_allclose(odometry.cov[0], due, rtol=0.02, atol=1e-3)
 
 
 def test_a_pose_graph_in_space():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -143,6 +144,35 @@ class Datum(InCode):
         pymap3d = optional("pymap3d", "a place on the earth", EXTRA)
         found = pymap3d.geodetic2enu(latitude, longitude, height, *self._place)
         return np.column_stack(found)
+
+    def turns(self, latitude: Array, longitude: Array) -> Array:
+        """Rotations (n, 3, 3) from east, north and up at places [°] to these at the datum.
+
+        They are the identity at places that are unknown.
+        """
+        known = np.isfinite(latitude) & np.isfinite(longitude)
+        latitude = np.where(known, latitude, self.latitude)
+        longitude = np.where(known, longitude, self.longitude)
+        own, place = math.radians(self.latitude), np.radians(latitude)
+        along = np.radians(longitude - self.longitude)
+        across = np.radians(latitude - self.latitude)
+        bent = 2.0 * np.sin(0.5 * along) ** 2  # 1 − cos, in all its digits
+        s, c = math.sin(own), math.cos(own)
+        sines, cosines = np.sin(place), np.cos(place)
+        rows = [
+            [1.0 - bent, -sines * np.sin(along), cosines * np.sin(along)],
+            [
+                s * np.sin(along),
+                np.cos(across) - s * sines * bent,
+                np.sin(across) + s * cosines * bent,
+            ],
+            [
+                -c * np.sin(along),
+                c * sines * bent - np.sin(across),
+                np.cos(across) - c * cosines * bent,
+            ],
+        ]
+        return np.array(rows).transpose(2, 0, 1)
 
     def _world(self, east: Array, north: Array, up: Array) -> Array:
         """Latitude, longitude [°] and height, (n, 3)."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from pgm.errors import EvidenceError
 from pgm.io.dropped import Dropped
 from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.recordings.drives import spreads
 from pgm.recordings.drives.datum import NO_PLANE, Datum
 from pgm.recordings.drives.quantities import LATITUDE, LONGITUDE, WORLD
 from pgm.recordings.drives.stream import Stream
@@ -31,8 +32,9 @@ def on_plane(
     """Streams whose latitudes and longitudes [rad] have become metres on one plane, and its datum.
 
     Without a datum the plane touches the ellipsoid at the first fix of the first of these streams.
-    Variances of latitude and longitude are those north and east [m²]. Rows at 0°, 0° are none, and
-    told; so are rows that are far from the datum.
+    Variances of latitude and longitude are those north and east [m²] at each fix; in the plane,
+    whose axes are the datum's, they are turned. Rows at 0°, 0° are none, and told; so are rows that
+    are far from the datum.
     """
     found, told = dict(streams), []
     for name, stream in streams.items():
@@ -56,7 +58,7 @@ def on_plane(
         plane = datum or Datum(0.0, 0.0)  # of rows of which nothing is known
         metres = plane.local(world[:, 0], world[:, 1], _height(stream, plane.height))
         told += _far(name, metres, rows, plane)
-        found[name] = _flat(stream, metres)
+        found[name] = _flat(stream, metres, plane.turns(world[:, 0], world[:, 1]))
     return found, told, datum
 
 
@@ -84,8 +86,11 @@ def is_null(world: Array) -> Mask:
     return null
 
 
-def _flat(stream: Stream, place: Array) -> Stream:
-    """A stream with metres east, north and up, (n, 3), for latitude, longitude and height."""
+def _flat(stream: Stream, place: Array, turns: Array) -> Stream:
+    """A stream with metres east, north and up, (n, 3), for latitude, longitude and height.
+
+    Its covariances are turned from the axes of each fix to those of the plane, (n, 3, 3).
+    """
     metres = dict(zip((EAST, NORTH, UP), place.T, strict=True))
     named = {LATITUDE: NORTH, LONGITUDE: EAST} | dict.fromkeys(HEIGHTS, UP)
     order = {EAST: LONGITUDE, NORTH: LATITUDE}
@@ -93,12 +98,24 @@ def _flat(stream: Stream, place: Array) -> Stream:
     places = [stream.place(each) for each in order.values()]
     values = np.column_stack([metres.get(new, stream[old]) for new, old in order.items()])
     values[np.isnan(stream.values[:, places])] = np.nan
+    cov = stream.cov
+    if cov is not None:
+        cov = _turned(cov[:, places][:, :, places], tuple(order), turns)
     return stream.replace(
         values=values,
         components=tuple(order),
         units=["m" if n in metres else stream.units[k] for n, k in zip(order, places, strict=True)],
-        variances=None if stream.variances is None else stream.variances[:, places],
+        cov=cov,
     )
+
+
+def _turned(cov: Array, components: Sequence[str], turns: Array) -> Array:
+    """Covariances of components whose east, north and up, if it is one, are turned."""
+    axes = [components.index(each) for each in (EAST, NORTH, UP) if each in components]
+    whole = np.broadcast_to(np.eye(cov.shape[1]), cov.shape).copy()
+    for row, j in enumerate(axes):
+        whole[:, j, axes] = turns[:, row, : len(axes)]
+    return spreads.turned(cov, whole)
 
 
 def _height(stream: Stream, without: float) -> Array:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Mapping, Sequence
+from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,13 +16,18 @@ from pgm.io.controls import DT
 from pgm.io.stamped import SAME, Stamped, rows_text, stamped
 from pgm.io.timeline import Timeline
 from pgm.io.timeline import timeline as lay
+from pgm.io.tum import JOINED
 from pgm.kernels.arrays import Array, Mask
-from pgm.recordings.drives import motion, quantities
+from pgm.recordings.drives import motion, quantities, spreads
 from pgm.recordings.drives.stream import Stream
 from pgm.variables import Variable
 
 if TYPE_CHECKING:
     from pgm.recordings.drives.recording import Recording
+
+# A smaller correlation moves a mean by less than a hundredth of a deviation; where a plane's axes
+# are turned from those of a fix, such are made.
+_UNCORRELATED = 0.01
 
 
 def timeline(
@@ -114,18 +120,22 @@ def sensor(recording: Recording, name: str) -> Stream:
 def spread(name: str, stream: Stream, reading: Variable, variable: Variable) -> Array:
     """The variances of a sensor's readings, of a variable's components by name, (M, d).
 
-    They are in the squares of the units of the readings' variable.
+    A component that is called like a product, ``east*north``, is a covariance. They are in the
+    squares and products of the units of the readings' variable.
     """
-    if stream.variances is None:
+    if stream.cov is None:
         raise EvidenceError(
             f"the sensor {name!r} has no variances that {variable!r} could be; leave it out of "
             "variances=, or give the stream some, stream.replace(variances=...)",
             variable=variable,
         )
-    found = _named(variable, stream, stream.variances)
-    names = [name for name in variable.components if name in reading.components]
-    sizes = {name: _size(reading, stream, name) ** 2 for name in names}
-    found = found * [sizes.get(name, 1.0) for name in variable.components if name != DT]
+    pairs = [_pair(variable, stream, component) for component in variable.components]
+    _require_correlations(name, stream, variable, pairs)
+    sizes = [
+        _size(reading, stream, each) if each in reading.components else 1.0
+        for each in stream.components
+    ]
+    found = np.column_stack([stream.cov[:, j, k] * (sizes[j] * sizes[k]) for j, k in pairs])
     lost = np.flatnonzero(np.isnan(found).any(axis=1) & ~np.isnan(stream.values).all(axis=1))
     if lost.size:
         raise EvidenceError(
@@ -134,6 +144,41 @@ def spread(name: str, stream: Stream, reading: Variable, variable: Variable) -> 
             variable=variable,
         )
     return found
+
+
+def _pair(variable: Variable, stream: Stream, component: str) -> tuple[int, int]:
+    """The two components of a stream that a component of a variable is the covariance of."""
+    names = [component, component] if component in stream.components else component.split(JOINED)
+    if len(names) != 2 or not set(names) <= set(stream.components):
+        raise EvidenceError(
+            f"{variable!r} has the component {component!r}, and the stream "
+            f"{listed(stream.components)}; they go by name, a variance by its component's and a "
+            f"covariance by two, {JOINED.join(stream.components[:2])!r}",
+            variable=variable,
+        )
+    one, other = sorted(map(stream.place, names))
+    return one, other
+
+
+def _require_correlations(
+    name: str, stream: Stream, variable: Variable, pairs: Sequence[tuple[int, int]]
+) -> None:
+    """Refuse variances of readings that are correlated, unless the covariances are asked for."""
+    assert stream.cov is not None
+    alone = [j for j, k in pairs if j == k]
+    for j, k in combinations(sorted(alone), 2):
+        size = spreads.correlation(stream.cov, j, k)
+        if (j, k) not in pairs and (size > _UNCORRELATED).any():
+            rows = np.flatnonzero(size > _UNCORRELATED)
+            one, other = stream.components[j], stream.components[k]
+            raise EvidenceError(
+                f"the sensor {name!r} has {one!r} and {other!r} correlated in "
+                f"{count(rows.size, 'row')} ({rows_text(rows)}), by up to {size.max():.3g}, and "
+                f"{variable!r} has their variances alone: give it the component "
+                f"{one + JOINED + other!r}, too, or the stream no covariances, "
+                "stream.replace(variances=stream.variances)",
+                variable=variable,
+            )
 
 
 def require_variances(

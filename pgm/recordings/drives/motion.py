@@ -226,9 +226,9 @@ def cut_velocities(stream: Stream, first: float, last: float) -> Stream:
 
 def joined(one: Stream, other: Stream) -> Stream:
     """The rows of two streams of one kind, concatenated."""
-    both = one.variances is not None and other.variances is not None
+    both = one.cov is not None and other.cov is not None
     return one.replace(
         stamps=np.concatenate([one.stamps, other.stamps]),
         values=np.concatenate([one.values, other.values]),
-        variances=np.concatenate([one.variances, other.variances]) if both else None,
+        cov=np.concatenate([one.cov, other.cov]) if both else None,
     )

@@ -11,7 +11,7 @@ from pgm.display import NoArray, Shown, Summary, count
 from pgm.errors import EvidenceError
 from pgm.io.dropped import Dropped
 from pgm.kernels import twists
-from pgm.kernels.arrays import Array, Integers, frozen
+from pgm.kernels.arrays import Array, Integers, frozen, transpose
 from pgm.recordings.drives.motion import PLANAR
 from pgm.recordings.drives.recording import Recording
 from pgm.recordings.drives.scans import Scans
@@ -55,13 +55,14 @@ class Edges(Shown):
     def covariances(self) -> Array:
         """Inverses of the information, (E, d, d)."""
         try:
-            return np.asarray(np.linalg.inv(self.information), dtype=np.float64)
+            found = np.asarray(np.linalg.inv(self.information), dtype=np.float64)
         except np.linalg.LinAlgError:
             edge = int(np.linalg.matrix_rank(self.information).argmin())
             raise EvidenceError(
                 f"the information of edge {edge} is singular, so that it has no covariance: "
                 f"{self.information[edge].tolist()}"
             ) from None
+        return 0.5 * (found + transpose(found))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -142,7 +143,6 @@ class PoseGraph(Shown, NoArray):
         back = edges.second[chosen] < edges.first[chosen]
         motions[back], slope = twists.inverse(motions[back])
         cov[back] = slope @ cov[back] @ slope.swapaxes(1, 2)
-        spread = np.diagonal(cov, axis1=1, axis2=2) if steps else None
         seen = self.sightings
         stamps = np.arange(1.0, steps + 1)
         sensor = Stream(
@@ -150,10 +150,10 @@ class PoseGraph(Shown, NoArray):
             seen.motions,
             ("forward", "left"),
             subject=self.landmark_names[seen.second].tolist(),
-            variances=np.diagonal(seen.covariances, axis1=1, axis2=2) if len(seen) else None,
+            cov=seen.covariances if len(seen) else None,
         )
         return Recording(
-            odometry=Stream(stamps, motions, PLANAR, variances=spread, begin=0.0),
+            odometry=Stream(stamps, motions, PLANAR, cov=cov if steps else None, begin=0.0),
             sightings={"landmark": sensor} if len(seen) else None,
             scans=None if self.scans is None else {"laser": self.scans},
             dropped=told,

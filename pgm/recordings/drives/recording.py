@@ -314,11 +314,10 @@ class Recording(Shown, NoArray, Immutable):
         column = stream.place(component)
         values = stream.values.copy()
         values[:, column] = (values[:, column] - offset) / scale
-        variances = stream.variances
-        if variances is not None:
-            variances = variances.copy()
-            variances[:, column] /= scale**2
-        mended = stream.replace(values=values, variances=variances)
+        shrunk = np.ones(len(stream.components))
+        shrunk[column] /= scale
+        cov = None if stream.cov is None else stream.cov * np.outer(shrunk, shrunk)
+        mended = stream.replace(values=values, cov=cov)
         return self.replace(sightings={**self.sightings, sensor: mended})
 
     @public
@@ -353,6 +352,10 @@ class Recording(Shown, NoArray, Immutable):
             For each sensor, the observed parent that the variances of each reading are evidence of,
             whose components are called like the sensor's: with ``variances={z: r}`` and
             ``cov=pgm.noise(lambda r: r, given=r, diagonal=True)`` a reading is as sure as its row.
+            A component called like a product, ``"east*north"``, is the covariance of two: of
+            ``("east", "east*north", "north")`` noise is the matrix
+            ``cov=pgm.noise(lambda r: r[..., [[0, 1], [1, 2]]], given=r)``. Variances of readings
+            that are correlated, by more than 0.01, are refused without it.
         tolerance : float, optional
             See `pgm.timeline`.
 

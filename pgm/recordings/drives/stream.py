@@ -17,8 +17,9 @@ from pgm.factors.listing import with_units
 from pgm.factors.scope import listed
 from pgm.immutable import Immutable
 from pgm.io.stamped import as_stamps, clock
+from pgm.io.tum import JOINED
 from pgm.kernels.arrays import Array, Integers, Mask, frozen
-from pgm.recordings.drives import quantities
+from pgm.recordings.drives import quantities, spreads
 from pgm.resources import FRAMES, optional
 from pgm.variables import Units
 
@@ -44,11 +45,14 @@ class Stream(Shown, NoArray, Immutable):
         The d names of the columns.
     subject : array_like, optional
         (n,): whole numbers or words, each row's landmark; None where unknown.
+    cov : array_like, optional
+        (n, d, d), the covariance of each row's noise; NaN where a variance is unknown.
     variances : array_like, optional
-        (n, d), of the noise.
+        (n, d), of noise whose components are not correlated, in place of `cov`.
     units : str, sequence or mapping of str to str, optional
-        The units that values are given in, by component, ``{"heading": "deg"}``. Those that are
-        known are converted to metres, seconds and radians; without, values are in these.
+        The units that values are given in, by component, ``{"heading": "deg"}``, and variances in
+        their squares. Those that are known are converted to metres, seconds and radians; without,
+        values are in these.
     begin : float, optional
         For increments: when the first of them begins, seconds. Without it, the first row only
         stamps the moment from which the second counts.
@@ -56,8 +60,8 @@ class Stream(Shown, NoArray, Immutable):
     Raises
     ------
     EvidenceError
-        If shapes do not fit, stamps are not finite, variances are negative, a unit is none of a
-        component, or angles seem to be degrees.
+        If shapes do not fit, stamps are not finite, variances are negative or a covariance is
+        indefinite, a unit is none of a component, or angles seem to be degrees.
 
     Examples
     --------
@@ -76,7 +80,7 @@ class Stream(Shown, NoArray, Immutable):
     values: Array
     components: tuple[str, ...]
     subject: Subjects | None
-    variances: Array | None
+    cov: Array | None
     units: tuple[str, ...]
     begin: float | None
 
@@ -89,6 +93,7 @@ class Stream(Shown, NoArray, Immutable):
         components: Sequence[str],
         *,
         subject: Any = None,
+        cov: npt.ArrayLike | None = None,
         variances: npt.ArrayLike | None = None,
         units: Units | None = None,
         begin: float | None = None,
@@ -102,22 +107,23 @@ class Stream(Shown, NoArray, Immutable):
                 f"begin={float(begin)!r} is after the first stamp, {clock(when.min())}; increments "
                 "count up to their stamps"
             )
-        spread = None if variances is None else _table("variances", variances, when.size, names)
-        if spread is not None and (spread < 0.0).any():
-            row = int(np.argwhere(spread < 0.0)[0, 0])
-            raise EvidenceError(f"variances, row {row}: {spread[row].tolist()}; 0 or more was due")
+        if cov is not None and variances is not None:
+            raise EvidenceError("cov= has the variances already; leave variances= out")
+        spread = None if cov is None else spreads.of_covariances(cov, when.size, names)
+        if variances is not None:
+            spread = spreads.of_variances(_table("variances", variances, when.size, names))
         table = _table("values", values, when.size, names)
         kept, sizes = quantities.sizes(units, names)
         if any(size != 1.0 for size in sizes):
             table *= sizes
-            spread = None if spread is None else spread * np.square(sizes)
+            spread = None if spread is None else spread * np.outer(sizes, sizes)
         _require_radians(when, table, names, told=units is not None)
         self._set(
             stamps=frozen(when),
             values=frozen(table),
             components=names,
             subject=None if subject is None else _subjects(subject, when.size),
-            variances=None if spread is None else frozen(spread),
+            cov=None if spread is None else frozen(spread),
             units=kept,
             begin=None if begin is None else float(begin),
         )
@@ -128,6 +134,11 @@ class Stream(Shown, NoArray, Immutable):
     def __getitem__(self, component: str) -> Array:
         """The values of a component, (n,)."""
         return self.values[:, self.place(component)]
+
+    @property
+    def variances(self) -> Array | None:
+        """The variances of each row's noise, (n, d): the diagonals of `cov`."""
+        return None if self.cov is None else np.diagonal(self.cov, axis1=1, axis2=2)
 
     def place(self, component: str) -> int:
         """The column of a component."""
@@ -143,7 +154,7 @@ class Stream(Shown, NoArray, Immutable):
             stamps=self.stamps[rows],
             values=self.values[rows],
             subject=None if self.subject is None else self.subject[rows],
-            variances=None if self.variances is None else self.variances[rows],
+            cov=None if self.cov is None else self.cov[rows],
         )
 
     def select(self, **columns: str) -> Stream:
@@ -153,7 +164,7 @@ class Stream(Shown, NoArray, Immutable):
             values=self.values[:, places],
             components=tuple(columns),
             units=[self.units[place] for place in places],
-            variances=None if self.variances is None else self.variances[:, places],
+            cov=None if self.cov is None else self.cov[:, places][:, :, places],
         )
 
     def replace(self, **changes: Any) -> Stream:
@@ -161,6 +172,8 @@ class Stream(Shown, NoArray, Immutable):
         given = {name: getattr(self, name) for name in type(self).__annotations__ if name[0] != "_"}
         if "components" in changes:
             del given["units"]
+        if "variances" in changes:
+            del given["cov"]
         return Stream(**given | changes)
 
     def to_frame(self) -> Any:
@@ -171,8 +184,12 @@ class Stream(Shown, NoArray, Immutable):
         )
         if self.subject is not None:
             frame["subject"] = self.subject
-        for k, name in enumerate(self.components if self.variances is not None else ()):
-            frame[f"variance of {name}"] = self.variances[:, k]  # type: ignore[index]
+        if self.cov is not None:
+            for k, name in enumerate(self.components):
+                frame[f"variance of {name}"] = self.cov[:, k, k]
+            for j, k in spreads.correlated(self.cov):
+                pair = f"{self.components[j]}{JOINED}{self.components[k]}"
+                frame[f"covariance of {pair}"] = self.cov[:, j, k]
         with_units(frame, dict(zip(self.components, self.units, strict=True)))
         return frame
 

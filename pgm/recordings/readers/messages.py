@@ -11,8 +11,8 @@ from pgm.errors import EvidenceError
 from pgm.io.dropped import BACKWARDS, Dropped
 from pgm.io.sources import Origin
 from pgm.kernels import quaternions
-from pgm.kernels.arrays import Array, Mask
-from pgm.recordings.drives import earth, odometers
+from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.recordings.drives import earth, odometers, spreads
 from pgm.recordings.drives.motion import PLANAR_SPEEDS
 from pgm.recordings.drives.quantities import WORLD
 from pgm.recordings.drives.recording import POSE
@@ -21,9 +21,11 @@ from pgm.recordings.drives.stream import Stream
 
 # Of a 6 × 6 covariance, x, y, z and three turns: those in the plane.
 _PLANE = (0, 1, 5)
+_NORTH_FIRST = (1, 0, 2)
 _UNIT = 1e-3
 NO_FIX = "without a fix"
-CORRELATED = "with covariances between components, of which the variances alone are read"
+UNKNOWN = "of a fix without a covariance, whose variances are NaN"
+IMPROPER = "whose covariance is none, as indefinite ones are not; its variances are NaN"
 Read = tuple[Any, list[Dropped]]
 
 
@@ -43,17 +45,33 @@ def _poses(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
     stamps = _stamps(topic, rows)
     if part == "odometry":
         return odometers.increments(part, Stream(stamps, poses, POSE)) if rows else (None, [])
-    spread, told = None, []
+    cov: Array | None = None
+    told: list[Dropped] = []
     if rows and hasattr(rows[0].pose, "covariance"):
-        cov = _table([m.pose.covariance for m in rows], 36).reshape(-1, 6, 6)
-        cov = cov[:, _PLANE][:, :, _PLANE]
-        spread = np.diagonal(cov, axis1=1, axis2=2)
-        beside = cov[:, *np.triu_indices(3, 1)].any(axis=1)
-        if not spread.any():
-            spread = None  # all zero: not told
-        elif beside.any():
-            told = [Dropped(_name(topic, part), CORRELATED, np.flatnonzero(beside), kept=True)]
-    return Stream(stamps, poses, POSE, variances=spread), told
+        whole = _table([m.pose.covariance for m in rows], 36).reshape(-1, 6, 6)
+        cov, told = _proper(_name(topic, part), whole[:, _PLANE][:, :, _PLANE])
+    return Stream(stamps, poses, POSE, cov=cov), told
+
+
+def _proper(
+    name: str, cov: Array, unknown: Mask | None = None, rows: Integers | None = None
+) -> tuple[Array | None, list[Dropped]]:
+    """Covariances (n, d, d), NaN where they are unknown or none; None where all are zero.
+
+    Each is of the message of its number in `rows`.
+    """
+    rows = np.arange(len(cov)) if rows is None else rows
+    lost = np.zeros(len(cov), dtype=bool) if unknown is None else unknown
+    if not cov[~lost].any():
+        return None, []  # receivers and filters that do not tell them fill them with zeros
+    odd = np.zeros(len(cov), dtype=bool)
+    odd[[row for row in spreads.faults(cov) if not lost[row]]] = True
+    told = [
+        Dropped(name, fate, rows[which], kept=True)
+        for fate, which in ((UNKNOWN, lost), (IMPROPER, odd))
+        if which.any()
+    ]
+    return np.where((lost | odd)[:, None, None], np.nan, cov), told
 
 
 def _twists(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
@@ -68,24 +86,27 @@ def _speeds(topic: str, rows: Sequence[Any], each: Sequence[Any]) -> Read:
 
 def _imu(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
     """Messages of sensor_msgs/Imu; a covariance that begins with −1 says: not measured."""
-    names, columns, spreads = [], [], []
+    names, columns, blocks = [], [], []
     for what, attribute in (("rate", "angular_velocity"), ("acceleration", "linear_acceleration")):
         cov = _table([getattr(m, f"{attribute}_covariance") for m in rows], 9)
         values = _table([[getattr(getattr(m, attribute), axis) for axis in "xyz"] for m in rows], 3)
         values[cov[:, 0] == -1.0] = np.nan
         names += [f"{what}_{axis}" for axis in "xyz"]
         columns.append(values)
-        spreads.append(np.where(cov[:, :1] == -1.0, 0.0, cov[:, [0, 4, 8]]))
+        blocks.append(np.where(cov[:, :1] == -1.0, 0.0, cov).reshape(-1, 3, 3))
     turns = _table([(q.x, q.y, q.z, q.w) for q in (m.orientation for m in rows)], 4)
     cov = _table([m.orientation_covariance for m in rows], 9)
     told = (cov[:, 0] != -1.0) & turns.any(axis=1)
     yaw = np.full(len(rows), np.nan)
     yaw[told] = _yaw(topic, turns[told])
-    spreads.append(np.where(told, cov[:, 8], 0.0)[:, None])
-    spread = np.concatenate(spreads, axis=1)
+    blocks.append(np.where(told, cov[:, 8], 0.0)[:, None, None])
     values = np.column_stack([*columns, yaw])
-    variances = spread if spread.any() else None
-    return Stream(_stamps(topic, rows), values, (*names, "heading"), variances=variances), []
+    whole = np.zeros((len(rows), values.shape[1], values.shape[1]))
+    for k, block in zip((0, 3, 6), blocks, strict=True):
+        own = slice(k, k + block.shape[1])
+        whole[:, own, own] = block
+    found, fates = _proper(_name(topic, part), whole)
+    return Stream(_stamps(topic, rows), values, (*names, "heading"), cov=found), fates
 
 
 def _fixes(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
@@ -104,33 +125,13 @@ def _fixes(topic: str, part: str, rows: Sequence[Any], origin: Origin) -> Read:
     if not fixed.any():
         return None, told
     world[~np.isfinite(world[:, 2]), 2] = np.nan
-    spread, fates = _spread(_name(topic, part), rows, fixed)
-    stream = Stream(
-        _stamps(topic, rows)[fixed],
-        world[fixed],
-        (*WORLD, "altitude"),
-        variances=None if spread is None else spread[fixed],
-    )
-    return stream, [*told, *fates]
-
-
-def _spread(name: str, rows: Sequence[Any], fixed: Mask) -> tuple[Array | None, list[Dropped]]:
-    """The variances of latitude, longitude and altitude, (n, 3), NaN where a fix has none."""
+    whole = _table([m.position_covariance for m in rows], 9)[fixed].reshape(-1, 3, 3)
+    unknown = np.array([m.position_covariance_type for m in rows])[fixed] == 0
     # East, north, up: the longitude's variance comes first.
-    cov = _table([m.position_covariance for m in rows], 9)
-    spread, beside = cov[:, [4, 0, 8]], cov[:, [1, 2, 5]]
-    known = np.array([m.position_covariance_type != 0 for m in rows], dtype=bool)
-    if not (spread[known & fixed]).any():
-        return None, []
-    told = [
-        Dropped(name, fate, np.flatnonzero(which), kept=True)
-        for fate, which in (
-            ("of a fix without a covariance, whose variances are NaN", fixed & ~known),
-            (CORRELATED, fixed & known & beside.any(axis=1)),
-        )
-        if which.any()
-    ]
-    return np.where(known[:, None], spread, np.nan), told
+    whole = whole[:, _NORTH_FIRST][:, :, _NORTH_FIRST]
+    cov, fates = _proper(_name(topic, part), whole, unknown, np.flatnonzero(fixed))
+    stream = Stream(_stamps(topic, rows)[fixed], world[fixed], (*WORLD, "altitude"), cov=cov)
+    return stream, [*told, *fates]
 
 
 def _name(topic: str, part: str) -> str:

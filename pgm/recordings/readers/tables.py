@@ -14,10 +14,12 @@ from pgm.arguments import public
 from pgm.boundary import as_tuple, is_whole
 from pgm.errors import EvidenceError
 from pgm.evidence import degrees
+from pgm.factors.arrays import diagonal
 from pgm.factors.scope import listed
 from pgm.io.dropped import Dropped
 from pgm.io.sources import Source
 from pgm.io.stamped import as_stamps
+from pgm.io.tum import JOINED
 from pgm.kernels.angles import TURN
 from pgm.kernels.arrays import Array
 from pgm.recordings.drives import earth, motion
@@ -33,7 +35,7 @@ from pgm.units import ANGLE, RATE, plain_unit
 _WHOLE = re.compile(r"[+-]?[0-9]{1,18}")
 # Words within a column's name, such as those of gps_lat and gpsLat.
 _WORDS = re.compile(r"[A-Z]?[a-z]+|[A-Z]+")
-SUBJECT, VARIANCE = "subject", "variance of "
+SUBJECT, VARIANCE, COVARIANCE = "subject", "variance of ", "covariance of "
 _STREAMS = ("odometry", "velocities", "truth", "imu", "fixes")
 _MOTION = ("odometry", "velocities")
 # Where the variances of places on the earth stand, which are in metres.
@@ -88,7 +90,9 @@ def read_csv(
         For ``odometry``, ``velocities``, ``truth``, ``imu``, ``fixes``, or a sensor of any other
         name: which column each component is, ``{"t": "time", "range": "d"}``, or a pair of it and
         its unit, ``("heading", "deg")``; numbered from 0 where there is no line of names. ``t`` is
-        the stamp, ``subject`` the landmark, ``"variance of range"`` is in the square of the unit.
+        the stamp, ``subject`` the landmark, ``"variance of range"`` is in the square of the unit,
+        ``"covariance of range*bearing"`` in the product, ``("c", "m", "deg")``; without the latter
+        components are not correlated.
         Places on the earth are ``latitude`` and ``longitude``, ``("lat", "deg")``, with ``up`` or
         without; they become metres east and north of the datum, of all streams one.
     landmarks : mapping, optional
@@ -175,10 +179,12 @@ def _stream(
     begin: float | None,
 ) -> tuple[Stream, list[int]]:
     """A stream, and the rows of the table that it has its rows from."""
-    names = [name for name in places if name not in (STAMP, SUBJECT) and VARIANCE not in name]
-    spreads = {name: VARIANCE + _SPREAD.get(name, name) for name in names}
+    names = [name for name in places if name not in (STAMP, SUBJECT) and not _pair(name)]
+    spreads = _spreads(names)
+    pairs = {asked: [spreads.index(name) for name in _pair(asked)] for asked in places}
+    pairs = {asked: pair for asked, pair in pairs.items() if pair}
     last, missing = max(places.values()), part not in _MOTION
-    filled, stamps, values, variances, subjects = [], [], [], [], []
+    filled, stamps, values, spread, subjects = [], [], [], [], []
     for row, (line, row_cells) in enumerate(table.rows):
         if len(row_cells) <= last:
             raise table.origin.fault(
@@ -186,31 +192,34 @@ def _stream(
             )
         words = {name: row_cells[at].strip() for name, at in places.items()}
         if missing:
-            words |= {name: "" for name in names if words[name].lower() == "nan"}
+            words |= {name: "" for name in (*names, *pairs) if words[name].lower() == "nan"}
         if not any(words[name] for name in (*names, *([SUBJECT] if SUBJECT in words else []))):
             continue
         filled.append(row)
         found = {
-            name: cells.number_in(word, columns[name].size, line, table, missing and name in names)
+            name: cells.number_in(word, columns[name].size, line, table, missing and name != STAMP)
             for name, word in words.items()
             if name != SUBJECT
         }
         stamps.append(found[STAMP])
         values.append([found[name] for name in names])
-        variances.append([found.get(spreads[name], math.nan) for name in names])
+        spread.append([found[asked] for asked in pairs])
         subjects.append(_identity(words.get(SUBJECT, "")))
     when = _stamps(part, columns[STAMP], stamps)
     table_of = np.array(values).reshape(-1, len(names))
     for name, given in zip(names, table_of.T, strict=True):
         _require_radians(part, name, columns[name], when, given)
-    told = set(spreads.values()) & set(places)
+    cov = diagonal(np.full(table_of.shape, math.nan))
+    told = np.array(spread).reshape(len(spread), len(pairs)).T
+    for (one, other), given in zip(pairs.values(), told, strict=True):
+        cov[:, one, other] = cov[:, other, one] = given
     stream = Stream(
         when,
         table_of,
         names,
         units=[plain_unit(each) if each else "" for each in _quantities(part, names, columns)],
         subject=subjects if SUBJECT in places else None,
-        variances=np.array(variances).reshape(-1, len(names)) if told else None,
+        cov=cov if pairs else None,
         begin=begin if part == "odometry" else None,
     )
     return stream, filled
@@ -282,17 +291,22 @@ def _asked(part: str, given: Any) -> dict[str, _Column]:
             raise EvidenceError(
                 f"{what} is a column's name or number, or one with its unit, not {value!r}"
             )
-        component = name.removeprefix(VARIANCE)
-        if component != name:
-            _require_spread(what, component, asked)
-        if len(units) > 1:
-            raise EvidenceError(f"{what}: {tuple(units)!r} are several units; one is due")
+        pair = _pair(name)
+        _require_spread(what, pair, asked)
+        components = pair or (name,)
+        if len(units) > len(set(components)):
+            raise EvidenceError(
+                f"{what}: {tuple(units)!r} are several units; "
+                f"{'one or two are' if len(set(components)) > 1 else 'one is'} due"
+            )
         if not units and name in WORLD:
             raise EvidenceError(f"{what} has its unit beside it, ({column!r}, 'deg') or 'rad'")
         if units:
-            unit = unit_of(what, part, component, units[0])
-            size = unit.size if component == name else unit.size**2
-            found[name] = _Column(column, size, unit.quantity)
+            # One unit of two components is that of both.
+            both = zip(components, (*units, units[-1]), strict=False)
+            each = [unit_of(what, part, component, unit) for component, unit in both]
+            size = math.prod(unit.size for unit in each)
+            found[name] = _Column(column, size, each[0].quantity)
         else:
             found[name] = _Column(column)
     if STAMP not in found or not set(found) - {STAMP, SUBJECT}:
@@ -318,12 +332,33 @@ def _require_metres(part: str, name: str, column: _Column) -> None:
         )
 
 
-def _require_spread(what: str, component: str, asked: Mapping[str, Any]) -> None:
-    """Refuse a variance given for a component that is not read."""
-    due = [_SPREAD[name] for name in asked if name in _SPREAD and LATITUDE in asked]
-    if component in WORLD or (component not in asked and component not in due):
-        hint = f" {listed(due)}, in metres" if due else " a component that is read, too"
-        raise EvidenceError(f"{what}: a variance is of{hint}")
+def _require_spread(what: str, pair: tuple[str, ...], asked: Mapping[str, Any]) -> None:
+    """Refuse a variance given for a component that is not read, or a covariance without these."""
+    due = _spreads([name for name in asked if LATITUDE in asked and name in _SPREAD])
+    for component in dict.fromkeys(pair):
+        if component in WORLD or (component not in asked and component not in due):
+            hint = f" {listed(due)}, in metres" if due else " a component that is read, too"
+            raise EvidenceError(f"{what}: a variance is of{hint}")
+    variances = {VARIANCE + name for name in pair}
+    if pair and (len(pair) != 2 or (len(variances) > 1 and not variances <= set(asked))):
+        raise EvidenceError(
+            f"{what}: a covariance is of two components, like 'covariance of east*north', whose "
+            "variances are read, too"
+        )
+    if pair and [sorted(_pair(name)) for name in asked].count(sorted(pair)) > 1:
+        raise EvidenceError(f"{what}: a column of {listed(pair)} is named twice; leave one out")
+
+
+def _pair(name: str) -> tuple[str, ...]:
+    """The two components that a variance or covariance is of, by its name; none of another name."""
+    if name.startswith(COVARIANCE):
+        return tuple(name.removeprefix(COVARIANCE).split(JOINED))
+    return (name.removeprefix(VARIANCE),) * 2 if name.startswith(VARIANCE) else ()
+
+
+def _spreads(names: Sequence[str]) -> list[str]:
+    """The names that variances of components have: of places on the earth, those in metres."""
+    return [_SPREAD.get(name, name) if LATITUDE in names else name for name in names]
 
 
 def _mapping(given: Any, what: str) -> Mapping[str, Any]:
