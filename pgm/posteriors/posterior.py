@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
@@ -186,7 +186,7 @@ class Posterior(Labelled, Judged, Shown, NoArray, Generic[B]):
             return entered.by_pattern
         return self._outcome
 
-    def means(self, variables: Iterable[Variable]) -> Array:
+    def means(self, variables: Iterable[Variable], *more: Never) -> Array:
         """The means of several variables, stacked.
 
         Parameters
@@ -212,16 +212,19 @@ class Posterior(Labelled, Judged, Shown, NoArray, Generic[B]):
         >>> posterior.means([a, b]).shape, posterior.covs([a, b]).shape
         ((2, 1), (2, 1, 1))
         """
+        require_one_list("means", variables, more)
         found = alike(variables)
         return self._about(found)._stacked(found)[0]
 
-    def covs(self, variables: Iterable[Variable]) -> Array:
+    def covs(self, variables: Iterable[Variable], *more: Never) -> Array:
         """The covariances of several variables, each by itself: (*runs, k, d, d); see `means`."""
+        require_one_list("covs", variables, more)
         found = alike(variables)
         return self._about(found)._stacked(found)[1]
 
-    def stds(self, variables: Iterable[Variable]) -> Array:
+    def stds(self, variables: Iterable[Variable], *more: Never) -> Array:
         """The standard deviations of several variables: (*runs, k, d); see `means`."""
+        require_one_list("stds", variables, more)
         return deviation(self.covs(variables))
 
     def to_frame(self, variables: Iterable[Variable] | None = None, *more: Never) -> Any:
@@ -266,9 +269,7 @@ class Posterior(Labelled, Judged, Shown, NoArray, Generic[B]):
         >>> posterior.to_frame([x, y]).loc["y"].tolist()
         [0.0, 1.0, 0.5, 0.5]
         """
-        if more:
-            every = ", ".join(map(repr, (variables, *more)))
-            raise TypeError(f"to_frame takes several variables as one list: to_frame([{every}])")
+        require_one_list("to_frame", variables, more)
         if variables is None:
             if self._entered is None:
                 raise EvidenceError(
@@ -760,6 +761,13 @@ class Posterior(Labelled, Judged, Shown, NoArray, Generic[B]):
 
 # What every outcome has for pages and refusals, and is no answer to a user.
 _INSIDE = frozenset(n for n in dir(Outcome) if not n.startswith("_"))
+
+
+def require_one_list(name: str, first: Any, more: Sequence[Any]) -> None:
+    """Refuse variables that are given one after the other."""
+    if more:
+        every = ", ".join(map(repr, (first, *more)))
+        raise TypeError(f"{name} takes several variables as one list: {name}([{every}])")
 
 
 def alike(variables: Iterable[Variable]) -> Scope:

@@ -170,4 +170,7 @@ def test_several_variables_are_one_list():
     posterior = pgm.infer(pgm.compile(net), {})
     with pytest.raises(TypeError, match=r"to_frame\(\[x, y\]\)"):
         posterior.to_frame(x, y)
+    for name in ("means", "covs", "stds"):
+        with pytest.raises(TypeError, match=rf"{name} takes .* one list: {name}\(\[x, y\]\)"):
+            getattr(posterior, name)(x, y)
     assert list(posterior.to_frame([x, y]).index) == ["x", "y"]

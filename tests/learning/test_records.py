@@ -305,6 +305,28 @@ def test_noise_is_judged_beside_the_rounding_of_readings(size):
             pgm.fit(net, {U: u, V: v}, learn={V: EVERY})
 
 
+@pytest.mark.parametrize(
+    ("size", "part", "start"),
+    [(1e-20, 1e-1, 1.0), (1e-20, 1e-6, 1.0), (1e-20, 1e-12, 1.0), (1e-140, 1e-3, 1.0),
+     (1e20, 1e-12, 1.0), (1.0, 1e-12, 1e20), (1.0, 1e-6, 1e150)],
+)  # fmt: skip
+def test_a_closed_form_is_the_same_from_any_start(size, part, start):
+    """By least squares of readings and noise apart, which lose no digits of the latter."""
+    rng = np.random.default_rng(0)
+    u, noise = rng.normal(size=(2, 50, 1))
+    both = np.hstack([u, np.ones((50, 1))])
+    sees = pgm.LinearGaussianCPD(V, {U: start}, offset=-start, cov=max(start, 1.0))
+    net = pgm.BayesianNetwork([pgm.GaussianCPD(U, 0.0, 1.0), sees])
+    found = pgm.fit(net, {U: u, V: size * (1.0 + 2.0 * u + part * noise)}, learn={V: EVERY})
+    slope, offset = [2.0, 1.0] + part * np.linalg.lstsq(both, noise)[0][:, 0]
+    left = part * (noise - both @ np.linalg.lstsq(both, noise)[0])
+    cpd = found.model.cpd(V)
+    np.testing.assert_allclose(cpd.matrices[U] / size, [[slope]], rtol=1e-13)
+    np.testing.assert_allclose(cpd.offset / size, [offset], rtol=1e-13)
+    due = np.sqrt(np.mean(left**2))
+    np.testing.assert_allclose(np.sqrt(cpd.cov[0, 0]) / size, due, rtol=1e-12 + 1e-15 / part)
+
+
 @pytest.mark.parametrize("gaps", [0.0, 0.2])
 def test_rows_on_a_line_leave_no_noise_across_it_with_gaps_or_without(gaps):
     rng = np.random.default_rng(0)

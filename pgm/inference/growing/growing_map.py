@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from importlib.util import find_spec
-from typing import Any
+from typing import Any, Never
 
 import numpy as np
 
@@ -32,7 +32,7 @@ from pgm.inference.growing.tree import Change, Point, Tree, Undetermined, update
 from pgm.kernels.arrays import Array, deviation
 from pgm.linearisers import TAYLOR, Lineariser, Taylor
 from pgm.networks import BayesianNetwork
-from pgm.posteriors.posterior import alike
+from pgm.posteriors.posterior import alike, require_one_list
 from pgm.resources import uncollected
 from pgm.schedules.starting_points import Start
 from pgm.variables import Discrete, Variable
@@ -409,17 +409,20 @@ class GrowingMap(Shown, Immutable):
         number = self._number(variable)
         return Gaussian._make((variable,), self._means.of(number), self._covariances.of(number))
 
-    def means(self, variables: Iterable[Variable]) -> Array:
+    def means(self, variables: Iterable[Variable], *more: Never) -> Array:
         """The means of several variables of d components each, stacked, (k, d)."""
+        require_one_list("means", variables, more)
         numbers = [self._number(v) for v in alike(variables)]
         return np.array(self._means.some(numbers))
 
-    def covs(self, variables: Iterable[Variable]) -> Array:
+    def covs(self, variables: Iterable[Variable], *more: Never) -> Array:
         """The covariances of several variables, each by itself, (k, d, d); see `means`."""
+        require_one_list("covs", variables, more)
         return np.array([self._covariances.of(self._number(v)) for v in alike(variables)])
 
-    def stds(self, variables: Iterable[Variable]) -> Array:
+    def stds(self, variables: Iterable[Variable], *more: Never) -> Array:
         """The standard deviations of several variables, (k, d); see `means`."""
+        require_one_list("stds", variables, more)
         return deviation(self.covs(variables))
 
     def joint(self, *variables: Variable) -> Gaussian:

@@ -207,6 +207,9 @@ def test_beliefs_that_are_not_there():
         grown.joint()
     with pytest.raises(pgm.EvidenceError, match="there is none"):
         grown.means([])
+    for name in ("means", "covs", "stds"):
+        with pytest.raises(TypeError, match=rf"one list: {name}\(\[a, c\]\)"):
+            getattr(grown, name)(a, c)
 
 
 def test_what_does_not_settle_is_told():
