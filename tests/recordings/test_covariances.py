@@ -110,6 +110,9 @@ def test_rows_may_have_no_covariance():
     assert_array_equal(half.cov[0], [[NAN, NAN], [NAN, 4.0]])
     alone = Stream([0.0], [[1.0, 2.0]], PLACE, variances=[[NAN, 4.0]])
     assert_array_equal(alone.cov, half.cov[:1])
+    blurred = np.array([[[1.0, 0.5], [0.5 + 1e-12, 1.0]], [[NAN, 0.0], [0.0, 1.0]]])
+    whole = Stream([0.0, 1.0], FIXES[:2], PLACE, cov=blurred).cov[0]
+    assert_array_equal(whole, whole.T)
     assert Stream([], [], PLACE, cov=[]).cov.shape == (0, 2, 2)
     with pytest.raises(EvidenceError, match=r"no variances in 1 row \(row 0\)"):
         drive(cov).timeline(TIMES, sensors={g: "fixes"}, variances={g: r})

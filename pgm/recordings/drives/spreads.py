@@ -12,7 +12,7 @@ from pgm.boundary import as_floats
 from pgm.errors import EvidenceError
 from pgm.factors.arrays import covariance_fault, diagonal, symmetrised
 from pgm.factors.scope import listed
-from pgm.kernels.arrays import Array, Mask, deviation, transpose
+from pgm.kernels.arrays import Array, Mask, deviation, symmetric, transpose
 
 
 def of_variances(table: Array) -> Array:
@@ -41,7 +41,7 @@ def of_covariances(given: npt.ArrayLike, rows: int, names: Sequence[str]) -> Arr
             f"cov, row {row}: {cov[row].tolist()} {fault}; NaN is a variance that is unknown, and "
             "0 a covariance of what is not correlated"
         )
-    return closed(symmetrised(cov))
+    return closed(symmetric(cov))
 
 
 def faults(cov: Array) -> dict[int, str]:
@@ -77,11 +77,11 @@ def turned(cov: Array, turns: Array) -> Array:
 
 def correlation(cov: Array, one: int, other: int) -> Array:
     """The size of the correlation of two components, (n,); 0 where it is unknown."""
-    deviations = np.sqrt(cov[:, one, one] * cov[:, other, other])
+    deviations = np.sqrt(cov[:, one, one]) * np.sqrt(cov[:, other, other])
     between = np.abs(cov[:, one, other])
-    return np.divide(
-        between, deviations, out=np.zeros(len(cov)), where=(between > 0.0) & (deviations > 0.0)
-    )
+    met = (between > 0.0) & (deviations > 0.0)
+    found: Array = np.divide(between, deviations, out=np.zeros(len(cov)), where=met)
+    return found
 
 
 def correlated(cov: Array) -> list[tuple[int, int]]:
