@@ -21,6 +21,9 @@ summary.json, by sensor (far, near, two_ranges, collinear, position), s and rule
   ``alarms``), and how many wrong ones it neither does nor says to be beyond its trust (``missed``);
   off by the KL of the pose after the step, of a smoother that of both poses together, or by the
   error of the log-evidence, whichever is larger;
+- ``estimates``: by sensor, at the widest s, of `pgm.estimate`: ``kl`` and ``kl_se``, the share
+  ``vouched`` for, the median of their bounds ``within``, the share of them ``beyond`` it, and the
+  mean number of ``draws``;
 - ``verdict``: three points made of these numbers, of short sentences;
 - ``truth``: by sensor and s, the least and the median effective sample size, and how many
   simulations were dropped because theirs was too small;
@@ -86,6 +89,7 @@ def run(
             sensor: {rule: vars(each) for rule, each in audits.items()}
             for sensor, audits in found.audits.items()
         },
+        estimates={sensor: vars(each) for sensor, each in found.estimates.items()},
         verdict=verdict,
         truth=found.truth,
         against_reference=against,

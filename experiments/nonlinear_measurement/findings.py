@@ -173,6 +173,17 @@ def audits(found: Study) -> str:
     )
 
 
+def estimates(found: Study) -> str:
+    """How near estimates are, and how many are vouched for."""
+    every = found.estimates.values()
+    return (
+        f"`pgm.estimate` at s = {_WIDEST} rad: mean KL from {min(e.kl for e in every):.2g} to "
+        f"{max(e.kl for e in every):.2g} nats; {min(e.vouched for e in every):.0%} or more of the "
+        "simulations of each sensor are vouched for, and of these at most "
+        f"{max(e.beyond for e in every):.1%} are further from exact than their verdict says."
+    )
+
+
 def _below(one: Score, other: Score) -> bool:
     """Whether a mean KL is certainly the lower one."""
     error = (one.kl_se**2 + other.kl_se**2) ** 0.5

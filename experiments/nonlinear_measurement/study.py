@@ -17,6 +17,7 @@ from experiments.nonlinear_measurement.cases import (
     Integers,
     simulate,
 )
+from experiments.nonlinear_measurement.estimates import Estimated, estimated
 from experiments.nonlinear_measurement.rules import ITERATED, Cost, Mask, Rule, cost, settled
 from experiments.nonlinear_measurement.scores import Score, score
 from experiments.nonlinear_measurement.truth import Truth, posterior
@@ -62,6 +63,8 @@ class Study:
         The part of simulations in which the iterated rule came to rest, and mean KL there.
     audits : dict
         By sensor and rule, at the widest heading.
+    estimates : dict
+        By sensor, at the widest heading.
     costs : dict
         By sensor and rule.
     """
@@ -70,6 +73,7 @@ class Study:
     truth: dict[str, dict[str, dict[str, float]]] = field(default_factory=dict)
     settled: dict[str, dict[str, dict[str, float]]] = field(default_factory=dict)
     audits: dict[str, dict[str, Audited]] = field(default_factory=dict)
+    estimates: dict[str, Estimated] = field(default_factory=dict)
     costs: dict[str, dict[str, Cost]] = field(default_factory=dict)
 
     @property
@@ -123,6 +127,7 @@ def study(
             name: audited(pgm.audit(each, rng=seed), kept, distance(each, truth))
             for name, each in posteriors.items()
         }
+        found.estimates[sensor] = estimated(case, truth, kept, seed)
         found.costs[sensor] = {name: cost(rule, case) for name, rule in compared.items()}
     return found, solved
 

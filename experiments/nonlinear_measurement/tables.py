@@ -89,6 +89,17 @@ def write(
         about="At rest: the share of simulations. Their mean KL [nats], and that of the others.",
         folded=True,
     )
+    record.note(findings.estimates(found))
+    record.table(
+        f"pgm.estimate at s = {_WIDEST} rad",
+        ("sensor", "KL", "± standard error", "vouched for", "within", "beyond it", "draws"),
+        [
+            (s, e.kl, e.kl_se, f"{e.vouched:.1%}", e.within, f"{e.beyond:.1%}", f"{e.draws:.0f}")
+            for s, e in found.estimates.items()
+        ],
+        about="Mean KL [nats] over simulations; the share vouched for, the median of the bounds "
+        "that their verdicts state [nats], and the share of them that are further off.",
+    )
     record.note(findings.audits(found))
     record.table(
         f"the audit at s = {_WIDEST} rad: results that are {WRONG:g} nats or more off, and less "

@@ -369,6 +369,13 @@ def test_the_audit_knows_wrong_beliefs_from_right_ones(done):
         assert found["alarms"] <= 0.1 * found["right"]
 
 
+def test_estimates_are_nearer_than_every_rule_and_their_bounds_hold(done):
+    for name, found in done[1]["estimates"].items():
+        assert found["kl"] < min(done[1]["kl"][name]["0.6"].values())
+        assert found["vouched"] >= 0.7
+        assert found["beyond"] <= 0.05
+
+
 def test_poses_that_are_right_one_by_one_and_wrong_together():
     """Linearised once, the motion's bend is noise: it hides how the poses belong together."""
     case = simulate(SENSORS["far"], 0.6, 150, 0)
