@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.arguments import public
+from pgm.beliefs.gaussian.layout import robust
 from pgm.beliefs.modes.chain import ChainSearch
 from pgm.beliefs.modes.laws import Laws
 from pgm.beliefs.modes.network import NetworkSearch
@@ -54,9 +55,10 @@ def estimate(
     .. math:: p(x_t \mid \text{all measurements})
 
     1. Iterated smoothers start from the filter's linearisation and from 16 points of the prior, as
-       runs of one call (of a network without time, iterated calibrations): by Gauss–Newton, and
-       where few settle or one alone has found a mode by Levenberg–Marquardt, from 32 starts and
-       from 64. The points where they settle are the modes, weighed by their evidence.
+       runs of one call (of a network without time, iterated calibrations): by Gauss–Newton, and by
+       Levenberg–Marquardt, from 32 starts and from 64, where more than one in ten do not settle or
+       one alone has found a mode. The points where they settle are the modes, weighed by their
+       evidence.
     2. Draws of the mixture of the modes, 1,000 a run, and some of the model alone, are weighed by
        the exact density. If they tell that the mixture q is within .1 nats of the exact posterior
        p, of all variables together, it is kept. Else it is adapted by the draws, and twice as many
@@ -185,7 +187,7 @@ def _without_time(
     schedule = Calibration(*CAREFUL)
     call = Call(schedule)
     return Posed(
-        infer(graph, evidence),
+        infer(graph, evidence, schedule=schedule if robust(graph) else None),
         family_of(model).by_modes,
         lambda: NetworkSearch.make(graph, evidence, call),
         lambda: infer(graph, evidence, schedule=schedule),

@@ -31,7 +31,7 @@ _SMALL = 0.01
 PRIOR = 10
 
 
-def pareto_shape(log_weights: Array) -> Array:
+def pareto_shape(log_weights: Array, *, of_sums: bool = True) -> Array:
     """The shape k of the generalised Pareto tail of weights, (runs,), from log-weights (runs, S).
 
     The excesses x are the M = min(S/5, 3√S) largest weights, each less the (M + 1)-th largest, to
@@ -41,7 +41,8 @@ def pareto_shape(log_weights: Array) -> Array:
     the (M + 1)-th but for rounding, excesses are counted from the next smaller weight, or from 0.
 
     The largest of S weights whose tail has the shape k is some S^(k − 1) of their sum: where it is
-    less than a hundredth, k is ½ at the most, whatever the fit says of small excesses.
+    less than a hundredth, k is ½ at the most, whatever the fit says of small excesses; not so if
+    it is not for sums of weights (`of_sums`), such as their entropy, to which small ones add more.
 
     k is NaN for fewer than 25 draws, −∞ where the largest weights are all equal, and ∞ where a few
     weights dwarf the rest: the lower quartile of the excesses is below 10⁻¹² of the largest.
@@ -58,6 +59,8 @@ def pareto_shape(log_weights: Array) -> Array:
         tied & (top[:, -1] > top[:, 0] + EQUAL), np.exp(below - top[:, -1]), weights[:, 0]
     )
     shape, _ = _fitted(weights[:, 1:] - least[:, None])
+    if not of_sums:
+        return shape
     largest = 1.0 / np.exp(log_weights - top[:, -1:]).sum(axis=-1)
     return np.where(largest < _SMALL, np.minimum(shape, 0.5), shape)
 

@@ -35,7 +35,7 @@ class Verdict(Shown, Immutable, NoArray):
     starts, settled, modes : ndarray of int
         How many iterations were started, how many of them settled, and at how many modes.
     agreed : ndarray of bool
-        Whether most settled, and each mode was found from two starts or more.
+        Whether nine in ten settled, and each mode was found from two starts or more.
     draws : ndarray of int
         How many draws were weighed.
     effective : ndarray

@@ -97,6 +97,11 @@ class ChainSearch:
         """How many runs there are."""
         return self.bound.runs
 
+    @property
+    def together(self) -> bool:
+        """Whether runs are asked together alone, as CPDs differ by run."""
+        return bool(self.graph.model.lead)
+
     def of(self, runs: Integers) -> ChainSearch:
         """The search in some runs."""
         if runs.size == self.runs:

@@ -49,10 +49,12 @@ class Trajectories:
         self.law, layout = self._model.law, plan.layout
         self.before, self.states = layout.state_size, layout.state_places
         self.turned, self.angles = self.law.turned, angle_mask(layout.pair)
+        slices = np.arange(layout.slice_size)
+        states = slices[self.states]
         self.scopes = [
             Scoped(
-                self.before + np.arange(layout.slice_size)[layout.places[v]],
-                np.arange(layout.slice_size)[layout.places[v]],
+                self.before + slices[layout.places[v]],
+                np.flatnonzero(np.isin(states, slices[layout.places[v]])),
                 0 if v in layout.states else 1,
             )
             for v in layout.slice

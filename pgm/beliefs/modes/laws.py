@@ -64,7 +64,7 @@ class Laws(NamedTuple):
 class Scoped(NamedTuple):
     """The places of a variable in pairs: `places` (d,), and the first step that has it.
 
-    Step 0 has places of the states alone, `start` (d,).
+    Step 0 has the states alone: `start` (d,) are places among these.
     """
 
     places: Integers

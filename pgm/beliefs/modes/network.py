@@ -61,11 +61,6 @@ def run(
             "give one run a call"
         )
     schedule = patient(call, Calibration)
-    if not evidence and isinstance(graph.network, BayesianNetwork):
-        raise EvidenceError(
-            "starts= looks for modes that evidence leaves, and there is none: give some, or leave "
-            "starts out"
-        )
     search = NetworkSearch.make(graph, evidence, call._replace(schedule=schedule))
     found = search.chosen(search.arrived(starts), count)
     if not is_iterated(call.schedule):  # which warns itself
@@ -115,12 +110,16 @@ class NetworkSearch:
     def make(cls, graph: ClusterGraph, evidence: Evidence, call: Call) -> NetworkSearch:
         """The search; errors refuse networks of which nothing is hidden, or is left open."""
         assert call.schedule is not None
+        if not evidence and isinstance(graph.network, BayesianNetwork):
+            raise EvidenceError(
+                "modes that evidence leaves are looked for, and there is none: give some, or leave "
+                "starts= out"
+            )
         made = gaussian.linearised_factors(graph, evidence, call.schedule, call.lineariser)
         model, bound, level = made
         if not model.layout.hidden:
             raise EvidenceError(
-                "starts= looks for modes of hidden variables, and all are observed: leave starts "
-                "out"
+                "modes of hidden variables are looked for, and all are observed: leave starts= out"
             )
         values = _repeated(bound, 1)
         return cls(graph, values, tuple(evidence), call, model, _base(model), level)
@@ -134,6 +133,11 @@ class NetworkSearch:
     def runs(self) -> int:
         """How many runs there are."""
         return self.model.runs
+
+    @property
+    def together(self) -> bool:
+        """Whether runs are asked together alone, as CPDs differ by run."""
+        return bool(self.graph.network.lead)
 
     def of(self, runs: Integers) -> NetworkSearch:
         """The search in some runs."""
@@ -150,7 +154,8 @@ class NetworkSearch:
 
     def otherwise(self) -> NetworkSearch:
         """The search by a rule that takes means of nonlinear functions, not their slopes."""
-        size = max(dimension(f.hidden) for f in self.model.families if not f.exact)
+        sizes = (dimension(f.hidden) for f in self.model.families if not f.exact)
+        size = max(sizes, default=1)  # none if all that is not exact is robust noise
         return replace(self, call=self.call._replace(lineariser=spread_rule(size)))
 
     def arrived(self, starts: int) -> list[Part]:

@@ -20,6 +20,8 @@ class Search(Protocol):
         The axes of runs.
     runs : int
         How many runs there are.
+    together : bool
+        Whether runs are asked together alone, as CPDs differ by run.
     """
 
     @property
@@ -32,8 +34,13 @@ class Search(Protocol):
         """How many runs there are."""
         ...
 
+    @property
+    def together(self) -> bool:
+        """Whether runs are asked together alone, as CPDs differ by run."""
+        ...
+
     def of(self, runs: Integers) -> Self:
-        """The search in some runs, which then have one axis."""
+        """The search in some runs, which then have one axis; in all where they are together."""
         ...
 
     def by(self, iterations: int, tolerance: float, damping: Damping) -> Self:

@@ -12,6 +12,7 @@ from pgm.beliefs.modes.adapted import moved
 from pgm.beliefs.modes.laws import Laws
 from pgm.beliefs.modes.pool import BLOCKS, Pool, Weighed
 from pgm.beliefs.modes.search import Search
+from pgm.errors import PgmError
 from pgm.inference.vouching.judging import Judged, Marginal, judge
 from pgm.kernels.arrays import Array, Integers, Mask, quiet
 from pgm.posteriors.verdict import ENOUGH, HEAVY
@@ -20,9 +21,11 @@ from pgm.schedules.damping import LevenbergMarquardt
 # Starts of the first search, and of the last; modes that are kept; nats of log-evidence below the
 # best from which on a mode has no mass that counts.
 STARTS, MOST_STARTS, MODES, NEGLIGIBLE = 16, 64, 16, 10.0
+# The part of starts that settle where they agree: one that does not may be near a mode of its own.
+SETTLED = 0.9
 # Linearisations, their tolerance and damping: of the first search, and of more careful ones.
 PLAIN = 25, 1e-4, 0.0
-CAREFUL = 25, 1e-4, LevenbergMarquardt(tries=3)
+CAREFUL = 50, 1e-4, LevenbergMarquardt(tries=3)
 # Those by another rule, whose steps are held back, and the number of its starts.
 HELD, HALF = (25, 1e-3, 0.3), 8
 # Draws of the first round; of a chain of more steps than LONG of the first and only one, and only
@@ -46,6 +49,11 @@ class ByRun:
         laws = self.laws.padded(count).put(runs, other.laws)
         return type(self)(laws, *(_put(*pair) for pair in self._pairs(runs, other)))
 
+    def some(self, places: Integers) -> Self:
+        """Those of some runs."""
+        rest = (getattr(self, field.name)[places] for field in fields(self)[1:])
+        return type(self)(self.laws.of(places), *rest)
+
     def _pairs(self, runs: Integers, other: Self) -> Iterator[tuple[Any, Integers, Any]]:
         for field in fields(self)[1:]:
             yield getattr(self, field.name), runs, getattr(other, field.name)
@@ -63,7 +71,7 @@ class Sought(ByRun):
     """The modes that starts have found.
 
     log_evidence: Laplace's approximation.
-    agreed: Whether most starts settled, and every mode was found from two or more.
+    agreed: Whether nine in ten starts settled, and every mode was found from two or more.
     starts, settled: How many starts there were, and how many settled.
     """
 
@@ -104,26 +112,29 @@ class Answer(ByRun):
         grade = 1.0 * (self.of > 0) + self.sound + self.usable
         return np.asarray(grade + self.effective / (1.0 + self.draws))
 
-    def of_runs(self, runs: Integers) -> Answer:
-        """The answers of some runs."""
-        return Answer(self.laws.of(runs), *(each[runs] for each in _figures(self)))
-
 
 @quiet()
 def seek(search: Search) -> Sought:
     """The modes of all runs, from 16 starts and from none, by Gauss–Newton.
 
-    Where few settle, or one alone found a mode, by Levenberg–Marquardt from twice as many, up to
-    64; of a long chain by no more.
+    Where more than one in ten do not settle, or one alone found a mode, by Levenberg–Marquardt from
+    twice as many, up to 64; of a long chain by no more.
     """
     found = _sought(search.by(*PLAIN), STARTS)
     starts = 2 * STARTS
     long = found.laws.mean.shape[1] > LONG
     while starts <= MOST_STARTS and not long and not found.agreed.all():
-        runs = np.flatnonzero(~found.agreed)
-        found = found.put(runs, _sought(search.of(runs).by(*CAREFUL), starts))
+        left = np.flatnonzero(~found.agreed)
+        runs = _asked(search, left)
+        own = _sought(search.of(runs).by(*CAREFUL), starts)
+        found = found.put(left, own.some(np.searchsorted(runs, left)))
         starts *= 2
     return found
+
+
+def _asked(search: Search, runs: Integers) -> Integers:
+    """The runs to ask so that some are answered."""
+    return np.arange(search.runs) if search.together else runs
 
 
 def _sought(search: Search, starts: int) -> Sought:
@@ -137,7 +148,7 @@ def _sought(search: Search, starts: int) -> Sought:
     return Sought(
         laws._replace(weights=weights / weights.sum(axis=0)),
         np.reshape(found.log_evidence, runs),
-        agreed & (2 * settled > starts),
+        agreed & (settled >= SETTLED * (starts + 1)),
         np.full(runs, starts + 1),
         settled,
     )
@@ -152,13 +163,17 @@ def climb(search: Search, effort: int, rng: np.random.Generator) -> tuple[Sought
     """
     sought = seek(search)
     answer = weigh(search, sought.laws, effort, rng)
-    runs = np.flatnonzero(answer.of == 0)
-    if runs.size and answer.draws.max() > FEW:
+    left = np.flatnonzero(answer.of == 0)
+    if left.size and answer.draws.max() > FEW:
+        runs = _asked(search, left)
         part = search.of(runs).otherwise().by(*HELD)
-        found = part.chosen([*part.unled(), *part.arrived(HALF)], MODES)
-        other = weigh(part, part.laws(found), effort, rng)
-        better = np.flatnonzero(other.rank > answer.rank[runs])
-        answer = answer.put(runs[better], other.of_runs(better))
+        try:
+            found = part.chosen([*part.unled(), *part.arrived(HALF)], MODES)
+            other = weigh(part, part.laws(found), effort, rng).some(np.searchsorted(runs, left))
+        except PgmError:  # as where this rule asks a function for values that it does not have
+            return sought, answer
+        better = np.flatnonzero(other.rank > answer.rank[left])
+        answer = answer.put(left[better], other.some(better))
     return sought, answer
 
 
@@ -166,21 +181,16 @@ def climb(search: Search, effort: int, rng: np.random.Generator) -> tuple[Sought
 def weigh(search: Search, laws: Laws, effort: int, rng: np.random.Generator) -> Answer:
     """The answers of all runs: draws of the modes, and more where they do not vouch for it."""
     size = laws.first.shape[-1] + laws.mean.shape[1] * laws.mean.shape[-1]
-    most = max(1, ROOM // (effort * max(size, 1)))
+    most = search.runs if search.together else max(1, ROOM // (effort * max(size, 1)))
     runs = np.arange(search.runs)
     parts = [runs[first : first + most] for first in range(0, runs.size, most)]
     found = _weighed(search.of(parts[0]), laws.of(parts[0]), effort, rng)
     if len(parts) == 1:
         return found
-    whole = _empty(found, runs.size).put(parts[0], found)
+    whole = found.some(np.zeros(runs.size, dtype=np.intp)).put(parts[0], found)
     for part in parts[1:]:
         whole = whole.put(part, _weighed(search.of(part), laws.of(part), effort, rng))
     return whole
-
-
-def _empty(answer: Answer, runs: int) -> Answer:
-    """An answer of so many runs, of the shapes of another."""
-    return answer.of_runs(np.zeros(runs, dtype=np.intp))
 
 
 def _weighed(search: Search, laws: Laws, effort: int, rng: np.random.Generator) -> Answer:
@@ -188,23 +198,25 @@ def _weighed(search: Search, laws: Laws, effort: int, rng: np.random.Generator) 
     long = laws.mean.shape[1] > LONG
     count = min(FEW if long else FIRST, effort)
     count = max(count // BLOCKS, 2) * BLOCKS
-    pool, runs = Pool(search.target(laws)), np.arange(search.runs)
+    pool, runs, part = Pool(search.target(laws)), np.arange(search.runs), search
     pool.draw(laws, count, rng)
     judged = judge(pool, laws, None)
     found = own = _answer(judged, pool)
     while not long:
-        left = np.flatnonzero(own.of == 0)
+        left = np.flatnonzero(found.of[runs] == 0)
         more = 2 * pool.rounds[-1].count
         if not left.size or pool.count + more > effort:
             break
-        runs, part = runs[left], search.of(runs[left])
+        left = _asked(part, left)
+        runs, part = runs[left], part.of(left)
         laws = moved(pool, laws, Weighed(pool, laws)).of(left)
         before = [Marginal(each.mean[:, left], each.cov[:, left]) for each in judged.marginals]
         pool = pool.of(part.target(laws), left)
         pool.draw(laws, more, rng)
         judged = judge(pool, laws, before)
         own = _answer(judged, pool)
-        found = _better(found, own, runs)
+        unanswered = np.flatnonzero(found.of[runs] == 0)
+        found = _better(found, own.some(unanswered), runs[unanswered])
     return found
 
 

@@ -6,7 +6,9 @@ draws from the mixtures r of all rounds. With u = p/q, and ln Ẑ from all draws
 .. math:: KL(p ‖ q) = E_q[u \ln u - u + 1]
 
 bounds the divergence of every marginal. It is estimated by the last round alone, whose draws have
-not made q what it is; every term is positive, and near zero where p is near q.
+not made q what it is; every term is positive, and near zero where p is near q. Its bound is ∞ if
+the tail of weights is heavy, also if these are small: a hundredth of the mass may be a tenth of a
+nat.
 
 The error of moments is estimated by the block jackknife of the plain weighed moments m, without
 control variates: J = (B − 1)/B Σ_b KL(m ‖ m₋ᵇ), with all but the b-th of B blocks in m₋ᵇ. That of
@@ -28,6 +30,7 @@ from pgm.kernels.arrays import Array, Mask, block, symmetric, transpose
 from pgm.kernels.divergence import from_gaussian
 from pgm.kernels.mahalanobis import square_within
 from pgm.kernels.pareto import pareto_shape
+from pgm.posteriors.verdict import HEAVY
 
 # What is estimated of error is taken so many times, and has so much added.
 CAUTION, FLOOR = 1.5, 0.001
@@ -101,7 +104,8 @@ def _density(pool: Pool, weighed: Weighed) -> Array:
     logs = np.where(exact > 0.0, log_exact - log_mixture, 0.0)
     terms = exact * logs - exact + own
     error: Array = terms.std(axis=1) / np.sqrt(terms.shape[1])
-    return np.asarray(terms.mean(axis=1) + ERRORS * error)
+    heavy = pareto_shape(weighed.log_weights, of_sums=False) > HEAVY
+    return np.where(heavy, np.inf, terms.mean(axis=1) + ERRORS * error)
 
 
 def marginal(laws: Laws, scope: Scoped, angles: Mask) -> Marginal:

@@ -94,7 +94,62 @@ def test_runs_are_judged_each_by_itself_in_parts_of_any_size(monkeypatch):
     assert near.max() < 0.3
 
 
+@pytest.mark.parametrize("shape", [(3,), (3, 1)])
+def test_runs_of_a_model_are_answered_each_by_itself(shape):
+    """Where CPDs differ by run, of which some need more starts or draws than others."""
+    means, covs = np.array([-1.0, 0.6, 3.0]), np.array([0.12, 0.6, 1.2])
+
+    def model(mean, cov):
+        seen = pgm.NonlinearGaussianCPD(y, x, lambda x: np.sin(2.0 * x), cov=0.05)
+        return pgm.BayesianNetwork([pgm.GaussianCPD(x, mean, cov), seen])
+
+    whole = pgm.estimate(model(means.reshape(*shape, 1), covs.reshape(*shape, 1, 1)), {y: [0.5]})
+    assert whole.verdict.vouched.shape == shape
+    for k, (mean, cov) in enumerate(zip(means, covs, strict=True)):
+        own = pgm.estimate(model(mean, cov), {y: [0.5]})
+        assert whole.verdict.vouched.ravel()[k]
+        near = abs(whole[x].mean.ravel()[k] - own[x].mean[0]) / own[x].std[0]
+        assert near < 0.1
+
+
+def test_what_comes_before_a_state_in_its_step_is_known_by_its_place():
+    """A push without noise beside it, of a state whose square is read: against a grid."""
+    push, state, seen = pgm.variables("push state seen")
+    moved = pgm.LinearGaussianCPD(state, {state.previous: 1.0, push: 1.0}, cov=0.0)
+    model = pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(state, 1.0, 1.0)],
+        transition=[pgm.GaussianCPD(push, 0.5, 0.5), moved],
+        observation=[pgm.NonlinearGaussianCPD(seen, state, lambda x: x**2, cov=0.5)],
+    )
+    found = pgm.estimate(model, {seen: [[4.0]]})
+    before, own = np.meshgrid(*[np.linspace(-8.0, 8.0, 801)] * 2, indexing="ij")
+    after = before + own
+    logs = (before - 1.0) ** 2 + (own - 0.5) ** 2 / 0.5 + (4.0 - after**2) ** 2 / 0.5
+    weights = np.exp(-0.5 * logs)
+    weights /= weights.sum()
+    for variable, values in ((push.at(1), own), (state.at(0), before), (state.at(1), after)):
+        mean = (weights * values).sum()
+        std = np.sqrt((weights * (values - mean) ** 2).sum())
+        assert found[variable].mean[0] == pytest.approx(mean, abs=0.05 * std)
+        assert found[variable].std[0] == pytest.approx(std, rel=0.05)
+
+
+def test_robust_readings_of_a_network_without_time():
+    """Student's t: against quadrature."""
+    read = pgm.LinearGaussianCPD(y, {x: 1.0}, cov=1.0, noise=pgm.StudentT(3.0))
+    found = pgm.estimate(pgm.BayesianNetwork([pgm.GaussianCPD(x, 0.0, 9.0), read]), {y: [4.0]})
+    grid = np.linspace(-20.0, 20.0, 20_001)
+    weights = np.exp(-(grid**2) / 18.0) * (1.0 + (4.0 - grid) ** 2 / 3.0) ** -2.0
+    weights /= weights.sum()
+    mean = weights @ grid
+    assert found.verdict.vouched
+    assert found[x].mean[0] == pytest.approx(mean, abs=0.05)
+    assert found[x].std[0] == pytest.approx(np.sqrt(weights @ (grid - mean) ** 2), rel=0.05)
+
+
 def test_what_cannot_be_weighed_says_why():
+    assert "there is none" in pgm.estimate(square, {}).verdict.reason
+    assert "all are observed" in pgm.estimate(square, {x: [3.0], y: [9.0]}).verdict.reason
     flat = walk.replace(prior=[pgm.GaussianCPD(x, 0.0, np.inf)])
     cubic = pgm.NonlinearGaussianCPD(z, given=x, function=lambda x: x + x**3, cov=1.0)
     model = flat.replace(observation=[cubic])
