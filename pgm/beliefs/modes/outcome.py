@@ -153,7 +153,8 @@ class Found:
         if self.drawn:
             raise Unanswered(
                 "modes that draws adapted have no joint of all variables to be drawn from: leave "
-                "draws= out of pgm.Gaussians(...)"
+                "draws= out of pgm.Gaussians(...), or sample an answer of pgm.smooth or pgm.infer "
+                "in place of pgm.estimate"
             )
         each = [part.outcome.sample(count, rng) for part in self.parts]
         lead, runs = np.shape(self.log_evidence), np.arange(self.index.shape[1])

@@ -159,6 +159,13 @@ def test_what_cannot_be_weighed_says_why():
     assert found[x].mean[-1, 0] == pytest.approx(2.0, abs=0.05)
 
 
+def test_there_are_no_draws_of_an_estimate_and_no_loop():
+    with pytest.raises(pgm.errors.Unanswered, match=r"pgm\.smooth or pgm\.infer"):
+        pgm.estimate(square, {y: [9.0]}).sample(3, rng=0)
+    with pytest.raises(TypeError, match="no argument online="):
+        pgm.estimate(square, {y: [9.0]}, online=True)
+
+
 def test_arguments_are_checked():
     with pytest.raises(pgm.ModelError, match="effort is a number of draws"):
         pgm.estimate(walk, {z: [[4.0]]}, effort=3)
