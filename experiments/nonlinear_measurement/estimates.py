@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import pgm
-from experiments.nonlinear_measurement.cases import Case, Integers
+from experiments.nonlinear_measurement.cases import Array, Case, Integers
 from experiments.nonlinear_measurement.truth import Truth
 from models.networks import pose
 
@@ -44,7 +44,7 @@ def estimated(case: Case, truth: Truth, kept: Integers, seed: int) -> Estimated:
     belief, verdict = found[after], found.verdict
     assert verdict is not None
     exact = pgm.Gaussian(after, truth.mean[kept], truth.cov[kept])
-    kl = exact.kl(pgm.Gaussian(after, belief.mean[kept], belief.cov[kept]))
+    kl = exact.kl(_unturned(belief, truth.mean, kept))
     sure, within = verdict.vouched[kept], verdict.within[kept]
     some = bool(sure.any())
     return Estimated(
@@ -55,3 +55,17 @@ def estimated(case: Case, truth: Truth, kept: Integers, seed: int) -> Estimated:
         beyond=float((kl > within)[sure].mean()) if some else 0.0,
         draws=float(verdict.draws[kept].mean()),
     )
+
+
+def _unturned(belief: pgm.GaussianMixture, about: Array, kept: Integers) -> pgm.Gaussian:
+    """The moments of mixtures whose headings are not wrapped, as the truth's are not.
+
+    A mode's heading is known but for whole turns: it is put where it is nearest to `about`.
+    """
+    mean, weights = belief.components.mean[kept].copy(), belief.weights[kept, :, None]
+    turns = np.round((mean[..., 2] - about[kept, None, 2]) / (2.0 * np.pi))
+    mean[..., 2] -= 2.0 * np.pi * turns
+    centre = (weights * mean).sum(axis=1)
+    off = mean - centre[:, None]
+    spread = belief.components.cov[kept] + off[..., :, None] * off[..., None, :]
+    return pgm.Gaussian(belief.scope[0], centre, (weights[..., None] * spread).sum(axis=1))
