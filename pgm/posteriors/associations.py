@@ -9,6 +9,7 @@ sorted by step, with the sensor's CPD.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
@@ -97,8 +98,9 @@ class Associations(Shown, Immutable):
         judged. Of a sensor with a gate (`gated`) only the strange ones are marked as judged, since
         the gate's own record counts all others.
         """
-        measured = self.measured.reshape(-1, len(self.step)).T
-        strange = measured & (self.candidate < 0).reshape(-1, len(self.step)).T
+        shape = math.prod(self.measured.shape[:-1]), len(self.step)
+        measured = self.measured.reshape(shape).T
+        strange = measured & (self.candidate < 0).reshape(shape).T
         return strange, strange if gated else measured
 
     @property

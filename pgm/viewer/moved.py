@@ -24,6 +24,7 @@ def moved(posterior: Any, variables: Iterable[Variable]) -> dict[Variable, Array
     the network has no prior, as one with inputs or a Markov network of flat factors.
     """
     graph = posterior.graph
+    own = set(graph.network.variables)  # those that factors have beside them have no beliefs
     if isinstance(graph, DynamicGraph) or not posterior.entered(0):
         return {}
     try:
@@ -34,7 +35,7 @@ def moved(posterior: Any, variables: Iterable[Variable]) -> dict[Variable, Array
         return {}
     if not (graph.is_tree or prior.status.converged.all()):
         return {}
-    return {v: _divergence(posterior[v], prior[v]) for v in variables}
+    return {v: _divergence(posterior[v], prior[v]) for v in variables if v in own}
 
 
 def _divergence(belief: Any, before: Any) -> Array:

@@ -25,5 +25,5 @@ def test_the_guides_programs_run(tmp_path, monkeypatch, capsys):
 
 def test_the_guide_names_every_function():
     due = {*pgm.io.networks.__all__, "read_tum", "write_tum", "FileError"}
-    due |= {"read_kitti", "write_kitti", "read_euroc"}
+    due |= {"read_kitti", "write_kitti", "read_euroc", "compare"}
     assert set(re.findall(r"`pgm\.(\w+)`", GUIDE)) == due

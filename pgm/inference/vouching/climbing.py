@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, Self
 
 import numpy as np
@@ -159,7 +159,7 @@ def climb(search: Search, effort: int, rng: np.random.Generator) -> tuple[Sought
     """The modes of all runs, and their answers.
 
     Runs that draws of these modes do not vouch for have modes by another rule as well, and the
-    answer of whose draws more can be said.
+    answer of whose draws more can be said. Starts and draws of both count.
     """
     sought = seek(search)
     answer = weigh(search, sought.laws, effort, rng)
@@ -173,7 +173,12 @@ def climb(search: Search, effort: int, rng: np.random.Generator) -> tuple[Sought
         except PgmError:  # as where this rule asks a function for values that it does not have
             return sought, answer
         better = np.flatnonzero(other.rank > answer.rank[left])
-        answer = answer.put(left[better], other.some(better))
+        draws = _put(answer.draws, left, answer.draws[left] + other.draws)
+        answer = replace(answer.put(left[better], other.some(better)), draws=draws)
+        starts, settled = sought.starts.copy(), sought.settled.copy()
+        starts[left] += HALF + 1
+        settled[left] += np.reshape(found.status.arrived, -1)[np.searchsorted(runs, left)]
+        sought = replace(sought, starts=starts, settled=settled)
     return sought, answer
 
 

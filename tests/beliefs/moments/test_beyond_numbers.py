@@ -68,7 +68,7 @@ def test_means_that_go_far_and_back(way, lead):
     evidence = {u: moves, z: np.broadcast_to(values, (*lead, steps, 1))}
     with pytest.warns(pgm.PrecisionWarning, match="too small beside its mean") as said:
         found = WAYS[way](model, evidence)
-    assert len(said) == 1
+    assert sum(each.category is pgm.PrecisionWarning for each in said) == 1
     beliefs = due.filtered if way in ("filter", "kept") else due.smoothed
     mean, cov = (floats([each[k] for each in beliefs]) for k in (0, 1))
     std = np.sqrt(np.diagonal(cov, axis1=-2, axis2=-1))

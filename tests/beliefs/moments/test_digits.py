@@ -128,6 +128,8 @@ def test_a_prior_that_is_too_wide_is_told(way, prior):
     right &= (np.abs(belief.cov - cov) <= 1e-6 * np.outer(std, std)).all()
     right &= abs(log_evidence - float(due.log_evidence)) < 1e-6
     told = status.digits is not None and status.digits < 6.0
+    # Beliefs without a digit may be lost, too.
+    caught = [each for each in caught if not (told and each.category is pgm.LostWarning)]
     assert all(each.category is pgm.PrecisionWarning for each in caught)
     assert bool(caught) == told
     assert ("digits left" in repr(status)) == told
