@@ -149,7 +149,7 @@ class Comparison(Shown, Immutable):
         return pandas.DataFrame.from_records(records)
 
     def _judged(self, row: Row) -> dict[str, Any]:
-        """What each oracle says of a row, by the names of a data frame's columns."""
+        """The judgements of a row by each oracle, by the names of a data frame's columns."""
         found: dict[str, Any] = {}
         for oracle in self.oracles or ("",):
             each = _judgement(row, oracle)

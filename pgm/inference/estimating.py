@@ -214,7 +214,7 @@ def _outcome(search: Search, sought: Sought, answer: Answer) -> ModesOutcome:
 
 
 def _verdict(lead: tuple[int, ...], sought: Sought, answer: Answer) -> Verdict:
-    """What is known of an answer."""
+    """The verdict on the answers of all runs."""
     vouched = sought.agreed & (answer.of > 0)
     return Verdict(
         lead,

@@ -50,7 +50,7 @@ _SETTLED = 1e-10
 
 
 def of_noise(noise: RobustNoise, robust: RobustWeights, share: Array) -> tuple[Array, Array]:
-    """What each row of a loss counts for in its covariance, κ(h) w^p, and its factor there, w^p.
+    """The share of each row of a loss in its covariance, κ(h) w^p, and its factor there, w^p.
 
     `share` is h (rows, runs), and so are the results.
     """

@@ -18,7 +18,7 @@ ENOUGH, HEAVY = 100.0, 0.7
 
 
 class Verdict(Shown, Immutable, NoArray):
-    """What is known of an estimate's error, and what was tried, of each run, (*runs).
+    """The verdict on an estimate: a bound on its error, and what was tried, of each run, (*runs).
 
     Attributes
     ----------

@@ -11,7 +11,7 @@ from pgm.viewer.scripts import REPORTING, VIEWING, script
 
 
 class Page(NamedTuple):
-    """What a kind of page is made of: its HTML, its styles, and the modules of its script."""
+    """The parts of a kind of page: its HTML, its styles, and the modules of its script."""
 
     html: str
     styles: tuple[str, ...]

@@ -55,7 +55,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Section:
-    """What one kind of evidence says of a posterior.
+    """The judgement of a posterior by one kind of evidence, for a section of a report.
 
     told: In a line, for the top of the page.
     """
@@ -103,7 +103,7 @@ def stretches(posterior: Posterior[Any]) -> dict[Run, list[tuple[int, int]]]:
 
 
 def _verdict(posterior: Posterior[Any]) -> Section | None:
-    """What `pgm.estimate` vouches for; None of a posterior of another call."""
+    """The verdict of `pgm.estimate`; None of a posterior of another call."""
     verdict = posterior.verdict
     if verdict is None:
         return None

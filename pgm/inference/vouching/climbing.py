@@ -44,13 +44,13 @@ class ByRun:
     laws: Laws
 
     def put(self, runs: Integers, other: Self) -> Self:
-        """The same, with those of some runs replaced by others."""
+        """The laws and figures of all runs, those of some replaced by others."""
         count = max(len(self.laws.weights), len(other.laws.weights))
         laws = self.laws.padded(count).put(runs, other.laws)
         return type(self)(laws, *(_put(*pair) for pair in self._pairs(runs, other)))
 
     def some(self, places: Integers) -> Self:
-        """Those of some runs."""
+        """The laws and figures of some runs."""
         rest = (getattr(self, field.name)[places] for field in fields(self)[1:])
         return type(self)(self.laws.of(places), *rest)
 
@@ -159,7 +159,8 @@ def climb(search: Search, effort: int, rng: np.random.Generator) -> tuple[Sought
     """The modes of all runs, and their answers.
 
     Runs that draws of these modes do not vouch for have modes by another rule as well, and the
-    answer of whose draws more can be said. Starts and draws of both count.
+    answer of whose draws more can be said; never one of fewer modes, whose draws might not meet a
+    mode that is known. Starts and draws of both count.
     """
     sought = seek(search)
     answer = weigh(search, sought.laws, effort, rng)
@@ -172,7 +173,8 @@ def climb(search: Search, effort: int, rng: np.random.Generator) -> tuple[Sought
             other = weigh(part, part.laws(found), effort, rng).some(np.searchsorted(runs, left))
         except PgmError:  # as where this rule asks a function for values that it does not have
             return sought, answer
-        better = np.flatnonzero(other.rank > answer.rank[left])
+        count = np.reshape(found.status.modes, -1)[np.searchsorted(runs, left)]
+        better = np.flatnonzero((other.rank > answer.rank[left]) & (count >= sought.modes[left]))
         draws = _put(answer.draws, left, answer.draws[left] + other.draws)
         answer = replace(answer.put(left[better], other.some(better)), draws=draws)
         starts, settled = sought.starts.copy(), sought.settled.copy()
@@ -241,7 +243,7 @@ def _figures(answer: Answer) -> list[Any]:
 
 
 def _answer(judged: Judged, pool: Pool) -> Answer:
-    """What draws say of all runs of a pool.
+    """The answers of all runs of a pool, by its draws.
 
     Moments are vouched for once the mixture was adapted.
     """

@@ -46,7 +46,7 @@ class Marginal(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """What draws say of a mixture, by run.
+    """The judgement of a mixture by its draws, by run.
 
     laws: The mixture with the moments that the draws estimate.
     density: A bound on KL(p ‖ q) of all variables [nats], (runs,).

@@ -1,11 +1,15 @@
 """Estimates, and their verdicts, against grids, quadrature and exact answers."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import pgm
 from experiments.nonlinear_measurement import cases, truth
+from pgm.beliefs.modes.chain import ChainSearch
 from pgm.examples import rainy, square, squares, walk, wet, x, y, z
+from pgm.inference.vouching import climbing
 from tests.beliefs.modes.test_modes_of_chains import MIRROR, STEPS, P, divergence, drive
 
 # The bound on the mean KL of the pose's moments from exact ones, by sensor [nats].
@@ -46,6 +50,33 @@ def test_mirror_drives_are_vouched_for_only_where_they_are_right():
     off, vouched = judged_drives((1, 4, 10, 37))
     assert off.max() < 0.05
     assert vouched[0]
+
+
+def test_another_rule_that_loses_a_mode_is_not_believed(monkeypatch):
+    """The rule of a drive whose draws do not vouch for it, made to find one mode of two."""
+
+    class Blind(ChainSearch):
+        def chosen(self, parts, count):
+            return super().chosen(parts, 1)
+
+    def blind(search):
+        return Blind(search.graph, search.bound, search.call)
+
+    weigh, calls = climbing.weigh, []
+
+    def flattering(*asked):
+        """The first answer is not vouched for, the other is."""
+        answer = weigh(*asked)
+        calls.append(answer)
+        good = np.full(answer.of.shape, len(calls) > 1)
+        return replace(answer, of=good.astype(int), sound=good, usable=good)
+
+    monkeypatch.setattr(ChainSearch, "otherwise", blind)
+    monkeypatch.setattr(climbing, "weigh", flattering)
+    found = pgm.estimate(MIRROR, drive(10), effort=1000)
+    assert len(calls) == 2
+    assert not found.verdict.vouched
+    assert found[P.at(STEPS)].weights.min() > 0.1
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""What is wrong with the beliefs of a chain, for its summary and for a warning.
+"""Doubts about the beliefs of a chain, for its summary and for a warning.
 
 A belief is *lost* where innovations or gates say that it is wrong (`pgm.posteriors.lost`), and a
 linearisation is *wrong* where the CPD is too nonlinear over the belief for any line

@@ -32,13 +32,13 @@ class KeptSensor(NamedTuple):
 
     @classmethod
     def of(cls, found: ChainOutcome, sensor: Variable) -> KeptSensor:
-        """Those of a posterior that has kept everything."""
+        """The measurements and innovations of a posterior that has kept everything."""
         every = found.innovations
         return cls(found.predicted[sensor], dict(every).get(sensor))
 
     @classmethod
     def joined(cls, parts: Sequence[KeptSensor], lead: tuple[int, ...]) -> KeptSensor:
-        """Those of all runs, of the user's axes `lead`, from those of parts of the runs."""
+        """The measurements and innovations of all runs, of axes `lead`, from parts of the runs."""
         beliefs = [part.predicted for part in parts]
         first = beliefs[0]
 
