@@ -37,7 +37,10 @@ notebooks: $(VENV)/.test
 	$(PY) docs/building/notebooks.py build/notebooks
 
 bench: $(VENV)/.bench
-	$(PY) -m benchmarks
+	$(PY) -m benchmarks --record
+	$(PY) -m benchmarks.gains --record
+	$(PY) -m benchmarks.first_call --record
+	$(PY) -m benchmarks.page
 
 bench-quick: $(VENV)/.bench
 	$(PY) -m benchmarks --quick

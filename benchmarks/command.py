@@ -9,7 +9,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from benchmarks import cliffs, figure, memory, neighbours
+from benchmarks import cliffs, figure, memory, neighbours, recorded
 from benchmarks.choice import Choice, short
 from benchmarks.row import Row
 from benchmarks.verdicts import verdicts
@@ -51,7 +51,14 @@ def main(arguments: list[str] | None = None) -> None:
     )
     parser.add_argument("--repeats", type=int, help="timed calls of each library")
     parser.add_argument("--out", type=Path, default=OUT, help="folder for results")
+    parser.add_argument(
+        "--record",
+        action="store_true",
+        help="write benchmarks/figures.json, of which the pages are",
+    )
     options = parser.parse_args(arguments)
+    if options.record and (options.quick or options.against):
+        parser.error("--record is of whole rows at full size: not with --quick or --against")
     if options.repeats is not None and options.repeats < 1:
         parser.error(f"--repeats must be 1 or more, not {options.repeats}")
     try:
@@ -78,6 +85,14 @@ def main(arguments: list[str] | None = None) -> None:
     tell(summary)
     with whole(out / "summary.json") as path:
         path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    if options.record:
+        recorded.add(recorded.entries(summary), _command(options), summary["versions"])
+
+
+def _command(options: argparse.Namespace) -> str:
+    """The words that make this run again."""
+    only = "" if options.only is None else f" --only {options.only}"
+    return f"python -m benchmarks{only}"
 
 
 def chosen_by(options: argparse.Namespace) -> Choice:

@@ -12,11 +12,12 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from importlib import import_module
 from typing import Any
 
-from benchmarks import neighbours
+from benchmarks import neighbours, recorded
+from benchmarks.command import known
 from benchmarks.rows import ROWS
 from benchmarks.verdicts import Verdict
 from experiments.record import note, table
@@ -27,10 +28,13 @@ MOST = 1.0  # seconds
 STEPS = 1_000
 LENGTHS = (1_000, 10_000, 20_000, 30_000)
 CHOICES = {"NumPy": False, "compiled": True}
+CALLS = ("NumPy", "first"), ("compiled", "first"), ("compiled", "second")
+HEAD = ("steps", *(f"{choice}, {call} call [s]" for choice, call in CALLS))
+NAME = "first_call"
 
 
 def main() -> None:
-    """Print a table, and what must hold."""
+    """Print tables, and what must hold; `--record` writes the lengths into the file of figures."""
     found = {name: measure(name) for name in NAMES}
     table(
         "the first call of a process over its second one, in seconds of the processor",
@@ -43,21 +47,30 @@ def main() -> None:
     for name, seconds in over.items():
         one = Verdict(f"{name}: seconds", seconds, MOST, False)
         note(f"{one.what}: {one.measured:.2f}, at most {one.asked:g}: {_holds(one)}")
-    times = [[_answer("smooth", choice, str(steps)) for choice in CHOICES] for steps in LENGTHS]
+    lengths = {
+        str(steps): {choice: _answer("smooth", choice, str(steps)) for choice in CHOICES}
+        for steps in LENGTHS
+    }
     table(
         "pgm.smooth in a process of its own: seconds of the processor, first and second call",
-        ("steps", *(f"{choice}, {call}" for choice in CHOICES for call in ("first", "second"))),
-        [
-            (f"{steps:,}", *(each[call] for each in row for call in ("first", "second")))
-            for steps, row in zip(LENGTHS, times, strict=True)
-            if all("first" in each for each in row)
-        ],
+        HEAD,
+        told(lengths),
     )
+    if sys.argv[1:] == ["--record"]:
+        recorded.add({NAME: {"lengths": lengths}}, "python -m benchmarks.first_call", known())
     table(
         "neighbours of the plain compiled step, a process each: the first call over the second",
         ("of the", "neighbour", "seconds", "at most", ""),
         nearby(),
     )
+
+
+def told(lengths: Mapping[str, Mapping[str, Mapping[str, float]]]) -> Iterator[tuple[str, ...]]:
+    """Lines of a table, under `HEAD`; none of lengths that were not compiled."""
+    for steps, choices in lengths.items():
+        if "missing" not in choices["compiled"]:
+            calls = (choices[choice][call] for choice, call in CALLS)
+            yield f"{int(steps):,}", *map(recorded.digits, calls)
 
 
 def nearby() -> Iterator[tuple[str, str, str, str, str]]:
@@ -150,11 +163,13 @@ def alone(name: str, library: str) -> None:
 
 if __name__ == "__main__":
     match sys.argv[1:]:
+        case [] | ["--record"]:
+            main()
         case ["smooth", choice, steps]:
             smooth(choice, steps)
         case ["graph"]:
             graph()
         case [name, library]:
             alone(name, library)
-        case _:
-            main()
+        case words:
+            sys.exit(f"first_call takes --record, or no words, not {' '.join(words)}")

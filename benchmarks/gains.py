@@ -7,13 +7,16 @@ machine code; the cost a step does not depend on how many there are.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 import pgm
+from benchmarks import recorded
+from benchmarks.command import known
 from benchmarks.timing import Contender, least, seconds
 from benchmarks.work import robots
 from benchmarks.work.robots import Array, Robots
@@ -22,6 +25,8 @@ from models.networks import landmark, pose, sighting
 from models.sensors import range_bearing
 
 STEPS, BY_NUMPY, REPEATS = 5_000, 500, 3
+NAME = "gains"
+HEAD = ("call", "NumPy [µs]", "compiled [µs]", "NumPy / compiled", "first call [s]")
 PLAIN = "filter"
 TAYLOR = pgm.Taylor()
 LM = pgm.LevenbergMarquardt()
@@ -81,25 +86,27 @@ WAYS: dict[str, Way] = {
 
 
 def main() -> None:
-    """Print a table."""
-    rows, unit = [], 0.0
+    """Print a table; with `--record` write it into the file of figures."""
+    ways = {}
     for words, way in WAYS.items():
         machine, status = contender(way, STEPS, compiled=True)
         first = seconds(machine.call)
         second = seconds(machine.call)
         numpy, _ = contender(way, BY_NUMPY, compiled=False)
         found = least({"compiled": machine, "numpy": numpy}, REPEATS)
-        micro = {key: 1e6 * each for key, each in found.items()}
-        unit = unit or micro["compiled"]
-        times = micro["numpy"] / micro["compiled"], micro["compiled"] / unit
-        shown = f"{micro['numpy']:.4g}", f"{micro['compiled']:.3g}"
-        rows.append((words, *shown, f"{times[0]:.0f}", f"{times[1]:.1f}", f"{first - second:.2f}"))
+        ways[words] = found | {"first": first - second}
         note(f"{words}: {status()}")
-    table(
-        "one robot: microseconds a step",
-        ("call", "NumPy", "compiled", "NumPy / compiled", "× plain", "first call [s]"),
-        rows,
-    )
+    table("one robot: microseconds a step", HEAD, told(ways))
+    if sys.argv[1:] == ["--record"]:
+        recorded.add({NAME: {"ways": ways}}, "python -m benchmarks.gains", known())
+
+
+def told(ways: Mapping[str, Mapping[str, float]]) -> Iterator[tuple[str, ...]]:
+    """Lines of a table, under `HEAD`."""
+    for words, times in ways.items():
+        micro = (recorded.digits(1e6 * times[key]) for key in ("numpy", "compiled"))
+        ratio = times["numpy"] / times["compiled"]
+        yield words, *micro, f"{ratio:,.0f}", f"{times['first']:.2f}"
 
 
 def contender(way: Way, steps: int, *, compiled: bool) -> tuple[Contender, Callable[[], str]]:

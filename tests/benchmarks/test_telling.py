@@ -1,5 +1,7 @@
 import json
+import re
 import time
+from datetime import datetime
 from types import SimpleNamespace
 
 import pytest
@@ -15,6 +17,8 @@ from benchmarks import (
     memory,
     neighbours,
     page,
+    recorded,
+    tables,
     threads,
     timing,
 )
@@ -23,6 +27,7 @@ from benchmarks.timing import Contender, medians
 from benchmarks.verdicts import verdicts
 from benchmarks.work import targets
 
+EVERY = [page.ROOT / "README.md", *sorted((page.ROOT / "docs").rglob("*.md"))]
 SUMMARY = {
     "map": {"pgm": 5.0, "gtsam": 45.0, "gtsam_levenberg_marquardt": 35.0},
     "ekf_one_step": {"pgm": 1.0, "dynamax": 1.4},
@@ -276,25 +281,37 @@ def test_the_command_names_what_is_wrong(capsys, options, words):
     assert words in capsys.readouterr().err
 
 
-def test_the_page_takes_its_numbers_from_the_summary(tmp_path, monkeypatch):
-    (tmp_path / "images").mkdir()
-    (tmp_path / "cost_against_size.png").write_bytes(b"a picture")
-    path = tmp_path / "speed.md"
-    path.write_text(f"before\n{page.FIRST}\nstale\n{page.LAST}\nafter\n", encoding="utf-8")
-    whole = SUMMARY | {"versions": {"numpy": "2"}, "quick": False, "compile": {"map": {"jax": 1.5}}}
-    (tmp_path / "summary.json").write_text(json.dumps(whole), encoding="utf-8")
-    monkeypatch.setattr(page, "OUT", tmp_path)
-    monkeypatch.setattr(page, "PAGE", path)
-    page.main()
-    text = path.read_text(encoding="utf-8")
-    assert text.startswith("before\n")
+WHOLE = SUMMARY | {
+    "versions": {"processor": "some"},
+    "quick": False,
+    "compile": {"map": {"jax": 1.5}},
+}
+
+
+def recorded_in(tmp_path, monkeypatch, summary):
+    path = tmp_path / "figures.json"
+    path.write_text('{"runs": {}, "found": {}}', encoding="utf-8")
+    monkeypatch.setattr(recorded, "FILE", path)
+    recorded.add(recorded.entries(summary), "make bench", summary["versions"])
+    return recorded.read()
+
+
+def test_tables_take_their_numbers_from_the_recorded_figures(tmp_path, monkeypatch):
+    figures = recorded_in(tmp_path, monkeypatch, WHOLE)
+    names = "rows", "changes", "neighbours", "what does not hold", "beside other libraries"
+    stale = [
+        f"{name}\n<!-- figures of speed: {name} -->\nstale\n<!-- end of figures -->\n"
+        for name in names
+    ]
+    text = page.written("before\n" + "".join(stale) + "after\n", figures)
+    assert text.startswith("before\nrows\n")
     assert text.endswith("after\n")
     assert "stale" not in text
-    assert "| `ekf_one_step` | simulation | 1000000 |" in text
-    assert "| `repository_…`, 3 networks | set of evidence | 1000–2000000 |" in text
-    assert "| 1.6–5 ×, median 4 × | 19–2000 ×, median 30 × |" in text
-    assert "| `sets_asia` | set of evidence | 1000000 |" in text
-    assert "| `field_100` | variable | 24000000 | 11000000 |" in text
+    assert "| `ekf_one_step` | simulation | 1,000,000 |" in text
+    assert "| `repository_…`, 3 networks | set of evidence | 1,000–2,000,000 |" in text
+    assert "|  | pyagrum 1.6–5 ×, median 4 ×; pgmpy 19–2,000 ×, median 30 × |" in text
+    assert "| `sets_asia` | set of evidence | 1,000,000 |" in text
+    assert "| `field_100` | variable | 24,000,000 | 11,000,000 | scipy 1,000,000 |" in text
     assert "repository_asia`" not in text
     assert "| one measurement in 100,000 missing | 1.25 |  |  | 1.3 |" in text
     assert "| the motion without a Jacobian | 4.50 |  |  |  |" in text
@@ -308,20 +325,61 @@ def test_the_page_takes_its_numbers_from_the_summary(tmp_path, monkeypatch):
     assert "| map: gtsam / pgm | 7.00 | ≥ 8 | **does not hold** |" in text
     assert "Of 42 requirements" in text
     assert "≤ 6 | holds |" not in text
-    every = path.with_name(page.FULL).read_text(encoding="utf-8")
-    assert "| `repository_asia` | set of evidence | 1000000 |" in every
+    assert "| smoother of one robot, Taylor | 1,300,000 |  | filterpy 1,000,000 |" in text
+    assert "`make bench`: some.*" in text
+    every = "\n".join([*tables.every(figures), *tables.asked(figures)])
+    assert "| `repository_asia` | set of evidence | 1,000,000 |" in every
     assert "`munin1.pgm` 3 s, 1024 MiB, `munin1.pyagrum` 15 s, 512 MiB" in every
+    assert "`map.jax` 1.5 s" in every
     assert "| map: gtsam / pgm | 7.00 | ≥ 8 | **does not hold** |" in every
     assert "steps: dearest / cheapest step | 1.15 | ≤ 1.2 | holds |" in every
     assert "`cliffs_many.missing`" not in every
-    assert (tmp_path / "images" / "cost_against_size.png").read_bytes() == b"a picture"
 
 
-def test_a_page_of_which_all_holds_says_so_and_leaves_out_what_was_not_run():
-    whole = {"versions": {}, "quick": True, "ekf_one_step": {"pgm": 1.0, "dynamax": 1.4}}
-    text = "\n".join(page.measured(whole))
-    assert "all hold" in text
-    assert "change" not in text
+def test_a_run_replaces_its_entries_and_leaves_the_others(tmp_path, monkeypatch):
+    before = recorded_in(tmp_path, monkeypatch, WHOLE)
+    (run,) = before["runs"]
+    old = {"versions": {}, "compile": {}, "memory": {}, "curves": {}}
+    times = {"ekf_one_step": {"pgm": 7.0, "dynamax": 7.0}}
+    monkeypatch.setattr(recorded, "datetime", SimpleNamespace(now=lambda: datetime(2100, 1, 2)))
+    recorded.add(recorded.entries(old | times), "python -m benchmarks --only ekf_one_step", {})
+    after = recorded.read()
+    assert list(after["runs"]) == [run, "2100-01-02T00:00"]
+    assert after["found"]["ekf_one_step"] == {
+        "run": "2100-01-02T00:00",
+        "seconds": times["ekf_one_step"],
+    }
+    assert after["found"]["map"] == before["found"]["map"]
+    assert recorded.summary(after)["curves"] == SUMMARY["curves"]
+    recorded.add({name: {} for name in after["found"]}, "make bench", {})
+    assert run not in recorded.read()["runs"]  # of which nothing is left
+
+
+def test_only_whole_rows_are_recorded(capsys):
+    for options in (["--quick"], ["--against", "dynamax", "--only", "ekf"]):
+        with pytest.raises(SystemExit):
+            command.main([*options, "--record"])
+        assert "--record is of whole rows at full size" in capsys.readouterr().err
+
+
+def test_figures_of_which_all_holds_say_so():
+    times = {"run": "2100-01-02T00:00", "seconds": {"pgm": 1.0, "dynamax": 1.4}}
+    assert list(tables.broken({"found": {"ekf_one_step": times}})) == [
+        "Of 1 requirements all hold."
+    ]
+
+
+@pytest.mark.parametrize("path", page.pages(), ids=lambda path: path.stem)
+def test_pages_have_the_recorded_figures(path):
+    text = path.read_text(encoding="utf-8")
+    assert page.written(text, recorded.read()) == text, "run python -m benchmarks.page"
+
+
+@pytest.mark.parametrize("path", EVERY, ids=lambda path: path.stem)
+def test_microseconds_stand_in_tables_of_recorded_figures_alone(path):
+    """Else two pages could differ for one row."""
+    prose = page.MARKED.sub("", path.read_text(encoding="utf-8"))
+    assert not re.search(r"\d (µs|microseconds)", prose)
 
 
 def test_a_first_call_is_measured_in_processes_of_their_own(monkeypatch):
