@@ -65,10 +65,11 @@ FINDINGS = {
         "Near a landmark, the heading uncertain by 0.6 rad, the mean KL from the exact posterior "
         "is {kl/near/0.6/Taylor:.2f} nats with Taylor and {kl/near/0.6/Cubature:.2f} with "
         "cubature. A filter that iterates its sensors has {kl/near/0.6/IteratedCubature:.3f}, a "
-        "smoother that iterates the motion too {kl/near/0.6/IteratedSmoother:.3f}. From two "
-        "collinear beacons, which leave two places, cubature has "
-        "{kl/collinear/0.6/Cubature:.2f} and that smoother "
-        "{kl/collinear/0.6/IteratedSmoother:.2f}.",
+        "smoother that iterates the motion too {kl/near/0.6/IteratedSmoother:.4f}, pgm.estimate "
+        "{estimates/near/kl:.4f}. Two collinear beacons leave two places: there cubature has "
+        "{kl/collinear/0.6/Cubature:.2f}, that smoother "
+        "{kl/collinear/0.6/IteratedSmoother:.2f}, and pgm.estimate "
+        "{estimates/collinear/kl:.3f}.",
         "kl_against_cost",
     ),
     "particle_counts": Finding(

@@ -129,12 +129,14 @@ def _beside_oracle(record: Record, drive: Drive, results: dict[str, Any]) -> Non
         oracle=pgm.filter(model, evidence, belief=case.oracle),
     )
     for label in LINEARISERS:
-        results[label]["kl"] = float(found[label, "filter"].kl)
+        row = found[label, "filter"]
+        results[label] |= {"kl": float(row.kl), "kl_error": float(row.kl_error)}
     record.table(
         f"{drive.name}: KL from the {kind}, the start known to {case.about}",
-        ("lineariser", f"KL({kind} ‖ filter) [nats]"),
-        [(label, each["kl"]) for label, each in results.items()],
-        about="From the true start; the mean over steps, of the Gaussian of the oracle's moments.",
+        ("lineariser", f"KL({kind} ‖ filter) [nats]", "± of the oracle"),
+        [(label, each["kl"], each["kl_error"]) for label, each in results.items()],
+        about="From the true start; the mean over steps, of the Gaussian of the oracle's moments, "
+        "and its Monte Carlo error.",
         best={f"KL({kind} ‖ filter) [nats]": -np.inf},
     )
     record.note(repr(found))

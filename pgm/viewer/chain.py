@@ -36,8 +36,12 @@ def page(
     span: range,
     limits: Limits,
     truth: Mapping[Variable, Array],
+    changes: Mapping[Variable, Array],
 ) -> dict[str, Any]:
-    """The structure of the page, its numbers added; `truth` as `truths` makes it."""
+    """The structure of the page, its numbers added.
+
+    Of `truth` as `truths` makes it, and of changes by evidence as `moved_by_step` does.
+    """
     graph, log_evidence = outcome.graph, np.asarray(outcome.log_evidence)
     model, states = graph.model, graph.layout.states
     shown = outcome.slices(span, Room(limits.numbers, limits.entries))
@@ -59,6 +63,10 @@ def page(
                 "truth": {
                     v.name: numbers.add(at_steps(values[run], held, graph.steps), SHOWN)
                     for v, values in truth.items()
+                },
+                "moved": {
+                    v.name: numbers.add(at_steps(each[run][:, None], held, graph.steps), SHOWN)
+                    for v, each in changes.items()
                 },
                 "sensors": [
                     found

@@ -1,4 +1,4 @@
-"""How far the evidence of a network without time has moved its beliefs."""
+"""How far evidence has moved beliefs: from the prior, or at each step of a chain."""
 
 from __future__ import annotations
 
@@ -38,11 +38,41 @@ def moved(posterior: Any, variables: Iterable[Variable]) -> dict[Variable, Array
     return {v: _divergence(posterior[v], prior[v]) for v in variables if v in own}
 
 
+def moved_by_step(posterior: Any) -> dict[Variable, Array]:
+    """KL(filtered ‖ predicted) of the variables of a chain, in nats, (*runs, steps) each.
+
+    It is how far the readings of a step moved the belief that earlier steps predict. NaN where it
+    does not exist, as of a state that is known exactly; left out are beliefs that are no Gaussians
+    or tables.
+    """
+    found = {}
+    for v in posterior.graph.layout.slice:
+        try:
+            belief, before = posterior.filtered[v], posterior.predicted[v]
+        except PgmError:  # of what `keep=` left out, or a family that predicts nothing
+            continue
+        if isinstance(belief, Gaussian) and isinstance(before, Gaussian):
+            found[v] = _in_parts(belief, before)
+        elif isinstance(belief, Table) and isinstance(before, Table):
+            found[v] = _divergence(belief, before)
+    return found
+
+
+def _in_parts(belief: Gaussian, before: Gaussian) -> Array:
+    """KL of stacked Gaussians (..., steps), NaN at the steps where it does not exist."""
+    found = _divergence(belief, before)
+    count = belief.mean.shape[-2]
+    if found.shape == belief.mean.shape[:-1] or count == 1:
+        return np.broadcast_to(found, belief.mean.shape[:-1])
+    parts = slice(None, count // 2), slice(count // 2, None)
+    return np.concatenate([_in_parts(belief[..., k], before[..., k]) for k in parts], axis=-1)
+
+
 def _divergence(belief: Any, before: Any) -> Array:
     """KL(belief ‖ before), NaN where it does not exist, as of what is certain."""
     if isinstance(belief, Table | Gaussian) and type(belief) is type(before):
         try:
-            return belief.kl(before)  # type: ignore[arg-type]
+            return np.maximum(belief.kl(before), 0.0)  # type: ignore[arg-type]
         except PgmError:
             pass
     return np.asarray(np.nan)

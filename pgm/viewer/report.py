@@ -53,7 +53,7 @@ def _path(
         return None, []
     runs, few = chosen_runs(None, np.shape(posterior.log_evidence), REPORT)
     span, cut = chosen_steps(None, posterior.graph.steps, REPORT)
-    found = chain.page(outcome, numbers, runs, span, REPORT, truth)
+    found = chain.page(outcome, numbers, runs, span, REPORT, truth, {})
     lost = stretches(posterior)
     for row in found["runs"]:
         row["lost"] = lost.get(tuple(row["run"]), [])

@@ -24,6 +24,7 @@ from pgm.posteriors.outcome import (
 )
 from pgm.viewer import chain, graph, growing
 from pgm.viewer.assembly import assembled
+from pgm.viewer.moved import moved_by_step
 from pgm.viewer.numbers import CELL, FILE, Limits, Numbers, Run, chosen_runs, chosen_steps
 from pgm.viewer.truth import Truth, truths
 
@@ -72,8 +73,9 @@ def view(
     It is one file that needs no network: pan and zoom the graph, find a variable, click a cluster
     for its potential, its belief and the messages it received, or an edge for both messages. A
     chain has a slider over its steps and its trajectory beside it, an iterated schedule one over
-    its iterations. Without time, clusters are coloured by how far the evidence moved a variable of
-    theirs from its prior, KL(posterior ‖ prior) in nats, for which the prior is inferred, too.
+    its iterations. Clusters are coloured by how far evidence moved a variable of theirs, in nats:
+    of a chain the readings of the step, KL(filtered ‖ predicted); without time all evidence,
+    KL(posterior ‖ prior), for which the prior is inferred, too.
 
     Parameters
     ----------
@@ -154,7 +156,8 @@ def _content(
     numbers, true = Numbers(), truths(posterior, truth)
     if is_over_time(outcome):
         span, cut = chosen_steps(steps, posterior.graph.steps, limits)
-        found = chain.page(outcome, numbers, runs, span, limits, true)
+        changes = moved_by_step(posterior) if limits.moved else {}
+        found = chain.page(outcome, numbers, runs, span, limits, true, changes)
     elif steps is not None:
         raise GraphError("steps=(first, last) cuts a chain; this graph has no steps: leave it out")
     else:

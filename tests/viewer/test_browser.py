@@ -476,6 +476,16 @@ def test_what_evidence_moved_is_coloured_and_told(look):
     page = look(pgm.infer(posterior.graph, {}))
     assert not page.all(".node.moved")
     assert page.text("#facts").count("evidence) 0 exact") == 1
+    page = look(posteriors.filtered())
+    shares = {
+        step: page.run(
+            f"return document.querySelector('[data-cluster=\"{step}\"]')"
+            ".style.getPropertyValue('--share')"
+        )
+        for step in (2, 3)
+    }
+    assert shares == {2: "0%", 3: "100%"}  # of which the latter reads landmarks
+    assert "moved by the readings of the step" in page.text("#keys")
 
 
 def test_truth_stands_beside_beliefs(look):

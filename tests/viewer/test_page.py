@@ -355,6 +355,31 @@ def test_evidence_moves_beliefs_by_their_divergence_from_the_prior(tmp_path):
         np.testing.assert_allclose(values, due, rtol=1e-9 if method == pgm.JunctionTree() else 0.3)
 
 
+def test_the_readings_of_a_step_move_its_prediction(tmp_path):
+    """By a Kalman filter of scalars; the start is known exactly, so no reading moves it."""
+    x, z = pgm.variables("x z")
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(x, 1.0, 0.0)],
+        [pgm.LinearGaussianCPD(x, {x.previous: 0.9}, cov=0.3)],
+        [pgm.LinearGaussianCPD(z, {x: 2.0}, cov=0.5)],
+    )
+    zs = np.array([[1.5], [np.nan], [0.2]])
+    mean, var, due = 1.0, 0.0, [np.nan]
+    for (read,) in zs:
+        mean, var = 0.9 * mean, 0.81 * var + 0.3
+        before, prior = mean, var
+        if not np.isnan(read):
+            gain = 2.0 * var / (4.0 * var + 0.5)
+            mean, var = mean + gain * (read - 2.0 * mean), (1.0 - 2.0 * gain) * var
+        ratio = var / prior
+        due.append(0.5 * (ratio - 1.0 - np.log(ratio) + (mean - before) ** 2 / prior))
+    for call in (pgm.filter, pgm.smooth):
+        page = written(call(model, {z: zs}), tmp_path)
+        (ref,) = data_of(page)["runs"][0]["moved"].values()
+        found = numbers_of(page)[ref["at"] :][: ref["rows"]]
+        np.testing.assert_allclose(found, due, rtol=1e-6, atol=1e-12)
+
+
 def test_what_has_no_prior_is_not_coloured(tmp_path):
     """Inputs have no distribution, and a flat Markov network has none without evidence."""
     a, b = pgm.variables("a b")

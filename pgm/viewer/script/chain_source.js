@@ -32,6 +32,7 @@ class ChainSource {
       values: new Rows(this.numbers, sensor.values),
       given: sensor.given.map((parent) => ({ ...parent, rows: new Rows(this.numbers, parent.values) })),
     }));
+    this.changes = new Map(Object.entries(own.moved).map(([name, ref]) => [name, new Rows(this.numbers, ref)]));
     this.true = new Map(Object.entries(own.truth).map(([name, ref]) => [name, new Rows(this.numbers, ref)]));
   }
 
@@ -78,9 +79,18 @@ class ChainSource {
     return clipped(found.join("  "), 22);
   }
 
-  // What a chain knew without evidence is not in the page.
-  moved() {
-    return [];
+  // What the colours of clusters tell.
+  get changed() {
+    return "moved by the readings of the step";
+  }
+
+  // How far the readings of a step moved each variable of its slice from what earlier steps
+  // predict, in nats, the furthest first.
+  moved(id) {
+    const found = this.at(this.hidden, id).map(({ name }, k) => [
+      name, this.changes.get(this.hidden[k].name)?.at(id - this.base, 0) ?? NaN,
+    ]);
+    return found.filter(([, nats]) => !Number.isNaN(nats)).sort(([, a], [, b]) => b - a);
   }
 
   neighbours(id) {
@@ -133,7 +143,7 @@ class ChainSource {
       for (const row of rows) observed.push(`${child.name}[${id}] = ${read(child, values.row(row))}`);
       count += rows.length;
     }
-    return { variables: this.names(id), observed, cpds, cut: [], count };
+    return { variables: this.names(id), observed, cpds, cut: [], count, moved: new Map(this.moved(id)), changed: this.changed };
   }
 
   // The places of the states among the components of the slice.

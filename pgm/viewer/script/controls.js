@@ -108,14 +108,14 @@ function residualKey() {
 }
 
 // How far evidence moved the beliefs of clusters, and which hold it.
-function movedKey() {
+function movedKey(words) {
   const share = (at) => {
     const block = svg("svg", { width: 22, height: 12, class: "node moved", "aria-hidden": "true" }, svg("rect", { x: 1.5, y: 1.5, width: 19, height: 9, rx: 4.5 }));
     block.style.setProperty("--share", `${100 * at}%`);
     return block;
   };
   const holds = svg("svg", { width: 22, height: 12, class: "node evidence", "aria-hidden": "true" }, svg("rect", { x: 1.5, y: 1.5, width: 19, height: 9, rx: 4.5 }));
-  return el("div", { class: "key" }, el("span", {}, "moved by the evidence"), el("span", { class: "number" }, "≤ 0.001"), ...[0, 1 / 3, 2 / 3, 1].map(share), el("span", {}, "≥ 1 nat"), holds, el("span", {}, "holds evidence"));
+  return el("div", { class: "key" }, el("span", {}, words), el("span", { class: "number" }, "≤ 0.001"), ...[0, 1 / 3, 2 / 3, 1].map(share), el("span", {}, "≥ 1 nat"), holds, el("span", {}, "holds evidence"));
 }
 
 // Of a growing map: the clusters that its last addition touched.

@@ -39,6 +39,11 @@ class GraphSource {
     return this.clusters.get(id) ?? null;
   }
 
+  // What the colours of clusters tell.
+  get changed() {
+    return "moved by evidence from the prior";
+  }
+
   // How far evidence moved each variable of a cluster from its prior, in nats, the furthest first.
   moved(id) {
     const { moved } = this.data.runs[this.run];
@@ -101,6 +106,7 @@ class GraphSource {
       cpds: cluster.cpds.map((given) => cpdText(given, null)),
       cut: cluster.cut,
       moved: new Map(this.moved(id)),
+      changed: this.changed,
       anew: new Set(cluster.scope.map((v) => this.data.variables[v]).filter((v) => v.anew).map((v) => v.name)),
       role: this.role(cluster),
     };

@@ -176,11 +176,11 @@ class Inspector {
 }
 
 // A variable: whether it was linearised anew, or how far evidence moved it.
-function chip(name, { anew, moved }) {
+function chip(name, { anew, moved, changed }) {
   if (anew?.has(name)) return el("li", { class: "anew", title: "linearised anew by the last addition" }, `${name} anew`);
   if (!moved?.has(name)) return el("li", {}, name);
   const nats = moved.get(name);
-  const found = el("li", { class: "moved", title: `the evidence moved it by ${short(nats)} nats from its prior` }, name);
+  const found = el("li", { class: "moved", title: `${changed}: ${short(nats)} nats` }, name);
   found.style.setProperty("--share", `${Math.round(100 * movedShare(nats))}%`);
   return found;
 }

@@ -51,7 +51,7 @@ async function started() {
     if (source.last > source.first) steps = stepControls(bar, source, choose);
   }
   const residuals = data.runs.some((run) => run.edges);
-  if (data.runs.some((run) => Object.keys(run.moved ?? {}).length)) at("keys").append(movedKey());
+  if (data.runs.some((run) => Object.keys(run.moved ?? {}).length)) at("keys").append(movedKey(source.changed));
   if (residuals) at("keys").append(residualKey());
   if (data.touched) at("keys").append(touchedKey());
   const iterations = iterationControls(bar, source, (values) => {
