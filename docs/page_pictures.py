@@ -69,7 +69,16 @@ def save(shot: Shot) -> None:
     picture.quantize(256, Image.Quantize.MEDIANCUT).save(path, optimize=True)
 
 
+def last_frame() -> None:
+    """Copy the last picture that the program of a robot's loop draws."""
+    with tempfile.TemporaryDirectory() as place, contextlib.chdir(place):
+        list(programs.run(programs.DOCS / "guide" / "robot_loop.md"))
+        frame = max(Path("frames").glob("*.png"))
+        Image.open(frame).convert("RGB").save(programs.DOCS / "images" / "robot_loop.png")
+
+
 if __name__ == "__main__":
     matplotlib.use("Agg")
+    last_frame()
     for each in SHOTS:
         save(each)
