@@ -18,7 +18,8 @@ Lines = Iterator[str]
 
 OURS = "pgm", "pgm_compiled"
 FAMILIES = ("repository", "cold", "sets", "reading")  # rows of many networks
-HEAD = ("row", "unit", *OURS, "elsewhere", "run")
+NUMBERS = "NumPy", "compiled", "elsewhere"
+HEAD = ("row", "unit", *NUMBERS, "run")
 ASKED = ("what must hold", "measured", "asked", "")
 BESIDE = {  # rows of `make bench`, and their words in the guide
     "smoother of one robot, Taylor": ("rts_taylor",),
@@ -125,7 +126,7 @@ def _beside(words: Mapping[str, Sequence[str]]) -> Callable[[Figures], Lines]:
         found = figures["found"]
         here = {label: [name for name in names if name in found] for label, names in words.items()}
         yield from _table(
-            ("row", "NumPy", "compiled", "elsewhere"),
+            ("row", *NUMBERS),
             ((label, *_cells(_times(figures, names))) for label, names in here.items() if names),
         )
         yield from _runs(figures, (name for names in here.values() for name in names))
@@ -206,8 +207,8 @@ def _line(row: Row, figures: Figures) -> Sequence[str]:
 
 
 def _day(figures: Figures, row: Row) -> str:
-    """The day of a row's run, without the year."""
-    return str(figures["found"][row.name]["run"])[5:10]
+    """The day of a row's run, without the year, with a hyphen at which no line breaks."""
+    return str(figures["found"][row.name]["run"])[5:10].replace("-", "\N{NON-BREAKING HYPHEN}")
 
 
 def _asked(each: Verdict) -> Sequence[str]:
