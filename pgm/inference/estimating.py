@@ -65,6 +65,11 @@ def estimate(
        are drawn, until q is near, or the moments of each belief are known within .1 nats, or the
        `effort` is spent.
     3. Means and covariances are those of the weighed draws, with each mode as a control variate.
+    4. What this does not vouch for is tried by another rule; then, of a chain of up to 6 components
+       a step, all with noise, by draws of each step alone, 256 and 512, any of which may follow any
+       of the step before. A chain that is ambiguous at many steps, each apart from the others, has
+       more modes than can be counted, and this way a belief all the same. Whatever the most can be
+       said of is the answer.
 
     The result says in ``posterior.verdict`` whether it is vouched for, within how much, and what it
     took; so does ``print(posterior)``. Nothing is vouched for if starts do not agree on the modes,
@@ -103,7 +108,8 @@ def estimate(
     References
     ----------
     See `Audit`; Cappé, Douc, Guillin, Marin & Robert, Adaptive importance sampling in general
-    mixture classes, 2008; Good, The population frequencies of species, 1953.
+    mixture classes, 2008; Good, The population frequencies of species, 1953; Neal, Beal & Roweis,
+    Inferring state sequences for non-linear systems with embedded hidden Markov models, 2003.
 
     Examples
     --------
@@ -228,4 +234,5 @@ def _verdict(lead: tuple[int, ...], sought: Sought, answer: Answer) -> Verdict:
         draws=answer.draws,
         effective=answer.effective,
         pareto_k=answer.pareto_k,
+        recombined=answer.recombined,
     )

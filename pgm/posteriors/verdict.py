@@ -42,6 +42,9 @@ class Verdict(Shown, Immutable, NoArray):
         How many equally weighted draws they are worth; 100 or more can be used.
     pareto_k : ndarray
         The shape of the tail of their weights; below 0.7 they can be used.
+    recombined : ndarray of bool
+        Whether draws are of each step alone, and the answer that of trajectories recombined from
+        them. Then effective numbers and tails are those of the step at which the fewest count.
     reason : str
         Why no draws were weighed; empty where they were.
 
@@ -63,6 +66,7 @@ class Verdict(Shown, Immutable, NoArray):
     draws: Integers
     effective: Array
     pareto_k: Array
+    recombined: Mask
     reason: str
 
     def __init__(self, lead: tuple[int, ...], reason: str = "", **found: Any) -> None:
@@ -92,6 +96,7 @@ class Verdict(Shown, Immutable, NoArray):
             within=np.full(lead, within),
             of=np.full(lead, of),
             agreed=np.full(lead, vouched),
+            recombined=np.full(lead, False),
             **none,
             **figures,
         )
@@ -131,6 +136,15 @@ class Verdict(Shown, Immutable, NoArray):
         return ", ".join(reasons)
 
     @property
+    def _source(self) -> str:
+        """The draws that moments are of."""
+        count, runs = int(self.recombined.sum()), self.recombined.size
+        if not count:
+            return "the draws"
+        where = f" (in {count} of {runs} runs)" if count < runs else ""
+        return f"trajectories recombined from draws of each step{where}"
+
+    @property
     def _title(self) -> str:
         return f"Verdict({self.headline})"
 
@@ -141,7 +155,7 @@ class Verdict(Shown, Immutable, NoArray):
         lines = [
             f"tried: {_span(self.starts)} starts, {_span(self.settled)} of which settled, at "
             f"{_span(self.modes)} mode{'s' * bool(self.modes.max() > 1)}",
-            f"chosen: {mixture}, with moments of the draws where these can be used",
+            f"chosen: {mixture}, with moments of {self._source} where these can be used",
             f"judged by: {_span(self.draws)} draws, worth {_span(self.effective)}, of tail "
             f"{_span(self.pareto_k)} (to be below {HEAVY})",
             f"cost: {_span(self.starts)} iterated answers in one batch, {_span(self.draws)} draws",

@@ -344,7 +344,7 @@ FACTORISATIONS = listed(
     # The squares by which merged means differ, which are added up.
     {"kernels/machine/sweeps/mixture.py": "_merged add_cov"},
     # The covariances of draws.
-    {"beliefs/modes/adapted.py": "_controlled"},
+    {"beliefs/modes/adapted.py": "_controlled", "beliefs/modes/recombined.py": "_kernels"},
 )
 # Beside the step: wrapping to [−π, π) with its end, and bins around a circle.
 TURNS = listed({STEP: "turns"}, {"kernels/angles.py": "wrap", "kernels/bins.py": "keys"})

@@ -20,11 +20,12 @@ from typing import NamedTuple
 import numpy as np
 
 from pgm.beliefs.modes.laws import Laws, Target
-from pgm.beliefs.modes.pool import BLOCKS, Pool, Weighed, effective, slope_of
+from pgm.beliefs.modes.pool import BLOCKS, Pool, Weighed, effective, heights_of, slope_of
 from pgm.errors import BeliefWarning, levels_to_user
 from pgm.kernels import roots
 from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array, Mask, quiet, symmetric, transpose
+from pgm.kernels.semirings import log_sum
 from pgm.schedules.limits import require_runs
 
 ROUNDS = 3
@@ -100,13 +101,29 @@ def moved(pool: Pool, laws: Laws, weighed: Weighed) -> Laws:
     λ of the way.
     """
     count = effective(weighed.by_mode)
-    found = _moments(pool, laws, weighed)
+    found = _of_pool(pool, laws, weighed)
     return _laws(laws, found, lambda size: count / (count + _OWN * size))
 
 
 def corrected(pool: Pool, laws: Laws, weighed: Weighed) -> Laws:
     """The laws whose moments are those that all draws estimate."""
-    found = _moments(pool, laws, weighed)
+    found = _of_pool(pool, laws, weighed)
+    return _whole(laws, found)
+
+
+def of_trajectories(target: Target, laws: Laws, values: Array) -> Laws:
+    """The laws with the moments of draws of the posterior, (T+1, runs, S, m + n), of equal weights.
+
+    Draws are shared among the modes by their densities.
+    """
+    with np.errstate(divide="ignore"):  # a mode that a run does not have
+        logs = np.log(laws.weights)[..., None] + heights_of(target, laws, values).gaussian
+    shares = np.exp(logs - log_sum(logs, 0))
+    return _whole(laws, _moments(target, values, laws, shares, np.zeros_like(shares)))
+
+
+def _whole(laws: Laws, found: Moments) -> Laws:
+    """The laws moved the whole way to moments."""
     whole = np.ones_like(found.mass)
     return _laws(laws, found, lambda _: whole)
 
@@ -121,17 +138,25 @@ def _laws(laws: Laws, found: Moments, part_of: Callable[[int], Array]) -> Laws:
     return Laws(found.mass / found.mass.sum(axis=0), *parts)
 
 
-def _moments(pool: Pool, laws: Laws, weighed: Weighed) -> Moments:
-    """The moments of all modes, with their laws as controls where that gives covariances."""
-    shares, controls = weighed.by_mode, weighed.controls
+def _of_pool(pool: Pool, laws: Laws, weighed: Weighed) -> Moments:
+    """The moments of all modes by the draws of a pool."""
+    return _moments(pool.target, pool.values, laws, weighed.by_mode, weighed.controls)
+
+
+def _moments(target: Target, values: Array, laws: Laws, shares: Array, controls: Array) -> Moments:
+    """The moments of all modes, with controls where these give covariances.
+
+    `shares` are the modes' parts of the weights of draws, and `controls` the control variates,
+    (K, runs, S); `values` are the draws, (T+1, runs, S, m + n).
+    """
     slope = slope_of(shares, controls)
     mass = (shares - slope[..., None] * controls).mean(axis=-1) + slope
     slope = np.where(mass > 0.0, slope, 0.0)
-    total, offsets, covs = _controlled(pool, laws, shares, controls, slope)
+    total, offsets, covs = _controlled(target, values, laws, shares, controls, slope)
     proper = _proper(total, covs)
     if not proper.all():
         slope = np.where(proper, slope, 0.0)
-        total, offsets, covs = _controlled(pool, laws, shares, controls, slope)
+        total, offsets, covs = _controlled(target, values, laws, shares, controls, slope)
         proper = _proper(total, covs)  # else a mode without draws, whose law stays
         at = proper[:, None, :, None]
         offsets = tuple(np.where(at, each, 0.0) for each in offsets)
@@ -141,32 +166,32 @@ def _moments(pool: Pool, laws: Laws, weighed: Weighed) -> Moments:
 
 
 def _controlled(
-    pool: Pool, laws: Laws, shares: Array, controls: Array, slope: Array
+    target: Target, values: Array, laws: Laws, shares: Array, controls: Array, slope: Array
 ) -> tuple[Array, tuple[Array, ...], tuple[Array, ...]]:
     """The masses, offsets and covariances of modes, by slopes (K, runs) of their controls."""
     weights = shares - slope[..., None] * controls
     total = weights.mean(axis=-1) + slope
     scale = 1.0 / np.where(total > 0.0, total, 1.0)
-    before, angles = pool.target.before, pool.target.angles
-    first = pool.values[:1][..., before:][..., pool.target.states]
+    before, angles = target.before, target.angles
+    first = values[:1][..., before:][..., target.states]
     groups = (
-        (first, laws.first, laws.spread, angles[before:][pool.target.states]),
-        (pool.values[1:], laws.mean, laws.cov, angles),
+        (first, laws.first, laws.spread, angles[before:][target.states]),
+        (values[1:], laws.mean, laws.cov, angles),
     )
     offsets, covs = [], []
-    for values, mean, cov, turning in groups:
-        sums = [
-            _sums(own, values, centre, turning) for own, centre in zip(weights, mean, strict=True)
+    for drawn, mean, cov, turning in groups:
+        found = [
+            sums(own, drawn, centre, turning) for own, centre in zip(weights, mean, strict=True)
         ]
-        shift = np.stack([each[0] for each in sums]) * scale[:, None, :, None]
-        square = np.stack([each[1] for each in sums]) + slope[:, None, :, None, None] * cov
+        shift = np.stack([each[0] for each in found]) * scale[:, None, :, None]
+        square = np.stack([each[1] for each in found]) + slope[:, None, :, None, None] * cov
         square = square * scale[:, None, :, None, None]
         offsets.append(shift)
         covs.append(symmetric(square - shift[..., :, None] * shift[..., None, :]))
     return total, tuple(offsets), tuple(covs)
 
 
-def _sums(weights: Array, values: Array, mean: Array, angles: Mask) -> tuple[Array, Array]:
+def sums(weights: Array, values: Array, mean: Array, angles: Mask) -> tuple[Array, Array]:
     """The weighed means of offsets of values (steps, runs, S, p), and of their squares."""
     off = difference(values, mean[:, :, None], angles)
     weighed = off * (weights / weights.shape[-1])[..., None]

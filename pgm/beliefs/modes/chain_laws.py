@@ -60,6 +60,12 @@ class Trajectories:
             for v in layout.slice
         ]
 
+    @property
+    def chain(self) -> ChainModel | None:
+        """The densities of the chain if all components have noise; see `Target`."""
+        every = self.law.prior + self.law.transition
+        return self._model if all(term.free().all() for _, term in every) else None
+
     def path(self, laws: Laws, k: int) -> Path:
         """The law of a mode, as it is drawn from."""
         later = _given(

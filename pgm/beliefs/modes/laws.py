@@ -13,7 +13,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from pgm.beliefs.moments.trajectories.model import Proposing, Weighed
+from pgm.beliefs.moments.trajectories.model import ChainModel, Proposing, Weighed
 from pgm.beliefs.moments.trajectories.proposal import Path
 from pgm.errors import NumericalError
 from pgm.kernels.arrays import Array, Index, Integers, Mask
@@ -101,6 +101,11 @@ class Target(Protocol):
 
     def path(self, laws: Laws, k: int) -> Path:
         """The law of a mode, as it is drawn from."""
+        ...
+
+    @property
+    def chain(self) -> ChainModel | None:
+        """The densities of a chain whose components all have noise; None of any other model."""
         ...
 
     def draw(self, source: Proposing, shape: tuple[int, int]) -> Weighed:

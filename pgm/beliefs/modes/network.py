@@ -288,6 +288,7 @@ class AllVariables:
     """All hidden variables of a network, as a `Target` of draws; refused without a density."""
 
     before = 0
+    chain = None
 
     def __init__(self, model: Model, density: NetworkDensity) -> None:
         every = zip(model.layout.groups, model.families, strict=True)

@@ -85,10 +85,14 @@ class Round:
     @cached_property
     def shares(self) -> Array:
         """The part of draws that are of each mode, (K, runs), if none is defensive."""
-        weights = self.laws.weights
-        alive = weights > 0.0
-        shares: Array = (1.0 - EVEN) * weights + EVEN * alive / alive.sum(axis=0)
-        return shares
+        return even(self.laws.weights)
+
+
+def even(weights: Array) -> Array:
+    """The weights of modes, (K, runs), made more alike, so that none is starved of draws."""
+    alive = weights > 0.0
+    found: Array = (1.0 - EVEN) * weights + EVEN * alive / alive.sum(axis=0)
+    return found
 
 
 class Pool:
@@ -126,19 +130,16 @@ class Pool:
         found.log_target, found.log_prior = self.log_target[runs], self.log_prior[runs]
         for each, own in zip(self.rounds, self._heights, strict=True):
             laws = each.laws.of(runs)
-            found.rounds.append(Round(laws, found._paths(laws), each.count))
+            found.rounds.append(Round(laws, _paths_of(target, laws), each.count))
             found._heights.append(Heights(own.squared[:, runs], own.level[:, runs], own.size[runs]))
         return found
-
-    def _paths(self, laws: Laws) -> list[Path]:
-        return [self.target.path(laws, k) for k in range(len(laws.weights))]
 
     def draw(self, laws: Laws, count: int, rng: np.random.Generator) -> None:
         """Add a round of draws from laws.
 
         A NumericalError is raised if a law has no density.
         """
-        made = Round(laws, self._paths(laws), count)
+        made = Round(laws, _paths_of(self.target, laws), count)
         if not all(path.regular for path in made.paths):
             raise without_density()
         size = _size(made.paths[0])
@@ -158,7 +159,7 @@ class Pool:
             self.values, self.log_target, self.log_prior = values, log_target, prior
         else:
             self._heights = [
-                _joined(own, _heights(self.target, each.laws, each.paths, values))
+                _joined(own, heights_of(self.target, each.laws, values, each.paths))
                 for own, each in zip(self._heights, self.rounds, strict=True)
             ]
             self.values = np.concatenate([self.values, values], axis=2)
@@ -169,7 +170,7 @@ class Pool:
 
     def heights(self, laws: Laws, paths: list[Path] | None = None) -> Heights:
         """The densities of all draws under laws."""
-        return _heights(self.target, laws, paths or self._paths(laws), self.values)
+        return heights_of(self.target, laws, self.values, paths)
 
     def log_proposal(self, last: bool = False) -> Array:
         """The log-density ln r of the mixture of all rounds, (runs, S), or of the last alone."""
@@ -251,9 +252,16 @@ def near(target: Target, laws: Laws, k: int, index: int, given: Array) -> Array:
     return nearest_branch(given, mean, target.turned[target.states])
 
 
-def _heights(target: Target, laws: Laws, paths: list[Path], values: Array) -> Heights:
+def _paths_of(target: Target, laws: Laws) -> list[Path]:
+    """The laws of all modes, as they are drawn from."""
+    return [target.path(laws, k) for k in range(len(laws.weights))]
+
+
+def heights_of(
+    target: Target, laws: Laws, values: Array, paths: list[Path] | None = None
+) -> Heights:
     """The densities of draws (T+1, runs, S, m + n) under laws."""
-    before = target.before
+    before, paths = target.before, paths or _paths_of(target, laws)
     squared = np.zeros((len(paths), *values.shape[1:3]))
     many = max(1, BLOCK // max(1, math.prod(values.shape[1:])))
     level = np.zeros(squared.shape[:2])

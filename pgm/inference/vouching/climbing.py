@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Any, Self
 
@@ -14,6 +14,7 @@ from pgm.beliefs.modes.pool import BLOCKS, Pool, Weighed
 from pgm.beliefs.modes.search import Search
 from pgm.errors import PgmError
 from pgm.inference.vouching.judging import Judged, Marginal, judge
+from pgm.inference.vouching.recombining import PASSES, Recombined, per_call, recombined
 from pgm.kernels.arrays import Array, Integers, Mask, quiet
 from pgm.posteriors.verdict import ENOUGH, HEAVY
 from pgm.schedules.damping import LevenbergMarquardt
@@ -95,6 +96,7 @@ class Answer(ByRun):
     of: What it bounds: 0 nothing, 1 the density, 2 moments.
     sound: Whether enough draws count, and the tail of their weights allows estimates.
     usable: Whether the tail has a mean at least, so that estimates may serve if none is sound.
+    recombined: Whether it is by trajectories recombined from draws of each step.
     """
 
     log_evidence: Array
@@ -105,6 +107,7 @@ class Answer(ByRun):
     draws: Integers
     effective: Array
     pareto_k: Array
+    recombined: Mask
 
     @property
     def rank(self) -> Array:
@@ -158,30 +161,91 @@ def _sought(search: Search, starts: int) -> Sought:
 def climb(search: Search, effort: int, rng: np.random.Generator) -> tuple[Sought, Answer]:
     """The modes of all runs, and their answers.
 
-    Runs that draws of these modes do not vouch for have modes by another rule as well, and the
-    answer of whose draws more can be said; never one of fewer modes, whose draws might not meet a
-    mode that is known. Starts and draws of both count.
+    Runs that draws of these modes do not vouch for have modes by another rule as well, and then
+    trajectories recombined from draws of each step, and the answer of whose draws more can be said.
+    Starts and draws of all count.
     """
     sought = seek(search)
     answer = weigh(search, sought.laws, effort, rng)
-    left = np.flatnonzero(answer.of == 0)
-    if left.size and answer.draws.max() > FEW:
-        runs = _asked(search, left)
-        part = search.of(runs).otherwise().by(*HELD)
-        try:
-            found = part.chosen([*part.unled(), *part.arrived(HALF)], MODES)
-            other = weigh(part, part.laws(found), effort, rng).some(np.searchsorted(runs, left))
-        except PgmError:  # as where this rule asks a function for values that it does not have
-            return sought, answer
-        count = np.reshape(found.status.modes, -1)[np.searchsorted(runs, left)]
-        better = np.flatnonzero((other.rank > answer.rank[left]) & (count >= sought.modes[left]))
-        draws = _put(answer.draws, left, answer.draws[left] + other.draws)
-        answer = replace(answer.put(left[better], other.some(better)), draws=draws)
-        starts, settled = sought.starts.copy(), sought.settled.copy()
-        starts[left] += HALF + 1
-        settled[left] += np.reshape(found.status.arrived, -1)[np.searchsorted(runs, left)]
-        sought = replace(sought, starts=starts, settled=settled)
+    if answer.draws.max() > FEW:
+        for another in (_otherwise, _recombined):
+            left = np.flatnonzero(answer.of == 0)
+            if left.size:
+                try:
+                    sought, answer = another(search, sought, answer, left, effort, rng)
+                except PgmError:  # as where a rule asks a function for values that it does not have
+                    continue
     return sought, answer
+
+
+def _otherwise(
+    search: Search,
+    sought: Sought,
+    answer: Answer,
+    left: Integers,
+    effort: int,
+    rng: np.random.Generator,
+) -> tuple[Sought, Answer]:
+    """The answers with those by another rule where more can be said of these, of some runs.
+
+    Never one of fewer modes, whose draws might not meet a mode that is known.
+    """
+    runs = _asked(search, left)
+    part, places = search.of(runs).otherwise().by(*HELD), np.searchsorted(runs, left)
+    found = part.chosen([*part.unled(), *part.arrived(HALF)], MODES)
+    other = weigh(part, part.laws(found), effort, rng).some(places)
+    count = np.reshape(found.status.modes, -1)[places]
+    starts, settled = sought.starts.copy(), sought.settled.copy()
+    starts[left] += HALF + 1
+    settled[left] += np.reshape(found.status.arrived, -1)[places]
+    sought = replace(sought, starts=starts, settled=settled)
+    return sought, _preferred(answer, left, other, count >= sought.modes[left])
+
+
+def _recombined(
+    search: Search,
+    sought: Sought,
+    answer: Answer,
+    left: Integers,
+    effort: int,
+    rng: np.random.Generator,
+) -> tuple[Sought, Answer]:
+    """The answers with those of recombined trajectories where more can be said of these."""
+    if effort < sum(PASSES):
+        return sought, answer
+    runs = _asked(search, left)
+
+    def ask(some: Integers) -> Answer | None:
+        laws = sought.laws.of(some)
+        found = recombined(search.of(some).target(laws), laws, rng)
+        return None if found is None else _of_recombined(found)
+
+    most = search.runs if search.together else per_call(sought.laws)
+    other = _in_parts(runs, most, ask)
+    if other is None:
+        return sought, answer
+    own = other.some(np.searchsorted(runs, left))
+    return sought, _preferred(answer, left, own, np.ones(left.shape, dtype=bool))
+
+
+def _of_recombined(found: Recombined) -> Answer:
+    """The answers by recombined trajectories, whose moments are vouched for."""
+    usable = (found.effective > ENOUGH) & (found.pareto_k < 1.0)
+    sound = usable & (found.pareto_k < HEAVY)
+    of = np.where(sound & (found.within < WITHIN), 2, 0)
+    draws = np.full(of.shape, sum(PASSES))
+    rest = draws, found.effective, found.pareto_k, np.full(of.shape, True)
+    return Answer(found.laws, found.log_evidence, found.within, of, sound, usable, *rest)
+
+
+def _preferred(answer: Answer, runs: Integers, other: Answer, allowed: Mask) -> Answer:
+    """The answers with others of some runs where these are allowed, and more can be said of them.
+
+    The draws of both count.
+    """
+    better = np.flatnonzero((other.rank > answer.rank[runs]) & allowed)
+    draws = _put(answer.draws, runs, answer.draws[runs] + other.draws)
+    return replace(answer.put(runs[better], other.some(better)), draws=draws)
 
 
 @quiet()
@@ -189,14 +253,25 @@ def weigh(search: Search, laws: Laws, effort: int, rng: np.random.Generator) -> 
     """The answers of all runs: draws of the modes, and more where they do not vouch for it."""
     size = laws.first.shape[-1] + laws.mean.shape[1] * laws.mean.shape[-1]
     most = search.runs if search.together else max(1, ROOM // (effort * max(size, 1)))
-    runs = np.arange(search.runs)
-    parts = [runs[first : first + most] for first in range(0, runs.size, most)]
-    found = _weighed(search.of(parts[0]), laws.of(parts[0]), effort, rng)
-    if len(parts) == 1:
+    every = np.arange(search.runs)
+    found = _in_parts(
+        every, most, lambda runs: _weighed(search.of(runs), laws.of(runs), effort, rng)
+    )
+    assert found is not None
+    return found
+
+
+def _in_parts(runs: Integers, most: int, ask: Callable[[Integers], Answer | None]) -> Answer | None:
+    """The answers of runs, of so many at once at the most; None if there are none of the first."""
+    parts = [np.arange(first, min(first + most, runs.size)) for first in range(0, runs.size, most)]
+    found = ask(runs[parts[0]])
+    if found is None or len(parts) == 1:
         return found
     whole = found.some(np.zeros(runs.size, dtype=np.intp)).put(parts[0], found)
     for part in parts[1:]:
-        whole = whole.put(part, _weighed(search.of(part), laws.of(part), effort, rng))
+        other = ask(runs[part])
+        assert other is not None
+        whole = whole.put(part, other)
     return whole
 
 
@@ -254,7 +329,7 @@ def _answer(judged: Judged, pool: Pool) -> Answer:
     of = np.where(density, 1, np.where(moments, 2, 0))
     within = np.where(density, judged.density, judged.moments)
     count = np.full(of.shape, pool.count)
-    rest = judged.effective, judged.pareto_k
+    rest = judged.effective, judged.pareto_k, np.full(of.shape, False)
     laws = judged.laws
     lost = np.flatnonzero(~usable)
     if lost.size:  # estimates of no use leave the modes as they are

@@ -82,7 +82,7 @@ def judge(pool: Pool, laws: Laws, before: list[Marginal] | None) -> Judged:
         likely = _jackknife(pool, weighed, scope, own) * square_within(SURE, free) / free
         off = np.maximum(off, likely)
         if before is not None:
-            off = np.maximum(off, _worst(own, before[k], angles[scope.places]))
+            off = np.maximum(off, worst(own, before[k], angles[scope.places]))
     return Judged(
         better,
         _density(pool, weighed),
@@ -126,7 +126,7 @@ def marginal(laws: Laws, scope: Scoped, angles: Mask) -> Marginal:
     return Marginal(centre + shift, (weights[..., None] * spread).sum(axis=0))
 
 
-def _worst(own: Marginal, other: Marginal, angles: Mask) -> Array:
+def worst(own: Marginal, other: Marginal, angles: Mask) -> Array:
     """The largest divergence of a marginal's moments from others at any step, (runs,)."""
     off = difference(own.mean, other.mean, angles)
     return np.asarray(from_gaussian(roots.root(other.cov), off, own.cov).max(axis=0))

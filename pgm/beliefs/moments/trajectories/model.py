@@ -101,9 +101,7 @@ class ChainModel:
             for step in range(first, last):
                 fresh, afresh = source.propose(states)
                 vector = np.concatenate([states, fresh], axis=-1)
-                for link, term in self.law.transition if step else self.law.prior:
-                    parents, child = vector[..., link.parents], vector[..., link.child]
-                    vector[..., link.child] = term.made(max(step - 1, 0), parents, child, afresh)
+                self.make_children(step, vector, afresh)
                 slices = values[step][..., front:]
                 if step:
                     values[step] = vector
@@ -113,34 +111,59 @@ class ChainModel:
             total += self._weighed(source, first, values[first:last], strict=strict)
         return Weighed(total, values)
 
+    def make_children(self, step: int, vector: Array, afresh: Afresh | None) -> None:
+        """Make the children of draws at a step in place, in pairs, or states at step 0.
+
+        `vector` is (runs, S, m + n) or (runs, S, m), with the proposed children; see `Term.made`.
+        """
+        for link, term in self.law.transition if step else self.law.prior:
+            parents, child = vector[..., link.parents], vector[..., link.child]
+            vector[..., link.child] = term.made(max(step - 1, 0), parents, child, afresh)
+
+    def moved(self, first: int, vector: Array, *, strict: bool) -> tuple[Array, Array]:
+        """The log-densities (k, runs, S) of k slices from step `first` on, given the states before.
+
+        And those with Student's t for the noise of all CPDs. `vector` has pairs (k, runs, S, m + n)
+        or, at step 0, the states alone.
+        """
+        links, rows = self.law.prior, slice(0, 1)
+        if first:
+            links, rows = self.law.transition, slice(first - 1, first - 1 + len(vector))
+        own, tails = np.zeros(vector.shape[:3]), np.zeros(vector.shape[:3])
+        for link, term in links:
+            parents, child = vector[..., link.parents], vector[..., link.child]
+            drawn = term.weighed(rows, parents, child, strict=strict)
+            own += np.where(drawn.lost, np.nan, drawn.log_density)
+            tails += drawn.log_tails
+        return own, tails
+
+    def read(self, first: int, slices: Array, *, strict: bool) -> Array:
+        """The log-density (runs, S) of measurements at k steps, given slices (k, runs, S, n)."""
+        total = np.zeros(slices.shape[1:3])
+        for sensor, term in self.sensors:
+            rows = slice(sensor.rows(first).start, sensor.rows(first + len(slices) - 1).stop)
+            if rows.start == rows.stop:
+                continue
+            at = sensor.family.step[rows] - self.plan.first - first
+            total += term.readings(
+                rows,
+                slices[at][..., sensor.parents],
+                sensor.values[rows],
+                sensor.moved[rows],
+                strict=strict,
+            )
+        return total
+
     def _weighed(self, source: Proposing, first: int, pairs: Array, *, strict: bool) -> Array:
         """The log-density (runs, S) of k steps, by their pairs (k, runs, S, m + n).
 
         The source is told of them. Step 0, which has no states before, is weighed alone.
         """
-        layout, links, rows = self.plan.layout, self.law.prior, slice(0, 1)
+        layout = self.plan.layout
         slices, vector, start = pairs[..., layout.state_size :], pairs, layout.state_size
-        if first:
-            links, rows = self.law.transition, slice(first - 1, first - 1 + len(pairs))
-        else:
+        if not first:
             vector, start = slices[..., layout.state_places], 0
-        total, predicted = np.zeros(pairs.shape[1:3]), np.zeros(pairs.shape[:3])
-        for link, term in links:
-            parents, child = vector[..., link.parents], vector[..., link.child]
-            drawn = term.weighed(rows, parents, child, strict=strict)
-            predicted += drawn.log_tails
-            total += np.where(drawn.lost, np.nan, drawn.log_density).sum(axis=0)
-        source.weigh(vector[..., :start], vector[..., start:], predicted)
-        for sensor, term in self.sensors:
-            read = slice(sensor.rows(first).start, sensor.rows(first + len(pairs) - 1).stop)
-            if read.start == read.stop:
-                continue
-            at = sensor.family.step[read] - self.plan.first - first
-            total += term.readings(
-                read,
-                slices[at][..., sensor.parents],
-                sensor.values[read],
-                sensor.moved[read],
-                strict=strict,
-            )
+        own, tails = self.moved(first, vector, strict=strict)
+        source.weigh(vector[..., :start], vector[..., start:], tails)
+        total: Array = own.sum(axis=0) + self.read(first, slices, strict=strict)
         return total
