@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import matplotlib
+import matplotlib.pyplot as plt
 from PIL import Image
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
@@ -38,6 +39,14 @@ SHOTS = (
     Shot("viewer", "viewer", "run.html", keys=(Keys.PAGE_UP, Keys.RIGHT, Keys.RIGHT)),
     Shot("report", "trust", "report.html", "1140,860"),
 )
+# Pages that begin with one of the figures that they draw, and its place among these.
+FIGURES = {
+    "guide/robot_loop": -1,
+    "tutorials/gps_gyro_odometry": 1,
+    "tutorials/two_robots": -1,
+    "tutorials/unknown_landmarks": -1,
+    "tutorials/many_landmarks": -1,
+}
 OPTIONS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars")
 
 
@@ -62,23 +71,26 @@ def taken(shot: Shot) -> bytes:
             driver.quit()
 
 
-def save(shot: Shot) -> None:
+def drawn(name: str, place: int) -> bytes:
+    """A figure that the programs of a page draw, by its place among them."""
+    plt.close("all")
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        list(programs.run(programs.DOCS / f"{name}.md"))
+    buffer = BytesIO()
+    plt.figure(plt.get_fignums()[place]).savefig(buffer, dpi=90, bbox_inches="tight")
+    return buffer.getvalue()
+
+
+def save(name: str, picture: bytes) -> None:
     """Write a picture with few colours."""
-    picture = Image.open(BytesIO(taken(shot))).convert("RGB")
-    path = programs.DOCS / "images" / f"{shot.picture}.png"
-    picture.quantize(256, Image.Quantize.MEDIANCUT).save(path, optimize=True)
-
-
-def last_frame() -> None:
-    """Copy the last picture that the program of a robot's loop draws."""
-    with tempfile.TemporaryDirectory() as place, contextlib.chdir(place):
-        list(programs.run(programs.DOCS / "guide" / "robot_loop.md"))
-        frame = max(Path("frames").glob("*.png"))
-        Image.open(frame).convert("RGB").save(programs.DOCS / "images" / "robot_loop.png")
+    found = Image.open(BytesIO(picture)).convert("RGB")
+    path = programs.DOCS / "images" / f"{name}.png"
+    found.quantize(256, Image.Quantize.MEDIANCUT).save(path, optimize=True)
 
 
 if __name__ == "__main__":
     matplotlib.use("Agg")
-    last_frame()
+    for page, place in FIGURES.items():
+        save(page.rpartition("/")[2], drawn(page, place))
     for each in SHOTS:
-        save(each)
+        save(each.picture, taken(each))

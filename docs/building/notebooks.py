@@ -1,10 +1,12 @@
 """The tutorials as notebooks: ``python docs/building/notebooks.py build/notebooks``.
 
-A tutorial is a page of Markdown whose blocks of Python are the cells.
+A tutorial is a page of Markdown whose blocks of Python are the cells. A notebook draws its own
+pictures and shows all its cells.
 """
 
 from __future__ import annotations
 
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -16,9 +18,15 @@ DOCS = Path(__file__).parent.parent
 TUTORIALS = sorted(page for page in (DOCS / "tutorials").glob("*.md") if page.stem != "index")
 
 
+# A picture that the page begins with, and the tags around a block that the site folds.
+_OF_SITE = re.compile(
+    r"^(!\[.*\]\(\.\./images/.*\)|</?details>|<summary>.*</summary>)\n", re.MULTILINE
+)
+
+
 def notebook(page: Path) -> NotebookNode:
     """A page as a notebook: its blocks of Python are cells, all else is text between them."""
-    found = jupytext.read(page, fmt="md")
+    found = jupytext.reads(_OF_SITE.sub("", page.read_text(encoding="utf-8")), fmt="md")
     found.metadata["kernelspec"] = {
         "display_name": "Python 3",
         "language": "python",

@@ -205,6 +205,18 @@ def test_the_command_writes_a_summary(tmp_path, capsys):
     assert "discrete_asia" in capsys.readouterr().out
 
 
+def test_the_command_records_a_run(tmp_path, monkeypatch):
+    path = tmp_path / "figures.json"
+    path.write_text('{"runs": {}, "found": {}}', encoding="utf-8")
+    monkeypatch.setattr(recorded, "FILE", path)
+    only = "python -m benchmarks --only discrete_asia"
+    options = ["--repeats", "1", "--record", "--out", str(tmp_path)]
+    command.main([*only.split()[3:], *options])
+    (run,) = recorded.read()["runs"].values()
+    assert run["command"] == only
+    assert recorded.read()["found"]["discrete_asia"]["seconds"].keys() >= {"pgm"}
+
+
 def test_a_quick_run_leaves_large_work_out():
     names = choice.short().names
     assert {"repository_alarm", "sets_andes", "reading_alarm", "map"} < set(names)

@@ -15,6 +15,9 @@ def test_a_tutorials_programs_are_the_cells(name):
     cells = [cell.source for cell in made.cells if cell.cell_type == "code"]
     blocks = programs.blocks(TUTORIALS[name].read_text(encoding="utf-8"))
     assert cells == [block.code.rstrip("\n") for block in blocks]
+    text = "".join(cell.source for cell in made.cells if cell.cell_type == "markdown")
+    assert "../images/" not in text
+    assert "<details>" not in text
 
 
 def test_they_are_written_with_the_recording_that_one_reads(tmp_path):
