@@ -119,8 +119,7 @@ def filter(
     ConvergenceWarning
         If ``iterations`` of two or more end before they settle, in any run.
     LostWarning
-        If a belief is probably wrong, as `Posterior.lost` says; not where that would take as long
-        as the call: in machine code, and of eight or more runs that are filtered.
+        If a belief is probably wrong at some step of a run; `Posterior.lost` says where.
     PrecisionWarning
         If rounding leaves fewer than six digits of a mean.
 
@@ -242,8 +241,7 @@ def smooth(
     ConvergenceWarning
         If ``iterations`` of two or more end before they settle, in any run.
     LostWarning
-        If a belief is probably wrong, as `Posterior.lost` says; not where that would take as long
-        as the call: in machine code, and of eight or more runs that are filtered.
+        If a belief is probably wrong at some step of a run; `Posterior.lost` says where.
     PrecisionWarning
         If rounding leaves fewer than six digits of a mean.
 

@@ -56,9 +56,14 @@ def rejections(rejected: Number, judged: Number, odds: Number) -> Number:
     return least(weighed(rejected, judged) + odds, _MOST)
 
 
+def summed(level: Number, ratio: Number) -> Number:
+    """A sum after a step that adds a log-likelihood ratio."""
+    return least(most(level + ratio, 0.0), HIGH)
+
+
 def raised(level: Number, onset: Number, step: Number, ratio: Number) -> tuple[Number, Number]:
     """A sum and its onset after a step of that number, which adds a log-likelihood ratio."""
-    return least(most(level + ratio, 0.0), HIGH), where(level == 0.0, step, onset)
+    return summed(level, ratio), where(level == 0.0, step, onset)
 
 
 def ruled(sums: Sums, step: Number) -> Sums:

@@ -232,6 +232,7 @@ class Update(NamedTuple):
     cov: (n, n, *batch).
     log_density: (*batch); a measured component that the components before it determine adds
         nothing to it.
+    square: νᵀS⁻¹ν of the residual ν = z − H mean, (*batch).
     regular: Whether S is not nearly singular: each of its pivots is at least 10⁻⁶ of its diagonal
         entry. A batch always counts as regular if `update` was given a smaller limit, `least`, and
         all pivots are above it.
@@ -243,6 +244,7 @@ class Update(NamedTuple):
     mean: Array
     cov: Array
     log_density: Array | float
+    square: Array | float
     regular: bool
     left: Array | None
     certain: Integers | int = 0
@@ -273,7 +275,7 @@ def update(
         arguments = mean, cov, matrix, residual, noise
         found = update_one(*arguments) if cov.ndim == 2 else _update_many(*arguments, least)
         if found is not None:
-            return Update(found[0], found[1], found[2], True, None)
+            return Update(found[0], found[1], found[2], found[3], True, None)
     parts = components_last(mean, 1), components_last(cov, 2), components_last(matrix, 2)
     careful = moments.update(
         *parts, components_last(residual, 1), components_last(noise, 2), exact=exact
@@ -281,40 +283,44 @@ def update(
     left = None if careful.left is None else components_first(careful.left, 1)
     after = components_first(careful.mean, 1), components_first(careful.cov, 2)
     regular = roots.smallest_pivot(careful.lower) >= NEARLY_SINGULAR
-    density = careful.log_density if cov.ndim > 2 else float(careful.log_density)
+    density: Array | float = careful.log_density
+    square: Array | float = careful.square
+    if cov.ndim == 2:
+        density, square = float(density), float(square)
     certain = 0 if left is None else roots.determined(careful.lower).sum(axis=-1)
-    return Update(*after, density, regular, left, certain)
+    return Update(*after, density, square, regular, left, certain)
 
 
 def update_one(
     mean: Array, cov: Array, matrix: Array, residual: Array, noise: Array
-) -> tuple[Array, Array, float] | None:
-    """Condition one Gaussian on a measurement: the new mean and covariance, and the log-density.
+) -> tuple[Array, Array, float, float] | None:
+    """Condition one Gaussian on a measurement: mean, covariance, log-density, and square νᵀS⁻¹ν.
 
-    They are (n,), (n, n) and a number. `mean` is m (n,), `cov` P (n, n), `matrix` H (d, n),
+    They are (n,), (n, n) and two numbers. `mean` is m (n,), `cov` P (n, n), `matrix` H (d, n),
     `residual` z − H m (d,) and `noise` R (d, d). None if a pivot of S is at most 10⁻⁶ of its
     diagonal entry.
     """
     quick = _updating(len(mean), len(residual))
     if quick is not None:
-        found: tuple[Array, Array, float] | None = quick(mean, cov, matrix, residual, noise)
+        found: tuple[Array, Array, float, float] | None
+        found = quick(mean, cov, matrix, residual, noise)
         return found
     vectors = Dense(mean[:, None]), Dense(residual[:, None])
     after = step.update(vectors[0], Dense(cov), Dense(matrix), vectors[1], Dense(noise))
     if not after.share > NEARLY_SINGULAR:
         return None
-    density: float = _log_density(after, len(residual))
-    return after.mean.array[:, 0], symmetric(after.cov.array), density
+    told: tuple[float, float] = _likely(after, len(residual))
+    return after.mean.array[:, 0], symmetric(after.cov.array), *told
 
 
 def _update_many(
     mean: Array, cov: Array, matrix: Array, residual: Array, noise: Array, least: float
-) -> tuple[Array, Array, Array] | None:
-    """The means, covariances and log-densities of `update` for a batch of runs.
+) -> tuple[Array, Array, Array, Array] | None:
+    """The means, covariances, log-densities and squares of `update` for a batch of runs.
 
     None if a pivot of S is at most `least` times its diagonal entry, in any run.
     """
-    found: tuple[Array, Array, Array] | None
+    found: tuple[Array, Array, Array, Array] | None
     width, height, runs = len(mean), len(residual), cov.shape[-1] if cov.ndim == 3 else _SHORT + 1
     for function in _updating_each(width, height) if runs <= _FEWEST else ():
         found = function(mean, cov, matrix, residual, noise)
@@ -342,13 +348,12 @@ def _update_many(
         else:
             gain = step.gain(root, cross)
             after = step.given(before, belief, slope, off, error, root, gain)
-        density = _log_density(after, len(residual))
-        return after.mean.array[:, 0], after.cov.array, density
+        return after.mean.array[:, 0], after.cov.array, *_likely(after, len(residual))
 
 
 def _update_stack(
     mean: Array, cov: Array, matrix: Array, residual: Array, noise: Array, least: float
-) -> tuple[Array, Array, Array] | None:
+) -> tuple[Array, Array, Array, Array] | None:
     """The result of `_update_many` by LAPACK, of few runs."""
     belief, slope = Stack(components_last(cov, 2), True), Stack(components_last(matrix, 2))
     before, off = (Stack.column(components_last(each, 1)) for each in (mean, residual))
@@ -361,8 +366,8 @@ def _update_stack(
     if not (root.share > least).all():
         return None
     after = step.given(before, belief, slope, off, error, root, step.gain(root, cross))
-    density = _log_density(after, len(residual))
-    return components_first(after.mean.vector, 1), components_first(after.cov.array, 2), density
+    moments_ = components_first(after.mean.vector, 1), components_first(after.cov.array, 2)
+    return *moments_, *_likely(after, len(residual))
 
 
 def _is_mild(noise: Array, root: RunsRoot, least: float) -> bool:
@@ -380,9 +385,12 @@ def _is_mild(noise: Array, root: RunsRoot, least: float) -> bool:
     return bool(regular and further.max() < 0.5 * log(_MILD))
 
 
-def _log_density(after: step.Updated, size: int) -> Number:
-    """The log-density −(rᵀ S⁻¹ r + d ln 2π) / 2 − ln |S| / 2 of a measurement of d = `size`."""
-    return -0.5 * (after.square + size * LOG_2PI) - after.volume
+def _likely(after: step.Updated, size: int) -> tuple[Number, Number]:
+    """How likely a measurement of d = `size` components is: its log-density, and rᵀ S⁻¹ r.
+
+    The log-density is −(rᵀ S⁻¹ r + d ln 2π) / 2 − ln |S| / 2.
+    """
+    return -0.5 * (after.square + size * LOG_2PI) - after.volume, after.square
 
 
 def _is_small(size: int, height: int) -> bool:
@@ -399,7 +407,7 @@ def _updating(size: int, height: int) -> Callable[..., Any] | None:
     def body(*moments: Matrix) -> tuple[list[Any], Any]:
         after = step.update(*moments)
         arrays = written.array(after.mean, size), written.array(after.cov, size, size)
-        return [*arrays, _log_density(after, height)], after.share > NEARLY_SINGULAR
+        return [*arrays, *_likely(after, height)], after.share > NEARLY_SINGULAR
 
     return written.function(_shapes(size, height), body)
 
@@ -414,7 +422,7 @@ def _updating_each(size: int, height: int) -> tuple[Callable[..., Any], ...]:
         return ()
 
     def told(after: step.Updated, truth: Any) -> tuple[list[Any], Any]:
-        return [after.mean.columns[0], after.cov, _log_density(after, height)], truth
+        return [after.mean.columns[0], after.cov, *_likely(after, height)], truth
 
     shapes, bodies = _shapes(size, height), _bodies(NEARLY_SINGULAR, told)
     return tuple(written.each(shapes, body) for body in bodies)
@@ -431,7 +439,7 @@ def _updating_rows(size: int, height: int, least: float) -> tuple[Callable[..., 
 
     def told(after: step.Updated, truth: Any) -> tuple[list[Any], Any]:
         arrays = written.rows(after.mean, size), written.rows(after.cov, size, size)
-        return [*arrays, _log_density(after, height)], written.Written("({}).all()", truth)
+        return [*arrays, *_likely(after, height)], written.Written("({}).all()", truth)
 
     shapes, bodies = _shapes(size, height), _bodies(least, told)
     return tuple(written.function(shapes, body, along_runs=True) for body in bodies)

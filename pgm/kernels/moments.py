@@ -23,6 +23,7 @@ ROUNDING = 1e-14
 class Update(NamedTuple):
     """The belief N(mean, cov) after a measurement, and the measurement's log-density (...).
 
+    `square` (...) is rᵀ S⁻¹ r of the measurement's residual r = z − H mean.
     `lower` (..., d, d) is the lower triangular root L of S = L Lᵀ, NaN where S is indefinite. A
     measured component that the components before it determine adds nothing to the density. `left`
     (..., d) has the distance of each such component from the value determined, and zero for all
@@ -32,6 +33,7 @@ class Update(NamedTuple):
     mean: Array
     cov: Array
     log_density: Array
+    square: Array
     lower: Array
     left: Array | None
 
@@ -64,7 +66,7 @@ def update(
         left_over = ROUNDING * spread(keep, cov, np.zeros_like(cov))
         prior = np.diagonal(cov, axis1=-2, axis2=-1)
         posterior = certain(posterior, np.maximum(left_over, ROUNDING**2 * prior))
-    return Update(after.mean.vector, posterior, log_density, lower, left)
+    return Update(after.mean.vector, posterior, log_density, after.square, lower, left)
 
 
 def squares(cov: Array, gain: Array, matrix: Array, noise: Array) -> Array:

@@ -1,6 +1,8 @@
 """Posteriors say what is wrong with them: in print, and by one warning a place."""
 
 import warnings
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 import pytest
@@ -57,37 +59,79 @@ def test_gates_are_heard_too():
     assert "rejections, 1 of the sightings rejected" in repr(posterior)
 
 
-def test_where_it_would_take_as_long_as_the_call_print_alone_tells():
-    """Of many runs that are filtered, predictions are not kept; machine code is as fast."""
+CURVED = pgm.DynamicBayesianNetwork(
+    walk.prior,
+    walk.transition,
+    [pgm.NonlinearGaussianCPD(z, given=x, function=lambda x: x + 0.3 * np.sin(x), cov=2.0)],
+)
+
+
+def is_lost(posterior):
+    """Page's test of innovations by the textbook, run by run, and of a gate's rejections."""
+    found, steps = posterior.innovations[z], posterior.graph.steps + 1
+    for run in np.ndindex(found.rejected.shape[:-1]):
+        sums = np.zeros(2)
+        for step in range(1, steps):
+            nis, d = np.nan_to_num(found.nis[run][step]), found.dof[run][step]
+            r = found.rejected[run][step - 1]
+            n = d + r if posterior.rejected else 0
+            more = 0.25 * nis - 0.5 * d * np.log(2.0), r * np.log(5.0) - (n - r) * np.log(1.8)
+            sums = np.maximum(sums + np.minimum(more, np.log(1e6) / 3.0), 0.0)
+            if (sums >= np.log(1e6)).any():
+                return True
+    return False
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("runs", [1, 9])
+@pytest.mark.parametrize("model", [walk, CURVED])
+@pytest.mark.parametrize(
+    "ask",
+    [
+        pgm.filter,
+        partial(pgm.filter, gate=0.99),
+        partial(pgm.filter, keep=[x]),
+        pgm.smooth,
+        partial(pgm.smooth, iterations=4),
+        partial(pgm.smooth, iterations=4, gate=0.99),
+        partial(pgm.smooth, lag=2, iterations=4),
+    ],
+)
+def test_every_sweep_warns_where_beliefs_are_lost_and_only_there(ask, model, runs, compiled):
+    rng, met = np.random.default_rng(runs), set()
+    for scale, drift in ((0.7, 0.0), (2.0, 0.0), (2.0, 30.0)):
+        shape = runs, 15, 1
+        readings = rng.normal(size=shape).cumsum(axis=1) + rng.normal(scale=scale, size=shape)
+        readings += drift * np.arange(15)[:, None]
+        readings[rng.random(readings.shape) < 0.1] = np.nan
+        readings = readings[0] if runs == 1 else readings
+        for _ in range(2):  # the second of which may be bound
+            with warnings.catch_warnings(record=True) as told:
+                warnings.simplefilter("always")
+                posterior = ask(model, {z: readings}, compiled=compiled)
+            told = [each for each in told if each.category is pgm.LostWarning]
+            if "keep" in getattr(ask, "keywords", {}):
+                posterior = pgm.filter(model, {z: readings}, compiled=compiled)
+                assert all("without keep= posterior.lost" in str(each.message) for each in told)
+            assert len(told) == is_lost(posterior) == bool(posterior.lost)
+        met.add(is_lost(posterior))
+    assert met == {True, False}
+
+
+def test_workers_tell_of_lost_beliefs():
     readings = RUNS.copy()
     readings[3] += np.array(FAR)
-    many = pgm.filter(walk, {z: readings})
-    assert "run 3: steps" in repr(many)
-    assert "run 3: steps" in repr(pgm.filter(walk, {z: readings}, compiled=True))
-    with pytest.warns(pgm.LostWarning):  # a smoother has them
-        pgm.smooth(walk, {z: readings})
+    with ThreadPoolExecutor(2) as pool:
+        with pytest.warns(pgm.LostWarning):
+            pgm.smooth(walk, {z: readings}, executor=pool)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pgm.LostWarning)
+            pgm.smooth(walk, {z: RUNS}, executor=pool)
 
 
 def test_of_very_many_steps_print_says_that_nothing_was_asked():
     wide = np.zeros((2000, 12, 1))
     assert "are not asked here" in repr(pgm.filter(walk, {z: wide}))
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_what_log_densities_rule_out_does_not_happen(seed):
-    """Where they say that a belief was kept, the test of innovations says so as well."""
-    rng = np.random.default_rng(seed)
-    sure = 0
-    for scale in np.geomspace(0.5, 8.0, 12):
-        shape = (5, 30, 1)
-        readings = rng.normal(scale=scale, size=shape) + 0.3 * np.arange(30)[:, None] * scale
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", pgm.LostWarning)
-            outcome = pgm.smooth(walk, {z: readings}, compiled=False)._outcome
-        if outcome._surely_kept:
-            sure += 1
-            assert not outcome.lost
-    assert sure
 
 
 def test_lines_that_cannot_be_right_are_told_of():

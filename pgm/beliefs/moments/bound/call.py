@@ -5,9 +5,12 @@ from __future__ import annotations
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from pgm.beliefs.moments.bound.room import Pair, Room
 from pgm.beliefs.moments.compiled import sweep
 from pgm.beliefs.moments.compiled.gates import decided
+from pgm.beliefs.moments.compiled.sweep import Swept
 from pgm.beliefs.moments.compiled.table import Record
 from pgm.beliefs.moments.compiled.uncompiled import Uncompiled
 from pgm.beliefs.moments.passes.backward import Beliefs, transition
@@ -116,9 +119,11 @@ class Made:
         mean, cov = self._room.shown
         return Beliefs(mean.of(self.blocks), cov.of(self.blocks), kept=self._room.sweeps.back)
 
-    def forward(self, closest: float = 0.0) -> Forward | Filtered:
-        """The sweep forward; `closest` is the least share of a variance."""
+    def forward(self, closest: float = 0.0, held: bool | None = None) -> Forward | Filtered:
+        """The sweep forward, which went so; see `Forward`."""
         known, made = (*self.known, self.density), self._room.sweeps
         if made.keep:
-            return Forward(*self.predicted, *known, closest, far=False)
-        return Filtered.by(self.swept, made.schedule, known, closest, far=False)
+            return Forward(*self.predicted, *known, closest, far=False, held=held)
+        settled = np.ones(known[2].shape[1], dtype=bool)
+        went = Swept([], [], settled, closest, far=False, held=held)
+        return Filtered.by(self.swept, made.schedule, known, went)

@@ -71,8 +71,8 @@ class BoundIterated(Bound):
         except Uncompiled:
             return None
         known = self._tables.of(made)
-        least = None if known is None else self._passes.run(made, address(known[0]))
-        if least is None:
+        went = None if known is None else self._passes.run(made, address(known[0]))
+        if went is None:
             return None
         std = deviation(made.beliefs.cov)
         if not agree(result.solution, made.beliefs, std):
@@ -82,7 +82,7 @@ class BoundIterated(Bound):
             return None
         self.prove()
         status = self.told(result.residuals, result.converged, evidence)
-        return BoundOutcome.of(graph, status, SMOOTHED, made, least)
+        return BoundOutcome.of(graph, status, SMOOTHED, made, went)
 
     def _made(self, evidence: BoundEvidence) -> Made:
         """The plan and the arrays of a call's last sweeps."""

@@ -7,7 +7,7 @@ import numpy as np
 from pgm.beliefs.moments.bound.bound import Bound
 from pgm.beliefs.moments.bound.call import Made
 from pgm.beliefs.moments.bound.outcome import BoundOutcome
-from pgm.beliefs.moments.bound.passes import Passes
+from pgm.beliefs.moments.bound.passes import Passes, Went
 from pgm.beliefs.moments.bound.room import Room, Sweeps
 from pgm.beliefs.moments.bound.tables import Tables
 from pgm.beliefs.moments.bound.traces import checks
@@ -50,28 +50,28 @@ class BoundOnce(Bound):
         if found is None:
             return None
         self.prove()
-        made, least = found
+        made, went = found
         kind = SMOOTHED if self._room.sweeps.back else FILTERED
-        return BoundOutcome.of(graph, self._status or self._went(made), kind, made, least)
+        return BoundOutcome.of(graph, self._status or self._told_of(made), kind, made, went)
 
-    def swept(self, evidence: BoundEvidence) -> tuple[Made, float] | None:
-        """The arrays of a call, swept, and the least share of a variance; None if in doubt."""
+    def swept(self, evidence: BoundEvidence) -> tuple[Made, Went] | None:
+        """The arrays of a call, swept, and how the sweeps went; None if in doubt."""
         made = self._made(evidence)
         known = self._tables.of(made)
         if known is None:
             return None
         self._room.begin(evidence, made.blocks)
         table = address(known[0])
-        least = self._passes.run(made, table)
-        if least is None or not all(check.clears(made, table) for check in self.checks):
+        went = self._passes.run(made, table)
+        if went is None or not all(check.clears(made, table) for check in self.checks):
             return None
-        return made, least
+        return made, went
 
     def _made(self, evidence: BoundEvidence) -> Made:
         """The plan and the arrays of a call for evidence of the form."""
         return Made(self._blank, self._room, evidence)
 
-    def _went(self, made: Made) -> Status:
+    def _told_of(self, made: Made) -> Status:
         """How the iterations of a call's sweep went, or its weights."""
         went = Swept.told([], made.ended[0], made.residuals, linear=self._linear)
         return self.told(went.residuals, went.converged, made.evidence)

@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Any
 
 from pgm.beliefs.moments.bound.call import Made
+from pgm.beliefs.moments.bound.passes import Went
 from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
 from pgm.beliefs.moments.passes.backward import Beliefs
 from pgm.beliefs.moments.passes.forward import Filtered, Forward
@@ -20,18 +21,18 @@ class BoundOutcome(ChainOutcome):
     """The outcome of a bound call, whose parts are made when they are asked for."""
 
     _made: Made
-    _closest: float
+    _went: Went
 
     @classmethod
     def of(
-        cls, graph: DynamicGraph, status: Status, kind: Kind, made: Made, closest: float
+        cls, graph: DynamicGraph, status: Status, kind: Kind, made: Made, went: Went
     ) -> BoundOutcome:
-        """The outcome of a call; `closest` is the least share of a variance on its way."""
+        """The outcome of a call whose sweeps `went` so."""
         found = object.__new__(cls)  # whose other fields are found below
         parts = {"graph": graph, "status": status, "kind": kind, "associations": {}}
         parts["_reverse_given"] = None  # it is made when it is asked for
         smoothed = made.beliefs if kind == SMOOTHED else None
-        own = {"_made": made, "_closest": closest, "_lead": made.evidence.lead}
+        own = {"_made": made, "_went": went, "_lead": made.evidence.lead}
         found.__dict__.update(parts, _smoothed=smoothed, **own)
         return found
 
@@ -40,8 +41,12 @@ class BoundOutcome(ChainOutcome):
         return self._made.swept
 
     @cached_property
-    def _swept(self) -> Forward | Filtered:
-        return self._made.forward(self._closest)
+    def _swept(self) -> Forward | Filtered:  # type: ignore[override]  # frozen there
+        return self._made.forward(*self._went)
+
+    @property
+    def _held(self) -> bool | None:
+        return None if self.associations else self._went.held
 
     @property
     def _beliefs(self) -> Beliefs:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pgm.beliefs.moments.bound.call import Made
@@ -16,7 +18,14 @@ from pgm.kernels.machine.sweeps import chain as sweeps
 from pgm.kernels.machine.sweeps import told
 
 # What is looked at of all that a sweep forward tells.
-_TOLD = sweeps.LEFT, sweeps.CLOSEST, sweeps.FAR
+_TOLD = sweeps.LEFT, sweeps.CLOSEST, sweeps.FAR, sweeps.LOST
+
+
+class Went(NamedTuple):
+    """How the sweeps of a call went; `closest` and `held` are as of `Forward`."""
+
+    closest: float
+    held: bool
 
 
 class Passes:
@@ -46,15 +55,15 @@ class Passes:
             self._behind = sweeps.made(sweep.told_back(plan, table, ahead, moved, record), lanes)
             self._second = add(table, record["ended back"])
 
-    def run(self, made: Made, table: int) -> float | None:
+    def run(self, made: Made, table: int) -> Went | None:
         """Sweep the arrays of a call, whose numbers begin at an address.
 
-        The result is the least share of a variance that is left; None where something is in doubt.
+        None where something is in doubt.
         """
         room, blocks, runs = self._room, made.blocks, self._runs
         self._ahead(table + 8 * self._first, 0, runs)
         ended = room.ended[0].numbers(blocks)
-        left, closest, far = (ended[k * runs : (k + 1) * runs] for k in _TOLD)
+        left, closest, far, lost = (ended[k * runs : (k + 1) * runs] for k in _TOLD)
         least = min(closest)
         if any(left) or any(far) or not least * MODERATE > 1.0:
             return None
@@ -66,4 +75,4 @@ class Passes:
                 return None
         elif not np.isfinite(blocks[1].sum() + blocks[2].sum()):
             return None
-        return least
+        return Went(least, not any(lost))

@@ -62,7 +62,8 @@ _CONTROLS = "control matrix", "control offset", "control cov"
 class Swept:
     """How a sweep went: the runs that are left to the general kernels, and what it says of others.
 
-    `residuals` and `converged` are as of a `MomentChain`, `closest` and `far` as of `Forward`.
+    `residuals` and `converged` are as of a `MomentChain`; `closest`, `far`, `held` and `nis` as of
+    `Forward`.
     """
 
     left: list[slice]
@@ -70,16 +71,24 @@ class Swept:
     converged: Mask
     closest: float
     far: bool = True
+    held: bool | None = None
+    nis: Array | None = None
 
     @classmethod
     def told(
-        cls, left: list[slice], ended: Array, residuals: Array | None, *, linear: bool
+        cls,
+        left: list[slice],
+        ended: Array,
+        residuals: Array | None,
+        *,
+        linear: bool,
+        judged: bool = True,
     ) -> Swept:
         """How a sweep went by what it tells of each run, (`chain.TOLD`, runs).
 
         `residuals` (iterations + 1, runs) has those of iterations, then how many there were, and
         which runs have not converged; None where nothing was iterated. `linear` says whether all
-        sensors are affine.
+        sensors are affine, and `judged` whether all gates have decided in this sweep.
         """
         every: list[Array] = []
         if residuals is None:
@@ -89,7 +98,9 @@ class Swept:
             converged = residuals[-1] == 0.0
         converged &= ended[sweeps.MOVING] == 0.0
         far = bool(ended[sweeps.FAR].any())
-        return cls(left, every, converged, float(ended[sweeps.CLOSEST].min(initial=1.0)), far)
+        closest = float(ended[sweeps.CLOSEST].min(initial=1.0))
+        held = None if left or not judged else not ended[sweeps.LOST].any()
+        return cls(left, every, converged, closest, far, held)
 
 
 def is_iterated(plan: ChainPlan, schedule: Filtering) -> bool:
@@ -204,7 +215,9 @@ def forward(
     if schedule is not None:
         done = ended[sweeps.LEFT] == 0.0
         judge(plan, known, predicted or known, done, again=asked.iterations > 1)
-    return Swept.told(left, ended, residuals, linear=plan.linear)
+    # Gates that have decided before are not told to sweeps with stored linearisations.
+    judged = not (stored and any(sensor.gated is not None for sensor in plan.read))
+    return Swept.told(left, ended, residuals, linear=plan.linear, judged=judged)
 
 
 def told_ahead(

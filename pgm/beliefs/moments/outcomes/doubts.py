@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pgm.beliefs.moments.passes.forward import Forward
 from pgm.errors import PgmError
 
 if TYPE_CHECKING:
@@ -38,19 +37,26 @@ def told(posterior: ChainOutcome) -> list[str]:
     return lines
 
 
-def doubt(posterior: ChainOutcome) -> str:
-    """The text of a warning, empty if there is none, by what can be asked in a moment.
+def is_held(posterior: ChainOutcome) -> bool:
+    """Whether the belief was never lost.
 
-    That is where NumPy has swept the chain, and kept the predictions: the question then takes a
-    hundredth of the time of the sweep where log-densities answer it, else a twentieth, of short
-    linear chains a fifth. Machine code is as fast as the test.
+    Sweeps of machine code tell by themselves; of others it is asked.
     """
-    if posterior.status.compilation.startswith("compiled"):
+    held = posterior._held
+    return not posterior.lost if held is None else held
+
+
+def doubt(*, held: bool, whole: bool = True) -> str:
+    """The text of a warning of a belief that was lost, empty if it was `held`.
+
+    `whole` says that the posterior has all that tells where.
+    """
+    if held:
         return ""
-    if not isinstance(posterior._swept, Forward) or posterior._surely_kept or not posterior.lost:
-        return ""
+    without = "" if whole else "without keep= "
     return (
         "the belief was lost at some steps: innovations are too large for it, or gates reject too "
-        "much; posterior.lost says where, and print(posterior) whether it was linearised where no "
-        "line is right. Smooth with iterations=, try pgm.estimate, or look at the model's noise"
+        f"much; {without}posterior.lost says where, and print(posterior) whether it was linearised "
+        "where no line is right. Smooth with iterations=, try pgm.estimate, or look at the model's "
+        "noise"
     )

@@ -12,15 +12,13 @@ from functools import cached_property
 
 import numpy as np
 
-from pgm.beliefs.moments.outcomes.innovations import by_step, innovations
-from pgm.beliefs.moments.passes.forward import Forward
+from pgm.beliefs.moments.outcomes.innovations import by_step, innovations, measured
+from pgm.beliefs.moments.passes.forward import Filtered, Forward
 from pgm.beliefs.moments.steps.plan import ChainPlan
-from pgm.kernels import roots
-from pgm.kernels.arrays import LOG_2PI, quiet
-from pgm.kernels.solving import log_determinant
+from pgm.kernels.arrays import quiet
 from pgm.posteriors.associations import Found
 from pgm.posteriors.innovations import BySensor, Innovations
-from pgm.posteriors.lost import Lost, Read, may_be_lost
+from pgm.posteriors.lost import Lost, Read
 from pgm.posteriors.rejections import Rejections, RejectionsBySensor
 from pgm.variables import Variable
 
@@ -28,12 +26,14 @@ from pgm.variables import Variable
 class Innovated(ABC):
     """Base of results that hold a forward pass; its properties are computed when asked for.
 
-    `_planned` is the plan of the pass, in which the pass may have left no linearisations.
+    `_planned` is the plan of the pass, in which the pass may have left no linearisations, and
+    `_swept` the pass as it was made, which may have kept no predicted beliefs.
     `associations` are, by the sensor's variable, the decisions about sightings (single measurements
     of a sensor) of unknown identity, such as of which landmark of a map.
     """
 
     _planned: ChainPlan
+    _swept: Forward | Filtered
     associations: Found
 
     @property
@@ -76,8 +76,12 @@ class Innovated(ABC):
         They are found by tests of the NIS (normalised innovation squared) and of how many sightings
         were rejected by gates and robust noise, or associated with no candidate.
         """
-        plan = self._plan
-        nis, dof = by_step(plan, plan.read, self._forward)
+        if self._swept.nis is None:
+            plan = self._plan
+            nis, dof = by_step(plan, plan.read, self._forward)
+        else:
+            plan, nis = self._planned, self._swept.nis
+            dof = measured(plan)
         rejected, judged = np.zeros_like(dof), np.zeros_like(dof)
         for sensor in plan.read:
             found = None if sensor.gated is None else sensor.gated.judged
@@ -97,24 +101,9 @@ class Innovated(ABC):
         return Lost.of(read, plan.lead)
 
     @property
-    def _surely_kept(self) -> bool:
-        """Whether log-densities alone tell, in a tenth of the time, that no belief was lost.
+    def _held(self) -> bool | None:
+        """Whether the sweep itself tells that its belief was never lost; None if it has no verdict.
 
-        As S ≥ R, a step of d components has the NIS −2 ln p − ln |2πS| ≤ −2 ln p − ln |2πR|. It is
-        not told where sightings are weighed, left out or associated, or a direction is unknown.
+        Of sightings of unknown identity it knows nothing.
         """
-        plan = self._planned
-        if plan.robust or self.associations or self._forward.diffuse is not None:
-            return False
-        bound, dof = -2.0 * self._forward.log_density, np.zeros((plan.steps + 1, 1))
-        for sensor in plan.read:
-            if sensor.gated is not None or sensor.taken is not None or sensor.exact:
-                return False
-            noise, count = sensor.family.own_noise, np.diff(sensor.edges)[:, None]
-            level = log_determinant(roots.root(noise)) + noise.shape[-1] * LOG_2PI
-            dof += noise.shape[-1] * count
-            if len(level) == 1:
-                bound -= level * count
-            else:
-                np.subtract.at(bound, sensor.family.step, level)
-        return not may_be_lost(np.maximum(bound, 0.0), dof)
+        return None if self.associations else self._swept.held

@@ -54,8 +54,8 @@ def by_step(plan: ChainPlan, sensors: list[Sensor], forward: Forward) -> tuple[A
     """The NIS of each step over all components that `sensors` measured, and its degrees of freedom.
 
     Both are (T+1, runs); the NIS is NaN where nothing was measured. The degrees of freedom are the
-    number of components measured, less the number of their combinations of which nothing was known,
-    given a flat prior.
+    number of components `measured`, less the number of their combinations of which nothing was
+    known, given a flat prior.
     """
     shape = plan.steps + 1, plan.runs
     nis, dof = np.full(shape, np.nan), np.zeros(shape, dtype=np.intp)
@@ -67,3 +67,14 @@ def by_step(plan: ChainPlan, sensors: list[Sensor], forward: Forward) -> tuple[A
         dof[steps] = seen
         nis[steps] = np.where(seen > 0, square, np.nan)
     return nis, dof
+
+
+def measured(plan: ChainPlan) -> Integers:
+    """How many components were measured at each step, and not rejected by a gate, (T+1, runs)."""
+    found = np.zeros((plan.steps + 1, plan.runs), dtype=np.intp)
+    for sensor in plan.read:
+        if sensor.taken is None:
+            found += sensor.height * np.diff(sensor.edges)[:, None]
+        else:
+            np.add.at(found, sensor.family.step, sensor.taken.sum(axis=-1))
+    return found

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
+from pgm.beliefs.moments.outcomes import doubts
 from pgm.beliefs.moments.outcomes.kept_sensor import KeptPredictions, KeptSensor
 from pgm.compile import DynamicGraph
 from pgm.display import Summary
@@ -79,6 +80,7 @@ class KeptOutcome(Outcome[Gaussian]):
     _log_evidence: Array
     _log_evidence_kind: str
     _sensors: Mapping[Variable, KeptSensor]
+    _held: bool
     associations: Found = field(default_factory=dict)
 
     def __getitem__(self, variable: Variable) -> Gaussian:
@@ -152,6 +154,9 @@ class KeptOutcome(Outcome[Gaussian]):
             text += "; filtered marginals "
             text += "are posterior[x] here" if here else "are kept by pgm.filter(..., keep=[x])"
         return error(text)
+
+    def _doubt(self) -> str:
+        return doubts.doubt(held=self._held, whole=False)
 
     @property
     def _title(self) -> str:

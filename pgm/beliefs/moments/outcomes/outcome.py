@@ -545,7 +545,7 @@ class ChainOutcome(Innovated, Outcome[Gaussian]):
         )
 
     def _doubt(self) -> str:
-        return doubts.doubt(self)
+        return doubts.doubt(held=doubts.is_held(self))
 
     @property
     def _title(self) -> str:

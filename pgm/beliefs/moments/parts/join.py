@@ -62,16 +62,22 @@ def swept_once(
     lineariser: Lineariser,
     status: Status,
     beliefs: Sequence[Array],
+    *,
+    held: bool,
 ) -> ChainOutcome:
     """The posterior of a filter or smoother that linearised once, from its beliefs of all runs.
 
     `beliefs` are arrays (T+1, runs, ...) of the filtered means, covariances and log-densities,
     followed, if it is a smoother, by the smoothed means and covariances. Whatever else the
-    posterior is asked for, it finds by passing over the runs once more.
+    posterior is asked for, it finds by passing over the runs once more. `held` says that the belief
+    was lost in no run.
     """
     plan = ChainPlan.make(graph, bound, lineariser, probe=False)
     mean, cov, log_density, *smoothed = beliefs
-    swept, kind = Filtered(plan, mean, cov, log_density), SMOOTHED if smoothed else FILTERED
+    swept, kind = (
+        Filtered(plan, mean, cov, log_density, held=held),
+        SMOOTHED if smoothed else FILTERED,
+    )
     last = Beliefs(smoothed[0], smoothed[1]) if smoothed else None
     return ChainOutcome(graph, status, kind, plan, swept, last, None)
 

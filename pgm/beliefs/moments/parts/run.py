@@ -20,6 +20,7 @@ import numpy as np
 from pgm.beliefs.moments.association.association import associated
 from pgm.beliefs.moments.bound.binding import bound_to
 from pgm.beliefs.moments.digits import last_places
+from pgm.beliefs.moments.outcomes.doubts import is_held
 from pgm.beliefs.moments.outcomes.kept_outcome import KeptOutcome
 from pgm.beliefs.moments.outcomes.kept_sensor import KeptSensor
 from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
@@ -94,6 +95,7 @@ def run(graph: DynamicGraph, bound: BoundEvidence, call: Call) -> ChainOutcome |
     status = one_status((result.status for result in results), bound.lead)
     status = _with_places(status, share, room, parts, results)
     status._warn()
+    held = all(result.held for result in results)
     if kept is not None:
         kinds = {result.log_evidence_kind for result in results}
         return KeptOutcome(
@@ -109,9 +111,10 @@ def run(graph: DynamicGraph, bound: BoundEvidence, call: Call) -> ChainOutcome |
                     sensors, *(result.sensors for result in results), strict=True
                 )
             },
+            held,
         )
     if share.beliefs:
-        return swept_once(graph, bound, lineariser, status, room)
+        return swept_once(graph, bound, lineariser, status, room, held=held)
     each = [result.found for result in results if result.found is not None]
     return joined(graph, bound, lineariser, status, each)
 
@@ -387,6 +390,7 @@ class Result(NamedTuple):
     status: How the inference of these runs went: convergence, and digits that rounding leaves.
     kind: Whether beliefs are filtered, of a fixed lag or smoothed.
     log_evidence_kind: A word for how true the log-evidence is, such as "exact" or "linearised".
+    held: Whether beliefs were lost in no run, as of `Forward`.
     careful: Whether the part had to be computed with twice float64's digits; then, unless variables
         are kept, there are neither arrays nor a posterior, since all runs are solved again
         together.
@@ -398,6 +402,7 @@ class Result(NamedTuple):
     status: Status
     kind: Kind
     log_evidence_kind: str
+    held: bool
     careful: bool
     arrays: Sequence[Array] | None = None
     found: ChainOutcome | None = None
@@ -412,7 +417,8 @@ def run_job(job: Job) -> Result:
         room = job.room[0], job.room[1]
     found = run_chain(part.graph, part.bound, job.schedule, job.lineariser, part.start, room)
     careful = found._careful is not None
-    result = Result(found.status, found.kind, found.log_evidence_kind, careful)
+    held = is_held(found)
+    result = Result(found.status, found.kind, found.log_evidence_kind, held, careful)
     if share.kept is None and careful:
         return result
     if share.kept is None and not share.beliefs:

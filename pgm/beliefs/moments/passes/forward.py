@@ -63,7 +63,10 @@ class Forward:
     it in the slice are given, or when a step's measurements are; zero if it was not looked for.
     `far` says that a mean may be 10⁸ standard deviations from zero; it is true also if that was not
     checked. `diffuse` has the covariances before measurements along their known and their unknown
-    directions, None unless a flat prior leaves some unknown.
+    directions, None unless a flat prior leaves some unknown. `nis` (T+1, runs) is the normalised
+    innovation squared of each step's measurements, None if the sweep has not kept it. `held` says
+    that the belief was lost in no run (see `pgm.posteriors.lost`), None if the sweep has not tested
+    that.
     """
 
     predicted_mean: Array
@@ -74,6 +77,8 @@ class Forward:
     closest: float = 0.0
     far: bool = True
     diffuse: Diffuse | None = None
+    nis: Array | None = None
+    held: bool | None = None
 
     @classmethod
     def empty(cls, plan: ChainPlan) -> Forward:
@@ -108,6 +113,11 @@ class Forward:
         """Means and covariances before measurements."""
         return self.predicted_mean, self.predicted_cov
 
+    def went(self, swept: Swept) -> Forward:
+        """The pass, of which a sweep tells how it went."""
+        told = {name: getattr(swept, name) for name in ("closest", "far", "nis", "held")}
+        return replace(self, **told)
+
 
 @dataclass(frozen=True, eq=False)
 class Filtered:
@@ -118,7 +128,7 @@ class Filtered:
     that was swept, and `schedule` says how the second sweep linearises. `closest` is the smallest
     share that any component's variance keeps when the components before it in the slice are given,
     or when a step's measurements are. `far` says that a mean may be 10⁸ standard deviations from
-    zero, or that this was not checked.
+    zero, or that this was not checked. `nis` and `held` are as of `Forward`.
     """
 
     plan: ChainPlan
@@ -128,14 +138,15 @@ class Filtered:
     schedule: Filtering = ONCE
     closest: float = 1.0
     far: bool = True
+    nis: Array | None = None
+    held: bool | None = None
 
     @classmethod
-    def by(
-        cls, plan: ChainPlan, schedule: Filtering, known: Arrays, closest: float, *, far: bool
-    ) -> Filtered:
+    def by(cls, plan: ChainPlan, schedule: Filtering, known: Arrays, went: Swept) -> Filtered:
         """The beliefs that a sweep by a schedule has found, whose gates' decisions stay."""
-        mean, cov, log_density = known
-        return cls(plan, mean, cov, log_density, replace(schedule, gate=None), closest, far)
+        (mean, cov, log_density), own = known, replace(schedule, gate=None)
+        rest = went.closest, went.far, went.nis, went.held
+        return cls(plan, mean, cov, log_density, own, *rest)
 
     @cached_property
     def whole(self) -> Forward:
@@ -188,11 +199,17 @@ class _Record:
 
     `known` are means, covariances and log-densities after measurements, `predicted` means and
     covariances before them, all (T+1, runs, ...); `predicted` is empty for a sweep that keeps none,
-    at whose beliefs `watch` looks instead. `reached` counts the steps stored so far.
+    at whose beliefs `watch` looks instead. `nis` (T+1, runs) gets the squares that `chain`, the
+    family that is swept, has of each step. `reached` counts the steps stored so far.
     """
 
-    def __init__(self, plan: ChainPlan, known: Arrays, predicted: Arrays = ()) -> None:
-        self.plan, self.reached, self.watch = plan, 0, Watch()
+    def __init__(
+        self, chain: MomentChain, known: Arrays, predicted: Arrays = (), nis: Array | None = None
+    ) -> None:
+        self.chain, self.plan, self.reached, self.watch = chain, (plan := chain.plan), 0, Watch()
+        if nis is None:
+            nis = np.empty(known[2].shape)
+        self.nis = nis if plan.batch else nis[:, 0]
         self.predicted = [_rows(plan, part, own) for own, part in enumerate(predicted, 1)]
         self.mean, self.cov = _rows(plan, known[0], 1), _rows(plan, known[1], 2)
         self.log_density = known[2] if plan.batch else known[2][:, 0]
@@ -206,7 +223,7 @@ class _Record:
         later.
         """
         self.mean[step], self.cov[step] = known.mean, known.cov
-        self.log_density[step] = log_density
+        self.log_density[step], self.nis[step] = log_density, self.chain.square
         self.reached = step + 1
         if self.predicted:
             self.predicted[0][step], self.predicted[1][step] = predicted.mean, predicted.cov
@@ -286,13 +303,13 @@ def stored(
     if anchor is None and gated is None:
         ahead = Pass(plan, None, out.known, out.predicted, keep=False)
         sweep_all(ahead)
-        return replace(out, closest=ahead.went.closest, far=ahead.went.far)
+        return out.went(ahead.went)
     if anchor is not None and gated is None:
         found = compiled.forward(plan, None, out.known, out.predicted, keep=False, anchor=anchor)
         if found is not None and not found.left:
-            return replace(out, closest=found.closest, far=found.far)
+            return out.went(found)
     chain = MomentChain(plan, None, anchor=anchor, gated=gated)
-    sweep_all([Part(chain, _Record(plan, out.known, out.predicted))])
+    sweep_all([Part(chain, _Record(chain, out.known, out.predicted))])
     return out
 
 
@@ -412,7 +429,7 @@ class WholePass(Pass):
     def result(self) -> tuple[Forward, Status]:
         """The beliefs and the status, once all is swept."""
         self.plan.settle()
-        return replace(self.out, closest=self.went.closest, far=self.went.far), self.status
+        return self.out.went(self.went), self.status
 
 
 class BarePass(Pass):
@@ -432,8 +449,7 @@ class BarePass(Pass):
     def result(self) -> tuple[Filtered, Status]:
         """The beliefs and the status, once all is swept."""
         assert self.schedule is not None
-        by, went = (self.plan, self.schedule, self.known), self.went
-        return Filtered.by(*by, went.closest, far=went.far), self.status
+        return Filtered.by(self.plan, self.schedule, self.known, self.went), self.status
 
 
 def _stepwise(
@@ -455,15 +471,19 @@ def _stepwise(
     if not predicted:
         parts = math.ceil(plan.runs / MOST)
     residuals: list[Array] = []
+    nis = np.empty((plan.steps + 1, plan.runs))
     edges = [part * plan.runs // parts for part in range(parts + 1)]
     for runs in counted(list(map(slice, edges, edges[1:])), "parts of the runs"):
         part = plan.of(runs) if parts > 1 else plan
-        record = _Record(part, *(tuple(a[:, runs] for a in each) for each in (known, predicted)))
         chain = MomentChain(part, schedule, keep=keep)
+        mine, before = (tuple(array[:, runs] for array in each) for each in (known, predicted))
+        record = _Record(chain, mine, before, nis[:, runs])
         yield Part(chain, record, others)
         closest, converged[runs] = min(closest, record.watch.closest), chain.converged
         residuals = joined(residuals, chain.residuals, runs, plan.runs)
-    return Swept([], residuals, converged, closest)
+    # A sensor of singular noise tells some components for certain, which have no innovation.
+    exact = any(sensor.exact for sensor in plan.read)
+    return Swept([], residuals, converged, closest, nis=None if exact else nis)
 
 
 def joined(record: list[Array], part: list[Array], runs: slice, count: int) -> list[Array]:

@@ -27,6 +27,7 @@ from pgm.beliefs.moments.smoothers.fixed_lag import Lagged, Windows
 from pgm.beliefs.moments.solvers.balanced import BalancedOutcome
 from pgm.beliefs.moments.steps import gate
 from pgm.beliefs.moments.steps.plan import Blank, ChainPlan
+from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.compile import BalancedGraph, DynamicGraph, SliceLayout
 from pgm.display import titled
 from pgm.errors import EvidenceError, GraphError, ModelError, NumericalError
@@ -122,7 +123,7 @@ class FilterSolver(Solver):
             status = Status.of([], np.ones(plan.runs, dtype=bool), plan.lead)
             return self.outcome(plan, FILTERED, parallel.whole(parallel.run(plan)), status)
         ahead: forward.WholePass | forward.BarePass
-        if plan.runs >= forward.MANY and not any(sensor.exact for sensor in plan.sensors):
+        if plan.runs >= forward.MANY and not any(map(_needs_all, plan.sensors)):
             # Of many runs only the beliefs, as long as nothing else is asked for.
             ahead = forward.BarePass(plan, self.schedule, room)
         else:
@@ -149,6 +150,11 @@ class FilterSolver(Solver):
                     "at once, where a filter linearises at the belief before: compile without "
                     "pgm.Balanced(), or smooth"
                 )
+
+
+def _needs_all(sensor: Sensor) -> bool:
+    """Whether a pass is kept whole: if noise is singular, or its weights tell of outliers."""
+    return sensor.exact or (sensor.robust and sensor.weights.noise.graduated)
 
 
 class LagSolver(Solver):

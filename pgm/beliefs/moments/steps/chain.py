@@ -57,7 +57,10 @@ class MomentChain:
 
     `residuals` has one array (runs,) for each relinearisation of a step's sensors: the largest
     distance, over all steps, of a mean from where it was linearised, in standard deviations.
+    `square` (*batch) is νᵀS⁻¹ν of the last step's measurements, ν being their innovation together.
     """
+
+    square: Array | float
 
     def __init__(
         self,
@@ -169,6 +172,7 @@ class MomentChain:
         if parts is None:
             parts, step = self.readings(step), self.plan.first + step
             if not parts and self.anchor is None:
+                self.square = 0.0
                 return belief, 0.0
         mean, cov = belief
         schedule = self.schedule
@@ -187,7 +191,7 @@ class MomentChain:
                     part.require_finite()
             if self.gate is not None:
                 seen = gate.decide(self.gate, parts, seen, mean, cov)
-            after, density = readings.update(seen, step, belief, self.certain)
+            after, density, self.square = readings.update(seen, step, belief, self.certain)
             if robust:
                 density = density + sum(part.surplus for part in parts)
         else:
@@ -231,6 +235,7 @@ class MomentChain:
             found.converged if self._settled is None else self._settled & found.converged
         )
         last = found.solution
+        self.square = last.square
         shown = found.mean.T if self.plan.batch else found.mean[0]
         return Moments(shown, last.known.cov), last.log_density
 

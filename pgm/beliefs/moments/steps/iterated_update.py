@@ -41,11 +41,13 @@ from pgm.schedules.schedule import Filtering
 class Updated:
     """The belief given a step's measurements: moments (n, *batch), (n, n, *batch) in `known`.
 
-    `log_density` (*batch) is that of the measurements under the predicted belief, in nats.
+    `log_density` (*batch) is that of the measurements under the predicted belief, in nats, and
+    `square` (*batch) is νᵀS⁻¹ν of their innovation ν.
     """
 
     known: Moments
     log_density: Array | float
+    square: Array | float
 
     @property
     def means(self) -> Array:
@@ -238,7 +240,7 @@ class UpdateProblem(ABC, Generic[U]):
         exact = [seen for seen in self.measured if seen.sensor.exact]
         first = self._moments(found._replace(mean=mean))[0]
         tried = None if self.certain is None else Certain()
-        known, _ = readings.update(exact, self.step, Moments(first, self.cov), tried)
+        known = readings.update(exact, self.step, Moments(first, self.cov), tried).moments
         return _as_point(known.mean, 1)
 
     def _moments(self, at: Point) -> tuple[Array, Array]:
@@ -261,8 +263,9 @@ class MomentUpdate(UpdateProblem[Updated]):
         The anchor's measurement is not in the log-density.
         """
         belief = Moments(self.mean, self.cov)
-        known, density = readings.update(self.measured, self.step, belief, self.certain)
-        return Updated(known if anchor is None else known.held(anchor, 0), density)
+        found = readings.update(self.measured, self.step, belief, self.certain)
+        known = found.moments if anchor is None else found.moments.held(anchor, 0)
+        return Updated(known, found.log_density, found.square)
 
     def raised(self, found: Updated, surplus: Array | float) -> Updated:
         """The same belief, with `surplus` (*batch) added to the measurements' log-density."""

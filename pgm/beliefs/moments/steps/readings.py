@@ -83,6 +83,17 @@ class Moments(NamedTuple):
         return components_last(self.mean, 1), components_last(self.cov, 2)
 
 
+class Known(NamedTuple):
+    """The belief given sightings of a step, and how likely they were, (*batch) each.
+
+    `log_density` is that of the sightings, and `square` νᵀS⁻¹ν of their innovation ν, together.
+    """
+
+    moments: Moments
+    log_density: Array | float
+    square: Array | float
+
+
 class Certain:
     """How many measured components of a step the belief of each run determines, (*batch).
 
@@ -100,8 +111,8 @@ class Certain:
 
 def update(
     parts: Sequence[Measured], step: int, belief: Moments, certain: Certain | None = None
-) -> tuple[Moments, Array | float]:
-    """The belief given linearised sightings of a step, and their log-density (*batch).
+) -> Known:
+    """The belief given linearised sightings of a step.
 
     `step` is the number that errors name, and `belief` the predicted one. Where the joint
     predictive covariance is nearly singular, as with sharp measurements of a wide belief, exact
@@ -112,7 +123,7 @@ def update(
     if certain is not None:
         certain.count = 0
     if not parts:
-        return belief, 0.0
+        return Known(belief, 0.0, 0.0)
     first, mean = parts[0], belief.mean
     if mean.ndim == 1 and len(parts) == 1 and first.taken is None and not first.sensor.exact:
         # A regular measurement of one run, the usual case.
@@ -122,7 +133,7 @@ def update(
             matrix, residual, noise, _ = vector(parts, mean)
         one = gaussian.update_one(mean, belief.cov, matrix, residual, noise)
         if one is not None and isfinite(one[2]):
-            return Moments(one[0], one[1]), one[2]
+            return Known(Moments(one[0], one[1]), one[2], one[3])
     several = len(parts) > 1 or len(parts[0].value) > parts[0].sensor.height
     found = _absorb(parts, step, belief, NEARLY_SINGULAR if several else NEGLIGIBLE, certain)
     if found is not None:
@@ -130,11 +141,12 @@ def update(
     exact = [seen for seen in parts if seen.sensor.exact]
     rest = [[one] for seen in parts if not seen.sensor.exact for one in seen.each()]
     total: Array | float = 0.0
+    square: Array | float = 0.0
     for some in [exact, *rest] if exact else rest:
         then = _absorb(some, step, belief, 0.0, certain)
         assert then is not None
-        belief, total = then[0], total + then[1]
-    return belief, total
+        belief, total, square = then.moments, total + then.log_density, square + then.square
+    return Known(belief, total, square)
 
 
 def _absorb(
@@ -143,8 +155,8 @@ def _absorb(
     belief: Moments,
     least: float,
     certain: Certain | None,
-) -> tuple[Moments, Array | float] | None:
-    """The belief given all sightings, as one vector, and their log-density (*batch); or None.
+) -> Known | None:
+    """The belief given all sightings, as one vector; or None.
 
     `step` is the number that errors name, and `belief` the predicted one. The predictive
     covariance S of the sightings is nearly singular if some component, given those before it, keeps
@@ -174,7 +186,7 @@ def _absorb(
             certain.count = certain.count + found.certain
     if missing is not None:
         density = density + 0.5 * LOG_2PI * (missing if mean.ndim > 1 else int(missing))
-    return Moments(found.mean, found.cov), density
+    return Known(Moments(found.mean, found.cov), density, found.square)
 
 
 class Reading:

@@ -14,7 +14,7 @@ from pgm.kernels.machine.emitter.wholes import Whole
 from pgm.kernels.machine.matrices.in_memory.frame import Frame
 from pgm.kernels.machine.matrices.lines import Lines
 from pgm.kernels.machine.matrices.loops import Loops
-from pgm.kernels.machine.sweeps import costs, mixture, relinearising, windows
+from pgm.kernels.machine.sweeps import costs, lost, mixture, relinearising, windows
 from pgm.kernels.machine.sweeps.associating import associated, is_open
 from pgm.kernels.machine.sweeps.extent import is_long
 from pgm.kernels.machine.sweeps.motion import predicted
@@ -28,11 +28,12 @@ from pgm.kernels.numbers import where
 # Runs that are swept together, as the lanes of packs.
 LANES = 8
 # What a sweep tells of each run: whether it is left to be swept with more care, the least share of
-# a variance, whether a mean is far from zero, and whether weights have not settled; of a sweep back
-# whether it is left, and whether smoothed numbers surely have the digits that are promised.
-LEFT, CLOSEST, FAR, MOVING = range(4)
+# a variance, whether a mean is far from zero, whether weights have not settled, and whether the
+# belief was ever lost; of a sweep back whether it is left, and whether smoothed numbers surely have
+# the digits that are promised.
+LEFT, CLOSEST, FAR, MOVING, LOST = range(5)
 KEPT = 1
-TOLD = 4
+TOLD = 5
 # A number from which on little or nothing can be told.
 _LARGEST = 1e150
 # The least share of a root on the way back, as of `backward`.
@@ -95,6 +96,7 @@ def forward(w: Writer, chain: Forward) -> None:
     belief = w.matrices.carried(*begin)
     sure, settled = code.varying(True), code.varying(True)
     watch = Watch(w, chain.size)
+    tests = lost.Tests(w, gated=any(sensor.gate is not None for sensor in chain.sensors))
     with code.loop(last + 1) as at, w.matrices.scratch():
         w.reach(at.number(), sure.get())
         with code.when(at > 0), w.matrices.scratch():
@@ -116,6 +118,7 @@ def forward(w: Writer, chain: Forward) -> None:
         w.keep(chain.known[1], spread, at)
         w.at(chain.density, at).store(0, found.density)
         watch.look(at, last, known, cov, spread)
+        tests.take(found.counts)
         belief.set(known, spread)
         code.leave_unless(code.some(sure.get()))
     w.reach(float("inf"), sure.get())
@@ -123,6 +126,7 @@ def forward(w: Writer, chain: Forward) -> None:
     _tell(w, CLOSEST, watch.closest)
     _tell(w, FAR, where(watch.far, 1.0, 0.0))
     _tell(w, MOVING, where(settled.get(), 0.0, 1.0))
+    _tell(w, LOST, where(tests.lost, 1.0, 0.0))
 
 
 def _backward(w: Writer, chain: Backward) -> None:

@@ -1,7 +1,8 @@
-"""Page's tests whether an online belief is lost, from step to step (`cusum`).
+"""Page's tests whether a belief is lost (`cusum`), in a sweep and from step to step online.
 
-Behind a belief's numbers stands the state before its step; of the measurements of the step so far
-their NIS, its degrees of freedom, how many sightings gates have rejected and judged, and the
+A sweep over all steps tells of each run whether the belief was ever lost. Online, the state of the
+tests before a step stands behind the belief's numbers; then, of the measurements of the step so
+far, their NIS, its degrees of freedom, how many sightings gates have rejected and judged, and the
 log-likelihood ratio of sightings of unknown identity; and the number of the step.
 """
 
@@ -9,10 +10,36 @@ from __future__ import annotations
 
 from pgm.kernels import cusum
 from pgm.kernels.machine.emitter.memory import Memory
-from pgm.kernels.machine.sweeps.reading import Taken
+from pgm.kernels.machine.emitter.numbers import Number
+from pgm.kernels.machine.sweeps.reading import Counts, Taken
+from pgm.kernels.machine.sweeps.writer import Writer
 
 LEVEL, ONSET, LOST, FIRST, DECLARED, WHY = 0, 2, 4, 5, 6, 7
 NIS, DOF, REJECTED, JUDGED, ODDS, STEP, SIZE = range(8, 15)
+
+
+class Tests:
+    """Both tests in a sweep over all steps, which tells whether the belief of a run is ever lost.
+
+    Rejections are counted if some sensor of the sweep has a gate.
+    """
+
+    def __init__(self, w: Writer, *, gated: bool) -> None:
+        self._levels = [w.code.varying(0.0) for _ in range(1 + gated)]
+        self._lost = w.code.varying(False)
+
+    @property
+    def lost(self) -> Number:
+        """Whether a sum has reached h."""
+        return self._lost.get()
+
+    def take(self, counts: Counts) -> None:
+        """Add the measurements of a step."""
+        nis, dof, rejected, judged = counts
+        ratios = cusum.expected(nis, dof), cusum.rejections(rejected, judged, 0.0)
+        for level, ratio in zip(self._levels, ratios, strict=False):
+            level.set(cusum.summed(level.get(), ratio))
+            self._lost.set(self.lost | (level.get() >= cusum.HIGH))
 
 
 def on(known: Memory, later: Memory) -> None:
