@@ -201,15 +201,15 @@ class Status(Shown, Immutable):
         return self._measured(digits(past + error, self.converged.shape), cause)
 
     def _warn(self) -> None:
-        """Give a `PrecisionWarning` if fewer than six digits are left."""
+        """Give a `PrecisionWarning` if fewer than six digits are left.
+
+        Its text does not say how many, so that Python shows it once a place, and not once a call.
+        """
         if self.digits is None or not (self.digits < ENOUGH_DIGITS).any():
             return
-        least = float(self.digits.min())
-        runs = int((self.digits < ENOUGH_DIGITS).sum())
         message = (
-            f"rounding leaves {max(least, 0.0):.1f} decimal digits of a mean, counted from its "
-            f"standard deviation, in {runs} of {self.digits.size} runs (status.digits): "
-            f"{self._cause}"
+            f"rounding leaves fewer than {ENOUGH_DIGITS:g} decimal digits of a mean, counted from "
+            f"its standard deviation (status.digits says in which runs how many): {self._cause}"
         )
         warnings.warn(message, PrecisionWarning, stacklevel=levels_to_user())
 

@@ -203,6 +203,8 @@ class GridFigures(Figures):
     def warn(self, before: GridFigures | None = None) -> None:
         """Warn of lost probability, cells that are too wide, and a figure that has not settled.
 
+        The texts have no figures of a run or step, so that Python shows each once a place.
+
         Parameters
         ----------
         before : GridFigures, optional
@@ -219,50 +221,46 @@ class GridFigures(Figures):
         told = before or GridFigures(np.zeros((1, 1)), {}, np.zeros(1), Worst())
         if self.rough and not told.rough:
             _warn(
-                f"the density of {self.uneven.variable!r} at step {self.uneven.step} is narrow for "
-                f"the cells: its sum over their centres differs by {self.uneven.share:.2g} with "
-                "where between centres it stands (status.uneven): take narrower cells, or a "
-                "Gaussian CPD, or a mixture of such, which is moved by displacements"
+                f"the density of {self.uneven.variable!r} is narrow for the cells: its sum over "
+                f"their centres differs by more than {ROUGH:g} with where between centres it "
+                "stands (status.uneven says by how much, at which step): take narrower cells, or "
+                "a Gaussian CPD, or a mixture of such, which is moved by displacements"
             )
         if self.coarse and not told.coarse and not self.lost:  # which piles a belief up at its edge
             _warn(
-                "measurements are too sharp for the cells: the log-evidence may be off by "
-                f"{float(self.unresolved.max()):.2g}, in {int((self.unresolved > COARSE).sum())} "
-                f"of {self.unresolved.size} runs (status.unresolved), since {self._sharpness}; "
+                "measurements are too sharp for the cells: the log-evidence of some run may be off "
+                f"by more than {COARSE:g} (status.unresolved), since {self._sharpness}; "
                 'take narrower cells, which refine="log_evidence" finds, particles, or a Gaussian '
                 "belief"
             )
         if self.lost and not told.lost:
             _warn(
-                f"the evidence at step {self.cut.step} is so far from what was believed that up to "
-                f"{self.cut.share:.2g} of the belief stands where it had been cut off "
-                "(status.cut): beliefs and log-evidence are wrong from there on; look for a "
-                "mistaken measurement, widen the bounds if it is true, or give the prior or the "
+                "the evidence at some step is so far from what was believed that more than "
+                f"{MUCH:g} of the belief may stand where it had been cut off (status.cut says how "
+                "much, at which step): beliefs and log-evidence are wrong from there on; look for "
+                "a mistaken measurement, widen the bounds if it is true, or give the prior or the "
                 "motion more noise"
             )
         if self.much and not told.much:
-            steps = self.outside_by_step.reshape(-1, self.outside_by_step.shape[-1]).max(axis=0)
             _warn(
-                f"up to {float(self.outside.max()):.2g} of the probability has left the bounds of "
-                f"the grid, in {int((self.outside > MUCH).sum())} of {self.outside.size} runs, "
-                f"most of it at step {int(steps.argmax())} (status.outside): widen the bounds"
+                f"more than {MUCH:g} of the probability of some run has left the bounds of the "
+                "grid (status.outside; status.outside_by_step says at which steps): widen the "
+                "bounds"
             )
         if not self.converged:
-            last = self.refinements[-1]
             _warn(
-                f"the figure of refine= still changes by {last.change:.2g} at {last.cells} cells "
-                "(status.refinements): allow more doublings, or a larger tolerance"
+                "the figure of refine= had not settled at the most cells (status.refinements says "
+                "how much it still changes): allow more doublings, or a larger tolerance"
             )
 
     @property
     def _sharpness(self) -> str:
         """Words for a warning of wide cells: the sensor that is sharp, or the narrowest belief."""
         if self.sharp is None:
-            near = self.narrowest
-            return f"{near.component} at step {near.step} is known to {near.cells:.2g} cells"
+            return f"{self.narrowest.component} is known to few of them (status.narrowest)"
         return (
-            f"{self.sharp!r} at step {self.sharpest.step} differs by {self.sharpest.cells:.2g} "
-            "deviations from a cell to the next"
+            f"{self.sharp!r} differs by more than {SHARP:g} deviations from a cell to the next "
+            "(status.sharpest)"
         )
 
     @property

@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+import warnings
 
 import numpy as np
 import pytest
@@ -155,6 +156,26 @@ def test_a_sharp_sensor_is_told():
     assert sharp.sharp == reading
     assert_allclose(sharp.sharpest.cells, 0.2 / 0.05)
     assert "sharper than half a cell" in repr(sharp)
+
+
+def test_a_loop_is_warned_once_of_each_fault():
+    """Python's filter knows a warning by its text, which therefore has no figures of a run."""
+    wide, narrow = pgm.Grid({"place": (-6, 6, 60)}), pgm.Grid({"place": (-2, 2, 40)})
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("default")
+        for value in (0.1, 0.2, 0.3):
+            pgm.filter(line(sensor=0.05**2), {reading: [[value]]}, belief=wide)
+        for value in (0.0, 0.5, 1.0):
+            pgm.filter(line(), {reading: [[value]]}, belief=narrow)
+        for value in (15.0, 16.0):
+            pgm.filter(
+                line(sensor=0.05**2),
+                {reading: [[value]]},
+                belief=pgm.Grid({"place": (-20, 20, 400)}),
+            )
+    words = "too sharp", "left the bounds", "cut off"
+    assert len(told) == len(words), [str(each.message) for each in told]
+    assert all(word in str(each.message) for word, each in zip(words, told, strict=True))
 
 
 def test_a_narrow_belief_is_told():

@@ -88,14 +88,15 @@ def test_between_two_places_too():
         [pgm.NonlinearGaussianCPD(square, (place,), lambda x: x**2, 100.0)],
     )
     given = {square: pgm.sightings([[400.0], [20.0]], step=[0, 1])}
-    with pytest.warns(pgm.GridWarning, match="at step 1"):
-        pgm.filter(net, given, steps=1, belief=GRID)
+    with pytest.warns(pgm.GridWarning, match="cut off"):
+        found = pgm.filter(net, given, steps=1, belief=GRID)
+    assert found.status.cut.step == 1
 
 
 def test_online_tells_it_once():
     robot = pgm.OnlineFilter(line(), belief=GRID)
     belief = robot.predict(robot.initial())
-    with pytest.warns(pgm.GridWarning, match="at step 1"):
+    with pytest.warns(pgm.GridWarning, match="cut off"):
         belief = robot.update(belief, {reading: 20.0})
     with warnings.catch_warnings():
         warnings.simplefilter("error")

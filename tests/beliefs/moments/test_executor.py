@@ -539,7 +539,7 @@ def test_lost_digits_are_told_once_with_their_cause(run, keep, kind, workers):
         found = run(model, evidence, lineariser=rule, executor=workers.get(kind), **options)
     assert [str(each.message) for each in said] == [str(each.message) for each in due]
     assert len(said) == 1
-    assert f"in {RUNS - 7} of {RUNS} runs" in str(said[0].message)
+    assert (found.status.digits < 6.0).sum() == RUNS - 7
     assert "sigma points of a small alpha" in str(said[0].message)
     assert said[0].filename == __file__
     assert_allclose(found.status.digits, whole.status.digits, rtol=0, atol=0.1)
@@ -570,7 +570,7 @@ def test_the_cause_is_that_of_the_fewest_digits(order):
     found = one_status([parts[k] for k in order], (6,))
     due = np.concatenate([[[9.0, 5.0], [3.0, 9.0], [15.65, 15.65]][k] for k in order])
     assert_allclose(found.digits, due, rtol=0, atol=0.01)
-    with pytest.warns(pgm.PrecisionWarning, match="3.0 decimal .* in 2 of 6 runs .*sigma points"):
+    with pytest.warns(pgm.PrecisionWarning, match="fewer than 6 decimal .*sigma points"):
         found._warn()
 
 

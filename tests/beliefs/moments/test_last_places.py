@@ -198,12 +198,25 @@ def test_each_run_has_its_own(call, options):
         [pgm.LinearGaussianCPD(z, {x: 1.0}, cov=1e-12)],
     )
     values = far[:, None] + readings(0.0, 1e-6)
-    with pytest.warns(pgm.PrecisionWarning, match="in 1 of 12 runs") as said:
+    with pytest.warns(pgm.PrecisionWarning, match="status.digits says in which runs") as said:
         digits = call(model, {z: values}, **options).status.digits
     assert len(said) == 1
     assert digits.shape == (12,)
     assert digits[2] < 5.0
     assert (np.delete(digits, 2) > 8.0).all()
+
+
+def test_a_loop_is_warned_once():
+    """Python's filter knows a warning by its text, which therefore does not say how many digits."""
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("default")
+        few = [
+            float(pgm.filter(network(FAR, std), {}, steps=3).status.digits)
+            for std in (1e-6, 1e-7, 1e-8)
+        ]
+    assert few == sorted(few, reverse=True)
+    assert few[0] - few[-1] > 1.0
+    assert [each.category for each in told] == [pgm.PrecisionWarning]
 
 
 def test_a_motion_that_forgets_keeps_digits():
