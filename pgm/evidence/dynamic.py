@@ -124,8 +124,10 @@ class BoundEvidence:
         """The numbers of runs in the texts of errors."""
         if self.own_runs is not None:
             return Numbering(self.first_run, self.own_runs)
-        tried = self.lead[1:] if self.candidates else ()
-        return Numbering(self.first_run, *tried)
+        if not self.candidates:
+            return Numbering(self.first_run)
+        runs, candidates = self.lead[1:]
+        return Numbering(self.first_run, runs, candidates)
 
     def mapped(self, change: Callable[[Any], Any]) -> BoundEvidence:
         """The layout with a function's values of all its arrays, of the same shapes."""

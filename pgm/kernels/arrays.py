@@ -301,12 +301,18 @@ def tiled(array: npt.NDArray[Kind], count: int, *, alone: bool = False) -> npt.N
     return array if whole else np.concatenate([array] * count, axis=1)
 
 
-def cut(array: npt.NDArray[Kind], runs: slice, axis: int = 1) -> npt.NDArray[Kind]:
-    """An array cut to the runs of the slice `runs` along `axis`, its axis of runs.
+def cut(array: npt.NDArray[Kind], runs: Index, axis: int = 1) -> npt.NDArray[Kind]:
+    """An array cut to the runs `runs` along `axis`, its axis of runs: a view if they are a slice.
 
     An axis of runs of length one stands for all runs: the array is then returned whole.
     """
     return array if array.shape[axis] == 1 else array[(slice(None),) * axis + (runs,)]
+
+
+def length(runs: Index) -> int:
+    """How many runs there are of an index, whose slice has a start and a stop."""
+    found: int = runs.stop - runs.start if isinstance(runs, slice) else len(runs)
+    return found
 
 
 def quiet() -> np.errstate:

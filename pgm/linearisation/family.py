@@ -37,12 +37,14 @@ from pgm.factors.scope import Scope, dimension
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import (
     Array,
+    Index,
     Integers,
     Mask,
     apply,
     components_first,
     components_last,
     cut,
+    length,
     quiet,
     tiled,
     times,
@@ -190,19 +192,19 @@ class Family(Rows):
         part.__dict__.update(self.__dict__, inputs=inputs)
         return part
 
-    def of(self, runs: slice) -> Family:
-        """The family of some runs alone, with views of the evidence.
+    def of(self, runs: Index) -> Family:
+        """The family of some runs alone, with views of the evidence if `runs` is a slice.
 
-        `runs` is a slice with a start and a stop. An affine CPD keeps F and b; a nonlinear one has
+        A slice has a start and a stop. An affine CPD keeps F and b; a nonlinear one has
         none until it is linearised anew. Where Q has errors Ω it is copied, so that this family
         stays as it is.
         """
-        count = runs.stop - runs.start
+        count = length(runs)
         part = replace(
             self,
             inputs={parent: cut(values, runs) for parent, values in self.inputs.items()},
             own_noise=cut(self.own_noise, runs),
-            numbering=self.numbering.after(runs.start),
+            numbering=self.numbering.of(runs),
             batch=() if count == 1 else (count,),
         )
         part.noise = cut(self.noise, runs)
@@ -267,11 +269,11 @@ class Family(Rows):
         part.approximate = False
         return part
 
-    def put(self, rows: slice | tuple[slice, slice], part: Family) -> None:
+    def put(self, rows: slice | tuple[slice, Index], part: Family) -> None:
         """Copy the linearisations F, b and Q of another family of this CPD into some rows.
 
-        `rows` is a slice of rows, or a pair of slices, of rows and of runs; the family `part` has
-        these rows and runs alone.
+        `rows` is a slice of rows, or that and an index of runs; the family `part` has these rows
+        and runs alone.
         """
         if not self.exact:
             self.matrix[rows], self.offset[rows] = part.matrix, part.offset

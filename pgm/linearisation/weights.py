@@ -26,7 +26,7 @@ import numpy.typing as npt
 
 from pgm.cpds import ConditionalGaussian, RobustNoise
 from pgm.kernels import roots, solving, step
-from pgm.kernels.arrays import Array, Integers, Kind, Mask, components_first, independent
+from pgm.kernels.arrays import Array, Index, Integers, Kind, Mask, components_first, independent
 from pgm.kernels.dense import KnownRoot, Runs, Stack
 from pgm.linearisation.family import Family
 
@@ -195,7 +195,7 @@ class Weights:
         weight, square = self.weight[rows].copy(), self.square[rows].copy()
         return replace(self, white=white, taken=taken, weight=weight, square=square, stage=stage)
 
-    def put(self, rows: slice | tuple[slice, slice], other: Weights) -> None:
+    def put(self, rows: slice | tuple[slice, Index], other: Weights) -> None:
         """Copy the weights and squares of `other` to some rows, or rows and runs, of these."""
         self.weight[rows], self.square[rows] = other.weight, other.square
 

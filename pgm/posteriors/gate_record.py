@@ -9,6 +9,7 @@ import numpy as np
 
 from pgm.kernels.arrays import (
     Array,
+    Index,
     Mask,
     cut,
 )
@@ -43,8 +44,8 @@ class GateRecord:
         """The gate decisions for some rows, as a view."""
         return GateRecord(self.gate, self.given[rows], self.rejected[rows], self.square[rows])
 
-    def of(self, runs: slice) -> GateRecord:
-        """The gate decisions for some runs, as a view."""
+    def of(self, runs: Index) -> GateRecord:
+        """The gate decisions for some runs, as a view if they are a slice."""
         return GateRecord(
             self.gate, cut(self.given, runs), cut(self.rejected, runs), cut(self.square, runs)
         )

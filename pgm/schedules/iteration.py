@@ -15,12 +15,12 @@ slice.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar, cast
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar, cast, runtime_checkable
 
 import numpy as np
 
 from pgm.kernels import moments
-from pgm.kernels.arrays import Array, Index, Mask, block
+from pgm.kernels.arrays import Array, Index, Integers, Mask, block
 from pgm.progress import counted
 from pgm.schedules.damping import LevenbergMarquardt
 from pgm.schedules.schedule import Calibration, Filtering
@@ -29,6 +29,8 @@ from pgm.schedules.schedule import Calibration, Filtering
 _NO_WORSE = 1e-13
 # The largest weight λ: with more the step is rounding.
 _HEAVIEST = 1e12
+# Runs that a narrowed problem has at the least: packs of machine code are of so many.
+_FEWEST = 8
 
 
 class Point(NamedTuple):
@@ -77,6 +79,10 @@ class Point(NamedTuple):
         assert self.joint is not None
         pair = np.concatenate([before, self.mean[1:]], axis=-1)
         return pair[..., places], block(self.joint, places, places)
+
+    def of(self, runs: Integers) -> Point:
+        """The point of some runs."""
+        return Point._make(None if part is None else part[:, runs] for part in self)
 
     def mixed(self, other: Point, share: float) -> Point:
         """The point with `share` times this point's arrays plus 1 − `share` times another's."""
@@ -179,6 +185,21 @@ class Controlled(Problem[Found], Protocol[Found]):
         """
 
 
+@runtime_checkable
+class Divisible(Problem[Found], Protocol[Found]):
+    """A problem of many runs that can be narrowed to some of them."""
+
+    @property
+    def divides(self) -> bool:
+        """Whether each run's linearisations depend on its own point alone."""
+
+    def of_runs(self, runs: Integers) -> Divisible[Found]:
+        """The problem of some runs, (k,), which may be named several times; to be linearised."""
+
+    def put_runs(self, runs: Integers, part: Any) -> None:
+        """Take over how `part`, the problem of these runs, was linearised last."""
+
+
 @dataclass(frozen=True, eq=False)
 class Iterated(Generic[S]):
     """The result of linearising and solving until the runs converged, or iterations were used up.
@@ -209,7 +230,8 @@ def iterate(
     linearisation, which counts as an iteration. `first` is the point where this was made, and the
     step from it to the solution is controlled; it is None, and the step is not controlled, if CPDs
     were linearised one after another, as by a filter. `converged` (runs,) marks the runs in which
-    nothing is to iterate.
+    nothing is to iterate. A problem that is `Divisible` is narrowed to the runs that have not
+    converged, whenever these are at most half of those that it has.
     """
     control = _Control(problem, schedule.damping, converged.size)
     residuals: list[Array] = []
@@ -219,20 +241,58 @@ def iterate(
         if first is not None:
             point = control.step(control.feasible(first, point), point, ~converged)
             mean = control.shown(mean, point, ~converged)
+    whole: Any = problem
+    runs = np.arange(converged.size)  # those of the problem, of the whole
     for _ in counted(range(schedule.iterations - 1), "linearisations"):
         if converged.all():
             break
-        active = ~converged
+        active = ~converged[runs]
+        few = _few(active)
+        if few is not None and isinstance(whole, Divisible) and whole.divides:
+            if problem is not whole:
+                whole.put_runs(runs, problem)
+            runs, active = runs[few], active[few]
+            problem = whole.of_runs(runs)
+            point = control.narrowed(problem, few, point)
         problem.linearise(point, active)
         solution = problem.solve()
         found = solution.point
         residual = moments.moved(found.mean, point.mean, found.std)
-        residuals.append(np.where(active, residual, residuals[-1]) if residuals else residual)
-        converged = converged | ((residual <= schedule.tolerance) & problem.settled())
+        last = residuals[-1] if residuals else np.zeros(converged.size)
+        residuals.append(_put(last, runs, active, residual))
+        done = (residual <= schedule.tolerance) & problem.settled()
+        converged = _put(converged, runs, active, done)
         point = control.step(point, found, active)
-        shown = control.shown(found.mean, point, active)
-        mean = shown if active.all() else np.where(active[:, None], shown, mean)
+        mean = _put(mean, runs, active, control.shown(found.mean, point, active))
+    if problem is not whole:
+        whole.put_runs(runs, problem)
+        solution = whole.solve()
     return Iterated(solution, mean, residuals, converged)
+
+
+def _few(active: Mask) -> Integers | None:
+    """The places of runs that are active, if it pays to narrow a problem to them; else None.
+
+    They are no fewer than machine code sweeps together: if need be they are repeated.
+    """
+    found = np.flatnonzero(active)
+    if active.size < 2 * _FEWEST or 2 * found.size > active.size:
+        return None
+    return found if found.size >= _FEWEST else np.resize(found, _FEWEST)
+
+
+def _put(whole: Any, runs: Integers, active: Mask, part: Any) -> Any:
+    """An array of all runs, (runs,) or (steps, runs, n), with the part's entries of active `runs`.
+
+    The part is returned itself if it has all runs, and all are active.
+    """
+    every = active.all()
+    if every and part.shape == whole.shape:
+        return part
+    found, axis = whole.copy(), part.ndim > 1
+    own, theirs = runs[active], part[:, active] if axis else part[active]
+    found[(slice(None), own) if axis else own] = theirs
+    return found
 
 
 class _Control:
@@ -249,6 +309,11 @@ class _Control:
         self.damping = damping
         first = damping.start if isinstance(damping, LevenbergMarquardt) else 0.0
         self.weight = np.full(runs, first)
+
+    def narrowed(self, problem: Any, runs: Integers, point: Point) -> Point:
+        """Go on with the problem of some runs alone; returns their part of a point."""
+        self.problem, self.weight = problem, self.weight[runs]
+        return point.of(runs)
 
     def feasible(self, first: Point, found: Point) -> Point:
         """The point from which the first step is made: `first`, if need be with other means.

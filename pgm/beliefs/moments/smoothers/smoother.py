@@ -45,6 +45,7 @@ from pgm.factors.scope import angle_mask
 from pgm.kernels.angles import nearest_branch
 from pgm.kernels.arrays import (
     Array,
+    Integers,
     Mask,
     block,
     components_first,
@@ -384,6 +385,33 @@ class Chain(Generic[Either]):
             self.at = at.mean
         else:
             self.linearise(at, None)
+
+    @property
+    def divides(self) -> bool:
+        """Whether each run's linearisations depend on its own point alone.
+
+        Graduated losses remember their stage, and points that are drawn anew for each run go by how
+        many runs come before it.
+        """
+        every = self.plan.families
+        return not (
+            any(sensor.weights.noise.graduated for sensor in self.plan.robust)
+            or any(getattr(family.lineariser, "fresh_per_run", False) for family in every)
+        )
+
+    def of_runs(self, runs: Integers) -> Chain[Either]:
+        """The chain of some runs, which is still to be linearised."""
+        plan = self.plan.of(runs)
+        machine = None if self.machine is None else Linearised(plan)
+        return Chain(plan, self.solver, machine=machine)
+
+    def put_runs(self, runs: Integers, part: Chain[Either]) -> None:
+        """Take over how `part`, the chain of these runs, was linearised last."""
+        self.plan.put_runs(runs, part.plan)
+        self.at = self.at.copy()
+        self.at[:, runs] = part.at
+        if self.machine is not None:
+            self.machine.rebind()
 
     def settled(self) -> Mask | bool:
         """Whether graduated robust losses have reached the losses of the model, (runs,).

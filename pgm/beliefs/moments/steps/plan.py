@@ -30,7 +30,7 @@ from pgm.errors import EvidenceError
 from pgm.evidence import BoundEvidence, Reading
 from pgm.evidence.dynamic import Inputs
 from pgm.factors.scope import Scope
-from pgm.kernels.arrays import Array, Index, Integers, cut
+from pgm.kernels.arrays import Array, Index, Integers, cut, length
 from pgm.linearisation.family import Family
 from pgm.linearisers import Lineariser, StatisticalRegression
 from pgm.linearisers.numbering import Numbering
@@ -143,8 +143,8 @@ class ChainPlan:
         """Whether every CPD is affine, and every sensor with measurements Gaussian."""
         return all(family.exact for family in self.families) and not self.robust
 
-    def of(self, runs: slice) -> ChainPlan:
-        """The plan of some runs: views of the evidence, with linearisations of its own."""
+    def of(self, runs: Index) -> ChainPlan:
+        """The plan of some runs, with linearisations of its own, and views for a slice."""
 
         def links(every: list[Link]) -> list[Link]:
             return [replace(link, family=link.family.of(runs)) for link in every]
@@ -160,9 +160,9 @@ class ChainPlan:
             )
             for sensor in self.sensors
         ]
-        lead, begin = (runs.stop - runs.start,), self.begin
+        lead, begin = (length(runs),), self.begin
         if begin is not None and self.batch:
-            one = runs.start if lead == (1,) else runs
+            one = runs.start if isinstance(runs, slice) and lead == (1,) else runs
             begin = begin[0][..., one], begin[1][..., one]
         return replace(
             self,
@@ -224,10 +224,10 @@ class ChainPlan:
             if read is not None:
                 sensor.put(first, read, after=part.begin is not None)
 
-    def put_runs(self, runs: slice, part: ChainPlan) -> None:
+    def put_runs(self, runs: Index, part: ChainPlan) -> None:
         """Copy into this plan how the CPDs were linearised in `part`, the plan of some of its runs.
 
-        `runs` is the slice of runs from which `of` made `part`; decisions of gates are shared.
+        `runs` are those of which `of` made `part`, and `part` has decided no gate anew.
         """
         where = slice(None), runs
         for family, own in zip(self.families, part.families, strict=True):
