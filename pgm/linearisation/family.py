@@ -566,6 +566,14 @@ class Family(Rows):
         """
         return apply(self.matrix[rows], mean) + self.offset[rows]
 
+    @property
+    def turned(self) -> Mask:
+        """The components of a hidden child that are angles known but for whole turns, (d,).
+
+        Those of a function may be wrapped; an affine CPD predicts them on the chart of its parents.
+        """
+        return self.cpd.child.angle_mask & (self.template is not None)
+
     def to_chart(self, parents: Array, child: Array) -> None:
         """Add multiples of 2π to b, in place, so that predicted angles are within π of the child's.
 
@@ -573,8 +581,8 @@ class Family(Rows):
         of the child. The angles in them are not wrapped to one turn: they may be any numbers. The b
         of an affine CPD stays.
         """
-        angles = self.cpd.child.angle_mask
-        if self.template is not None and angles.any():
+        angles = self.turned
+        if angles.any():
             value = self.value(slice(None), parents)
             self.offset += nearest_branch(value, child, angles) - value
 

@@ -27,9 +27,12 @@ def cost(model: Model, at: TreePoint) -> Array:
     for g, (group, family) in enumerate(zip(model.layout.groups, model.families, strict=True)):
         mean, cov = at.of_parents(model.layout, g)
         reading, taken, weights = model.readings[g], model.taken[g], model.weights[g]
-        child = at.mean[0][:, group.child].swapaxes(0, 1) if reading is None else reading
+        if reading is None:
+            child, angles = at.mean[0][:, group.child].swapaxes(0, 1), family.turned
+        else:
+            child, angles = reading, family.cpd.child.angle_mask
         expected = costs.expected(family, slice(None), mean, cov)
-        left, noise = difference(child, expected, family.cpd.child.angle_mask), family.noise
+        left, noise = difference(child, expected, angles), family.noise
         if taken is not None:
             left, noise = np.where(taken, left, 0.0), independent(noise, taken)
         if weights is None:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from robots import LANDMARKS, SENSORS, controls, drive_along, m, network, u, x
+from scipy.optimize import brentq
 from textbooks import assert_log, assert_same
 
 import pgm
@@ -298,3 +299,43 @@ def test_an_online_belief_tells_how_its_update_went():
     assert not belief.status.converged
     belief = robot.predict(belief, {u: [1.0, 0.0]})
     assert belief.status.iterations == 1
+
+
+BENT = np.linspace(-3.5, -4.2, 8)
+h = pgm.Variable("h", components=("turn",), angles=("turn",))
+
+
+def settled(found, beliefs, variance):
+    """Whether runs settled at the zeros of the slope of ln p, nearest those of the readings."""
+
+    def slope(at, reading):
+        return at / variance + 3.0 * at**2 * (at**3 - reading**3)
+
+    due = [brentq(slope, reading, reading + 0.5, args=(reading,), xtol=1e-14) for reading in BENT]
+    assert found.status.converged.all()
+    np.testing.assert_allclose(beliefs, due, atol=1e-9)
+
+
+@pytest.mark.parametrize("variances", [(4.0, 0.01), (0.01, 4.0)], ids=["prior", "motion"])
+@pytest.mark.parametrize("compiled", [None, False])
+def test_an_angle_that_is_linear_in_others_is_not_wrapped(variances, compiled):
+    """Beyond half a turn from its mean, towards which a Gaussian draws it all the same."""
+    first, moved = variances
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(h, 0.0, first)],
+        [walk(h, moved)],
+        [pgm.NonlinearGaussianCPD(z, h, lambda h: h**3, cov=1.0)],
+    )
+    seen = {z: pgm.sightings(BENT[:, None, None] ** 3, [1])}
+    start = {h: [[-3.1 if first > moved else 0.0], [-3.1]]}
+    graph = pgm.compile(model, 1, compiled=compiled)
+    found = pgm.infer(graph, seen, schedule=pgm.Smoothing(60, 1e-9, LM), start=start)
+    settled(found, found[h.at(1)].mean[:, 0], first + moved)
+
+
+def test_an_angle_of_a_network_without_time_is_not_wrapped_by_its_prior():
+    read = pgm.NonlinearGaussianCPD(z, h, lambda h: h**3, cov=1.0)
+    graph = pgm.compile(pgm.BayesianNetwork([pgm.GaussianCPD(h, 0.0, 4.0), read]))
+    schedule = pgm.Calibration(60, 1e-9, LM)
+    found = pgm.infer(graph, {z: BENT[:, None] ** 3}, schedule=schedule, start={h: [-3.1]})
+    settled(found, found[h].mean[:, 0], 4.0)

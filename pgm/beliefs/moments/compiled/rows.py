@@ -70,8 +70,11 @@ def motion_of(
         if any(before not in own for before in link.before.tolist()):
             raise Uncompiled(f"{family.cpd!r} turns an angle of which its function does not know")
         turning = tuple((new, before, own.index(before)) for new, before in link.turning)
+    row = row_of(family, places(link.parents, size), table, stored=stored, keep=keep)
+    if not stored:
+        row["angles"] = tuple(np.flatnonzero(family.turned).tolist())
     return told.Motion(
-        **row_of(family, places(link.parents, size), table, stored=stored, keep=keep),
+        **row,
         bare=family.bare,
         unsure=not family.semidefinite,
         turning=turning,

@@ -186,5 +186,5 @@ def require_cost(
 
 def _square(family: Family, mean: Array, expected: Array) -> Array:
     """The cost of a CPD, (runs,), from means of its child and expected ones, (rows, runs, d)."""
-    left = difference(mean, expected, family.cpd.child.angle_mask)
+    left = difference(mean, expected, family.turned)
     return costs.weighted(family, left, family.noise)
