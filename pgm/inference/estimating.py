@@ -54,11 +54,11 @@ def estimate(
 
     .. math:: p(x_t \mid \text{all measurements})
 
-    1. Iterated smoothers start from the filter's linearisation and from 16 points of the prior, as
-       runs of one call (of a network without time, iterated calibrations): by Gauss–Newton, and by
-       Levenberg–Marquardt, from 32 starts and from 64, where more than one in ten do not settle or
-       one alone has found a mode. The points where they settle are the modes, weighed by their
-       evidence.
+    1. Iterated smoothers start from the filter's linearisation and from 32 points of the prior, as
+       runs of one call (of a network without time, iterated calibrations), by Gauss–Newton. Those
+       that have not settled go on from where they stopped, at last by Levenberg–Marquardt. Where
+       the starts do not agree on the modes 32 more are tried. The points where they settle are the
+       modes, weighed by their evidence.
     2. Draws of the mixture of the modes, 1,000 a run, and some of the model alone, are weighed by
        the exact density. If they tell that the mixture q is within .1 nats of the exact posterior
        p, of all variables together, it is kept. Else it is adapted by the draws, and twice as many
@@ -117,10 +117,10 @@ def estimate(
     >>> posterior = pgm.estimate(square, {y: [9.0]})
     >>> posterior.verdict
     Verdict(vouched for: the density of every belief within 0.0061 nats)
-      tried: 17 starts, 17 of which settled, at 1 mode
+      tried: 33 starts, 33 of which settled, at 1 mode
       chosen: one Gaussian, with moments of the draws where these can be used
       judged by: 1000 draws, worth 832, of tail -1.32 (to be below 0.7)
-      cost: 17 iterated answers in one batch, 1000 draws
+      cost: 33 iterated answers in one batch, 1000 draws
     >>> posterior[x].mean.round(2)
     array([2.99])
     """

@@ -35,7 +35,8 @@ class Verdict(Shown, Immutable, NoArray):
     starts, settled, modes : ndarray of int
         How many iterations were started, how many of them settled, and at how many modes.
     agreed : ndarray of bool
-        Whether nine in ten settled, and each mode was found from two starts or more.
+        Whether nine in ten starts settled, or stopped too far below the best mode to matter, and
+        modes that one start alone has found have no more than .005 of the mass.
     draws : ndarray of int
         How many draws were weighed.
     effective : ndarray

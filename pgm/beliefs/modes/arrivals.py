@@ -11,11 +11,11 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from pgm.beliefs.modes.outcome import Found, ModeFigures, Part
+from pgm.beliefs.modes.outcome import Found, ModeFigures, Part, rows_of
 from pgm.errors import ConvergenceWarning, ModelError, NumericalError, PgmError, levels_to_user
 from pgm.factors.scope import Scope
 from pgm.kernels.angles import difference
@@ -54,12 +54,36 @@ def spread_rule(size: int) -> Lineariser:
     return GaussHermite(3) if size <= 4 else Cubature()
 
 
-def arrived(infer: Callable[[Integers], Any], starts: int) -> list[Part]:
+class Heights(NamedTuple):
+    """By start the log-evidence where it stopped, and whether it settled there, (S, runs)."""
+
+    log_evidence: Array
+    settled: Mask
+
+
+def heights(parts: Sequence[Part], lead: tuple[int, ...]) -> Heights:
+    """The log-evidence of all starts, NaN of one that a run does not have, and which settled."""
+    logs = by_start(parts, lead, [part.outcome.log_evidence for part in parts])
+    settled = by_start(parts, lead, [part.outcome.status.converged for part in parts])
+    return Heights(logs, np.isfinite(logs) & (settled == 1.0))
+
+
+def by_start(parts: Sequence[Part], lead: tuple[int, ...], each: Sequence[Any]) -> Array:
+    """Values of each part's beliefs as (S, runs, ...), NaN of a start that a run does not have."""
+    pairs = zip(parts, each, strict=True)
+    whole = np.concatenate([part.flat(np.asarray(own, float), lead) for part, own in pairs])
+    rows = rows_of(parts, math.prod(lead))
+    found: Array = whole[rows]
+    found[rows < 0] = np.nan
+    return found
+
+
+def arrived(infer: Callable[[Integers], Any], starts: Integers) -> list[Part]:
     """The outcomes from all starts, of which `infer` takes some by number.
 
     A start that fails in some run is left out of all.
     """
-    left = [np.arange(starts)]
+    left = [starts]
     found: list[Part] = []
     refused: PgmError | None = None
     while left:
@@ -85,20 +109,10 @@ def chosen(
 
     `hidden` are the variables by which points are told apart. Errors count runs from `first_run`.
     """
-    runs, starts = math.prod(lead), sum(len(part.starts) for part in parts)
-
-    def by_start(name: str) -> Array:
-        each = [np.asarray(getattr(part.outcome, name)) for part in parts]
-        return np.concatenate([own.reshape(-1, runs) for own in each])
-
-    logs = by_start("log_evidence")
-    settled = np.concatenate(
-        [np.asarray(part.outcome.status.converged).reshape(-1, runs) for part in parts]
-    )
-    settled &= np.isfinite(logs)
+    runs, (logs, settled) = math.prod(lead), heights(parts, lead)
     none = ~settled.any(axis=0)
     ranked = np.where(settled | (none & np.isfinite(logs)), logs, -np.inf)
-    mean, std, angles = _points(parts, hidden, runs)
+    mean, std, angles = _points(parts, hidden, lead)
     order = np.argsort(-ranked, axis=0, kind="stable")
     each, filled = np.arange(runs), np.zeros(runs, dtype=np.intp)
     index, weights = np.tile(order[0], (count, 1)), np.full((count, runs), -np.inf)
@@ -126,6 +140,7 @@ def chosen(
             "evidence and the noises of a size that fits?",
             run=run,
         )
+    starts = int((~np.isnan(logs)).sum(axis=0).max())
     figures = ModeFigures(starts, settled.sum(axis=0).reshape(lead), filled.reshape(lead))
     record = _record(parts, runs).reshape(-1, *lead)
     converged = np.asarray(~none.reshape(lead))
@@ -136,7 +151,10 @@ def chosen(
 
 def _record(parts: Sequence[Part], runs: int) -> Array:
     """The least of all starts' residuals at each linearisation after the first, (L − 1, runs)."""
-    each = [part.outcome.status.residuals.reshape(-1, len(part.starts), runs) for part in parts]
+    whole_runs = [part for part in parts if part.runs is None]
+    each = [
+        part.outcome.status.residuals.reshape(-1, len(part.starts), runs) for part in whole_runs
+    ]
     longest = max(map(len, each))
     whole = [
         np.pad(own, ((0, longest - len(own)), (0, 0), (0, 0)), "edge") for own in each if len(own)
@@ -161,7 +179,9 @@ def warn_of_unsettled(found: Found, iterations: int) -> None:
         )
 
 
-def _points(parts: Sequence[Part], hidden: Scope, runs: int) -> tuple[Array, Array, Mask]:
+def _points(
+    parts: Sequence[Part], hidden: Scope, lead: tuple[int, ...]
+) -> tuple[Array, Array, Mask]:
     """The means and deviations of all variables at each fixed point, (S, runs, all), and angles."""
     means: list[Array] = []
     stds: list[Array] = []
@@ -169,7 +189,7 @@ def _points(parts: Sequence[Part], hidden: Scope, runs: int) -> tuple[Array, Arr
     for variable in hidden:
         each = [part.outcome[variable] for part in parts]
         for found, name in ((means, "mean"), (stds, "std")):
-            whole = np.concatenate([getattr(own, name) for own in each])
-            found.append(whole.reshape(len(whole), runs, -1))
+            whole = by_start(parts, lead, [getattr(own, name) for own in each])
+            found.append(whole.reshape(*whole.shape[:2], -1))
         angles.append(np.tile(variable.angle_mask, means[-1].shape[-1] // variable.dimension))
     return np.concatenate(means, -1), np.concatenate(stds, -1), np.concatenate(angles)

@@ -5,17 +5,17 @@ A start is a trajectory: a point of the prior, sent through the motion without i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pgm.beliefs.modes.adapted import adapt, warn_of_few
-from pgm.beliefs.modes.arrivals import arrived, chosen, patient, spread_rule, warn_of_unsettled
+from pgm.beliefs.modes.arrivals import patient, warn_of_unsettled
 from pgm.beliefs.modes.chain_laws import ModeBeliefs, Trajectories, laws_of
 from pgm.beliefs.modes.laws import Laws
-from pgm.beliefs.modes.outcome import ChainModes, Found, Part
+from pgm.beliefs.modes.outcome import ChainModes, Found
 from pgm.beliefs.modes.points import white_points
+from pgm.beliefs.modes.search import Search
 from pgm.beliefs.moments.family import MOMENTS
 from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
 from pgm.beliefs.moments.steps.chain import MomentChain
@@ -25,13 +25,14 @@ from pgm.compile import DynamicGraph
 from pgm.cpds.caused import has_mixtures
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence
+from pgm.factors.scope import Scope
 from pgm.kernels import roots
 from pgm.kernels.arrays import Array, Integers
 from pgm.posteriors.belief_kind import SMOOTHED
 from pgm.schedules.convergence import is_iterated
-from pgm.schedules.damping import Damping
 from pgm.schedules.options import Call
 from pgm.schedules.schedule import ONCE, Smoothing, kind_of
+from pgm.schedules.starting_points import Start
 from pgm.variables import Variable
 
 
@@ -64,12 +65,10 @@ def run(
 
 
 @dataclass(frozen=True, eq=False)
-class ChainSearch:
-    """A chain with its evidence, in whose posterior modes are looked for; see `Search`.
+class ChainSearch(Search):
+    """A chain with its evidence, in whose posterior modes are looked for; see `Search`."""
 
-    call : Call
-        With the schedule of each smoother.
-    """
+    schedule = Smoothing
 
     graph: DynamicGraph
     bound: BoundEvidence
@@ -98,54 +97,46 @@ class ChainSearch:
         return self.bound.runs
 
     @property
+    def steps(self) -> int:
+        """T, the last step."""
+        return self.bound.steps
+
+    @property
+    def first_run(self) -> int:
+        """The number of the first run, from which errors count."""
+        return self.bound.first_run
+
+    @property
     def together(self) -> bool:
         """Whether runs are asked together alone, as CPDs differ by run."""
         return bool(self.graph.model.lead)
 
-    def of(self, runs: Integers) -> ChainSearch:
-        """The search in some runs."""
-        if runs.size == self.runs:
-            return self
+    @property
+    def hidden(self) -> Scope:
+        """The variables of a slice."""
+        return self.graph.layout.slice
+
+    @property
+    def width(self) -> int:
+        """The components of a slice."""
+        return self.graph.layout.slice_size
+
+    def _of(self, runs: Integers) -> ChainSearch:
         cut = self.bound.mapped(lambda array: array if array.shape[1] == 1 else array[:, runs])
         return replace(self, bound=replace(cut, lead=(runs.size,), form=None))
 
-    def by(self, iterations: int, tolerance: float, damping: Damping) -> ChainSearch:
-        """The search by smoothers of so many iterations."""
-        schedule = Smoothing(iterations, tolerance, damping)
-        return replace(self, call=self.call._replace(schedule=schedule))
+    def _called(self, call: Call) -> ChainSearch:
+        return replace(self, call=call)
 
-    def otherwise(self) -> ChainSearch:
-        """The search by a rule that takes means of nonlinear functions, not their slopes."""
-        size = self.graph.layout.slice_size
-        return replace(self, call=self.call._replace(lineariser=spread_rule(size)))
-
-    def arrived(self, starts: int) -> list[Part]:
-        """The smoothers from so many starts."""
-        begun = self._begun(starts)
-
-        def infer(some: Integers) -> ChainOutcome:
-            start: dict[Variable, Array] = {}
-            for variable, place in self.graph.layout.places.items():
-                own = np.moveaxis(begun[:, some][..., place], 0, 2)
-                if variable not in self.graph.layout.states:
-                    own = own[..., 1:, :]
-                start[variable] = own.reshape(some.size, *self.lead, *own.shape[-2:])
-            return self._inferred(some.size, self.call._replace(start=start))
-
-        return arrived(infer, starts)
-
-    def unled(self) -> list[Part]:
-        """The smoother that is led to no start: its first linearisation is the filter's."""
-        return arrived(lambda some: self._inferred(some.size, self.call), 1)
-
-    def _inferred(self, count: int, call: Call) -> ChainOutcome:
+    def _inferred(self, count: int, start: Start | None) -> ChainOutcome:
+        call = self.call._replace(start=start)
         outcome = MOMENTS.infer(self.graph, self.bound.repeated(count), call)
         assert isinstance(outcome, ChainOutcome)
         return outcome
 
-    def _begun(self, starts: int) -> Array:
-        """The starts, (T+1, starts, runs, n): points of the prior, driven on without noise."""
-        bound = self.bound
+    def _begun(self, starts: int) -> dict[Variable, Array]:
+        """Points of the prior, driven on without noise."""
+        bound, layout = self.bound, self.graph.layout
         many = bound.repeated(starts)
         plan = ChainPlan.make(self.graph, many, self.call.lineariser)
         chain = MomentChain(plan, ONCE, keep=False)
@@ -156,19 +147,19 @@ class ChainSearch:
                 "starts= are points of the prior, which has an infinite variance: give it a finite "
                 "one"
             )
-        size = mean.shape[-1]
-        every = np.repeat(white_points(starts, size), bound.runs, axis=0)
+        every = np.repeat(white_points(starts, mean.shape[-1]), bound.runs, axis=0)
         at = Moments.of(plan, mean + (lower @ every[..., None])[..., 0], np.zeros_like(cov))
-        found = [at.by_run[0]]
+        each = [at.by_run[0]]
         for step in range(1, bound.steps + 1):
             moved = chain.predict(step, at)
             at = Moments(moved.mean, np.zeros_like(moved.cov))
-            found.append(at.by_run[0])
-        return np.stack(found).reshape(bound.steps + 1, starts, bound.runs, size)
-
-    def chosen(self, parts: Sequence[Part], count: int) -> Found:
-        """The modes at which starts have arrived, `count` at the most."""
-        return chosen(parts, self.graph.layout.slice, self.lead, self.bound.first_run, count)
+            each.append(at.by_run[0])
+        whole = np.stack(each, axis=1)
+        found = {}
+        for variable, place in layout.places.items():
+            own = whole[:, 0 if variable in layout.states else 1 :, place]
+            found[variable] = own.reshape(starts, *self.lead, *own.shape[1:])
+        return found
 
     def target(self, laws: Laws) -> Trajectories:
         """The exact density; a NumericalError refuses a posterior without."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pgm.beliefs.modes.laws import Laws, Scoped, without_density
-from pgm.beliefs.modes.outcome import Found
+from pgm.beliefs.modes.outcome import Found, rows_of
 from pgm.beliefs.moments.outcomes.marginals import Marginals
 from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
 from pgm.beliefs.moments.passes.backward import Beliefs, Reverse
@@ -92,17 +92,11 @@ def laws_of(layout: SliceLayout, found: Found) -> Laws:
             pairs.mean,
             pairs.cov,
         )
-        each.append([_by_start(own, part.starts.size) for own in moments])
-    runs = np.arange(found.index.shape[1])
+        each.append([own.swapaxes(0, 1) for own in moments])
+    runs = found.index.shape[1]
+    rows = rows_of(found.parts, runs)[found.index, np.arange(runs)]
     stacked = (np.concatenate(own) for own in zip(*each, strict=True))
-    return Laws(found.weights, *(np.moveaxis(own[found.index, :, runs], 1, 2) for own in stacked))
-
-
-def _by_start(values: Array, starts: int) -> Array:
-    """Arrays (steps, starts · runs, ...) as (starts, steps, runs, ...)."""
-    steps, every = values.shape[:2]
-    whole = values.reshape(steps, starts, every // starts, *values.shape[2:])
-    return np.moveaxis(whole, 1, 0)
+    return Laws(found.weights, *(np.moveaxis(own[rows], 1, 2) for own in stacked))
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ there is no prior of finite variance, as of a Markov network, the linear part ta
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,12 +16,13 @@ from pgm.beliefs.gaussian.layout import Layout
 from pgm.beliefs.gaussian.model import Model
 from pgm.beliefs.gaussian.outcome import GaussianOutcome, places_of
 from pgm.beliefs.modes.adapted import adapt, warn_of_few
-from pgm.beliefs.modes.arrivals import arrived, chosen, patient, spread_rule, warn_of_unsettled
+from pgm.beliefs.modes.arrivals import patient, warn_of_unsettled
 from pgm.beliefs.modes.laws import Laws, Scoped, without_density
 from pgm.beliefs.modes.linear_part import LinearPart, linear_part
 from pgm.beliefs.modes.network_density import NetworkDensity
-from pgm.beliefs.modes.outcome import Found, NetworkModes, Part
+from pgm.beliefs.modes.outcome import Found, NetworkModes
 from pgm.beliefs.modes.points import white_points
+from pgm.beliefs.modes.search import Search
 from pgm.beliefs.moments.trajectories.density import has_exact
 from pgm.beliefs.moments.trajectories.model import Proposing, Weighed
 from pgm.beliefs.moments.trajectories.proposal import Path, Proposal
@@ -36,7 +37,6 @@ from pgm.kernels.arrays import Array, Index, Integers, deviation
 from pgm.kernels.moments import Conditional
 from pgm.networks import BayesianNetwork
 from pgm.schedules.convergence import is_iterated
-from pgm.schedules.damping import Damping
 from pgm.schedules.options import Call
 from pgm.schedules.schedule import Calibration, Loopy
 from pgm.schedules.starting_points import Start
@@ -78,7 +78,7 @@ def run(
 
 
 @dataclass(frozen=True, eq=False)
-class NetworkSearch:
+class NetworkSearch(Search):
     """A network with its evidence, in whose posterior modes are looked for; see `Search`.
 
     graph : ClusterGraph
@@ -97,6 +97,8 @@ class NetworkSearch:
     level : float
         The logarithm of the density less that of the model.
     """
+
+    schedule = Calibration
 
     graph: ClusterGraph
     asked: Mapping[Variable, Array]
@@ -135,48 +137,44 @@ class NetworkSearch:
         return self.model.runs
 
     @property
+    def steps(self) -> int:
+        """None: there is no time."""
+        return 0
+
+    @property
     def together(self) -> bool:
         """Whether runs are asked together alone, as CPDs differ by run."""
         return bool(self.graph.network.lead)
 
-    def of(self, runs: Integers) -> NetworkSearch:
-        """The search in some runs."""
-        if runs.size == self.runs:
-            return self
+    @property
+    def hidden(self) -> Scope:
+        """The hidden variables."""
+        return self.model.layout.hidden
+
+    @property
+    def width(self) -> int:
+        """The components of the largest nonlinear function."""
+        sizes = (dimension(f.hidden) for f in self.model.families if not f.exact)
+        return max(sizes, default=1)  # none if all that is not exact is robust noise
+
+    def _of(self, runs: Integers) -> NetworkSearch:
         asked = {v: values.reshape(-1, values.shape[-1])[runs] for v, values in self.asked.items()}
         known = {v: asked[v] for v in self.evidence}
         return NetworkSearch.make(self.graph, known, self.call)
 
-    def by(self, iterations: int, tolerance: float, damping: Damping) -> NetworkSearch:
-        """The search by calibrations of so many iterations."""
-        schedule = Calibration(iterations, tolerance, damping)
-        return replace(self, call=self.call._replace(schedule=schedule))
+    def _called(self, call: Call) -> NetworkSearch:
+        return replace(self, call=call)
 
-    def otherwise(self) -> NetworkSearch:
-        """The search by a rule that takes means of nonlinear functions, not their slopes."""
-        sizes = (dimension(f.hidden) for f in self.model.families if not f.exact)
-        size = max(sizes, default=1)  # none if all that is not exact is robust noise
-        return replace(self, call=self.call._replace(lineariser=spread_rule(size)))
-
-    def arrived(self, starts: int) -> list[Part]:
-        """The calibrations from so many starts."""
+    def _begun(self, starts: int) -> dict[Variable, Array]:
+        """White noise, turned by the CPDs into values of all variables."""
         layout = self.model.layout
-        begun = self._density(near=True).drawn(white_points(starts, layout.size))
-
-        def infer(some: Integers) -> GaussianOutcome:
-            start = {
-                variable: np.moveaxis(begun[:, some][..., layout.places[variable]], 1, 0).reshape(
-                    some.size, *self.lead, variable.dimension
-                )
-                for variable in layout.hidden
-            }
-            return self._inferred(some.size, start)
-
-        return arrived(infer, starts)
-
-    def unled(self) -> list[Part]:
-        """The calibration that is led to no start: its first linearisation is at the prior."""
-        return arrived(lambda some: self._inferred(some.size, None), 1)
+        begun = self._density(near=True).drawn(white_points(starts, layout.size)).swapaxes(0, 1)
+        return {
+            variable: begun[..., layout.places[variable]].reshape(
+                starts, *self.lead, variable.dimension
+            )
+            for variable in layout.hidden
+        }
 
     def _inferred(self, count: int, start: Start | None) -> GaussianOutcome:
         own = {
@@ -188,10 +186,6 @@ class NetworkSearch:
         return gaussian.run_factors(
             self.graph, asked, schedule, lineariser, start, values=own, warn=False
         )
-
-    def chosen(self, parts: Sequence[Part], count: int) -> Found:
-        """The modes at which starts have arrived, `count` at the most."""
-        return chosen(parts, self.model.layout.hidden, self.lead, 0, count)
 
     def target(self, laws: Laws) -> AllVariables:
         """The exact density, of one turn about the laws; a NumericalError where there is none."""

@@ -74,10 +74,46 @@ def _range(values: Integers) -> str:
 
 
 class Part(NamedTuple):
-    """Some starts, and the beliefs that they led to, with an axis of starts before runs."""
+    """Some starts, and the beliefs that they led to, with an axis of starts before runs.
+
+    Where `runs` is not None they are starts of some runs alone: `starts` and `runs`, (P,), are the
+    numbers of start and run of each belief, in the order of the outcome's leading axes.
+    """
 
     starts: Integers
     outcome: Any
+    runs: Integers | None = None
+
+    def within(self, runs: Integers) -> Part:
+        """The part, of a search in some runs alone, as one of all runs."""
+        if self.runs is not None:
+            return self._replace(runs=runs[self.runs])
+        return Part(
+            np.repeat(self.starts, runs.size), self.outcome, np.tile(runs, self.starts.size)
+        )
+
+    def flat(self, values: Array, lead: Sequence[int]) -> Array:
+        """Values of the outcome with one leading axis, of starts and then runs or of pairs."""
+        axes = 1 + len(lead) if self.runs is None else np.ndim(self.outcome.log_evidence)
+        return values.reshape(-1, *values.shape[axes:])
+
+
+def rows_of(parts: Sequence[Part], runs: int) -> Integers:
+    """The row of each start among the beliefs of all parts, one after another, (S, runs).
+
+    Of a start in several parts the last counts; one that a run does not have is −1.
+    """
+    found = np.full((1 + max(int(part.starts.max()) for part in parts), runs), -1, dtype=np.intp)
+    first = 0
+    for part in parts:
+        if part.runs is None:
+            last = first + part.starts.size * runs
+            found[part.starts] = np.arange(first, last).reshape(-1, runs)
+        else:
+            last = first + part.starts.size
+            found[part.starts, part.runs] = np.arange(first, last)
+        first = last
+    return found
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -130,22 +166,21 @@ class Found:
     def mixture(self, each: Sequence[Gaussian]) -> GaussianMixture:
         """The mixtures of the Gaussians of all starts, one of each part, (starts, *runs, ...)."""
         lead = np.shape(self.log_evidence)
-        axes = 1 + len(lead)
-        mean = np.concatenate([own.mean for own in each])
-        cov = np.concatenate([own.cov for own in each])
         count, runs = self.index.shape
-        steps = mean.shape[axes:-1]
-        at = self.index, np.broadcast_to(np.arange(runs), (count, runs))
+        steps = each[0].mean.shape[1 + len(lead) : -1]
+        rows = rows_of(self.parts, runs)[self.index, np.arange(runs)]
 
-        def of_modes(values: Array, own: int) -> Array:
-            """Values (S, *lead, *steps, ...) of the modes, (*lead, *steps, K, ...)."""
-            flat = values.reshape(len(values), runs, *values.shape[axes:])
-            chosen = np.moveaxis(flat[at], 0, values.ndim - len(lead) - own)
+        def of_modes(name: str) -> Array:
+            """Moments of all parts as those of the modes, (*lead, *steps, K, ...)."""
+            moments = [getattr(own, name) for own in each]
+            pairs = zip(self.parts, moments, strict=True)
+            whole = np.concatenate([part.flat(own, lead) for part, own in pairs])
+            chosen = np.moveaxis(whole[rows], 0, 1 + len(steps))
             return chosen.reshape(*lead, *chosen.shape[1:])
 
         weights = np.moveaxis(self.weights, 0, 1).reshape(*lead, *(1,) * len(steps), count)
         weights = np.broadcast_to(weights, (*lead, *steps, count)).copy()
-        found = Gaussian._make(each[0].scope, of_modes(mean, 1), of_modes(cov, 2))
+        found = Gaussian._make(each[0].scope, of_modes("mean"), of_modes("cov"))
         return GaussianMixture._make(weights, found, each[0].steps)
 
     def sample(self, count: int, rng: np.random.Generator) -> dict[Variable, Array]:
@@ -159,13 +194,14 @@ class Found:
         each = [part.outcome.sample(count, rng) for part in self.parts]
         lead, runs = np.shape(self.log_evidence), np.arange(self.index.shape[1])
         mode = Dense(self.weights.T).draw(np.broadcast_to(runs, (count, runs.size)), rng)
-        at = np.arange(count)[:, None], self.index[mode, runs], runs
+        rows = rows_of(self.parts, runs.size)[self.index[mode, runs], runs]
         found: dict[Variable, Array] = {}
         for variable in each[0]:
-            values = np.concatenate([own[variable] for own in each], axis=1)
-            rest = values.shape[2 + len(lead) :]
-            flat = values.reshape(*values.shape[:2], runs.size, *rest)
-            found[variable] = flat[at].reshape(count, *lead, *rest)
+            drawn = [np.moveaxis(own[variable], 0, 1 + len(lead)) for own in each]
+            pairs = zip(self.parts, drawn, strict=True)
+            whole = np.concatenate([part.flat(own, lead) for part, own in pairs])
+            own = whole[rows, np.arange(count)[:, None]]
+            found[variable] = own.reshape(count, *lead, *own.shape[2:])
         return found
 
 

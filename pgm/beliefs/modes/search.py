@@ -2,82 +2,173 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Protocol, Self
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Self
 
+import numpy as np
+
+from pgm.beliefs.modes import arrivals
+from pgm.beliefs.modes.arrivals import spread_rule
 from pgm.beliefs.modes.laws import Laws, Target
 from pgm.beliefs.modes.outcome import Found, ModesOutcome, Part
-from pgm.kernels.arrays import Integers
+from pgm.errors import PgmError
+from pgm.factors.scope import Scope
+from pgm.kernels.arrays import Array, Integers
 from pgm.schedules.damping import Damping
+from pgm.schedules.options import Call
+from pgm.schedules.schedule import Calibration, Smoothing
+from pgm.schedules.starting_points import Start
+from pgm.variables import Variable
 
 
-class Search(Protocol):
+class Search(ABC):
     """A model with its evidence, in whose posterior modes are looked for from several starts.
 
     Attributes
     ----------
-    lead : tuple of int
-        The axes of runs.
-    runs : int
-        How many runs there are.
-    together : bool
-        Whether runs are asked together alone, as CPDs differ by run.
+    call : Call
+        With the schedule from each start.
+    schedule : type
+        The kind of schedule from each start.
     """
 
+    call: Call
+    schedule: ClassVar[type[Smoothing | Calibration]]
+
     @property
+    @abstractmethod
     def lead(self) -> tuple[int, ...]:
         """The axes of runs."""
-        ...
 
     @property
+    @abstractmethod
     def runs(self) -> int:
         """How many runs there are."""
-        ...
 
     @property
+    def first_run(self) -> int:
+        """The number of the first run, from which errors count."""
+        return 0
+
+    @property
+    @abstractmethod
+    def steps(self) -> int:
+        """T, the last step; 0 of a network without time."""
+
+    @property
+    @abstractmethod
     def together(self) -> bool:
         """Whether runs are asked together alone, as CPDs differ by run."""
-        ...
+
+    @property
+    @abstractmethod
+    def hidden(self) -> Scope:
+        """The hidden variables."""
+
+    @property
+    @abstractmethod
+    def width(self) -> int:
+        """How many components a nonlinear function is averaged over at the most."""
 
     def of(self, runs: Integers) -> Self:
         """The search in some runs, which then have one axis; in all where they are together."""
-        ...
+        same = runs.size == self.runs and bool((runs == np.arange(self.runs)).all())
+        return self if same or self.together else self._of(runs)
+
+    @abstractmethod
+    def _of(self, runs: Integers) -> Self:
+        """The search in some runs, of any number and in any order."""
 
     def by(self, iterations: int, tolerance: float, damping: Damping) -> Self:
         """The search by schedules of so many iterations."""
-        ...
+        schedule = self.schedule(iterations, tolerance, damping)
+        return self._called(self.call._replace(schedule=schedule))
 
     def otherwise(self) -> Self:
         """The search by a rule that takes means of nonlinear functions, not their slopes."""
-        ...
+        return self._called(self.call._replace(lineariser=spread_rule(self.width)))
 
-    def arrived(self, starts: int) -> list[Part]:
-        """The beliefs that so many starts, points of the prior, lead to."""
-        ...
+    @abstractmethod
+    def _called(self, call: Call) -> Self:
+        """The search by another call."""
+
+    def arrived(self, starts: int, before: int = 0) -> list[Part]:
+        """The beliefs that points of the prior lead to: so many, less a number `before` of them.
+
+        They are numbered from 1.
+        """
+        begun = self._begun(starts)
+
+        def infer(some: Integers) -> Any:
+            return self._inferred(some.size, {v: own[some - 1] for v, own in begun.items()})
+
+        return arrivals.arrived(infer, np.arange(before, starts) + 1)
 
     def unled(self) -> list[Part]:
-        """The beliefs to which a schedule without a start leads."""
-        ...
+        """The beliefs to which a schedule without a start leads, start 0."""
+        return arrivals.arrived(lambda some: self._inferred(some.size, None), np.arange(1))
+
+    def resumed(self, parts: Sequence[Part]) -> list[Part]:
+        """The beliefs of starts that had not settled, which go on from where they stopped.
+
+        They are of the runs in which they had not; where runs are together, of all.
+        """
+        means, known = {}, np.array(True)
+        for variable in self.hidden:
+            each = [part.outcome[variable].mean for part in parts]
+            mean = means[variable] = arrivals.by_start(parts, self.lead, each)
+            known = known & np.isfinite(mean).all(axis=tuple(range(2, mean.ndim)))
+        left = known & ~arrivals.heights(parts, self.lead).settled
+        if self.together:
+            starts = np.flatnonzero(left.any(axis=1) & known.all(axis=1))
+        else:
+            starts, runs = np.nonzero(left)
+
+        def infer(some: Integers) -> Any:
+            if self.together:
+                start = {v: mean[starts[some]] for v, mean in means.items()}
+                shape = some.size, *self.lead
+                start = {v: own.reshape(*shape, *own.shape[2:]) for v, own in start.items()}
+                return self._inferred(some.size, start)
+            start = {v: mean[starts[some], runs[some]][None] for v, mean in means.items()}
+            return self._of(runs[some])._inferred(1, start)
+
+        try:
+            found = arrivals.arrived(infer, np.arange(starts.size)) if starts.size else []
+        except PgmError:  # no start can go on
+            return []
+        if self.together:
+            return [part._replace(starts=starts[part.starts]) for part in found]
+        return [Part(starts[own], outcome, runs[own]) for own, outcome, _ in found]
 
     def chosen(self, parts: Sequence[Part], count: int) -> Found:
         """The modes at which starts have arrived, `count` at the most."""
-        ...
+        return arrivals.chosen(parts, self.hidden, self.lead, self.first_run, count)
 
-    def laws(self, found: Found) -> Laws:
-        """The Gaussian laws of all hidden variables, one of each mode."""
-        ...
+    @abstractmethod
+    def _begun(self, starts: int) -> Mapping[Variable, Array]:
+        """So many points of the prior, (starts, *lead, ...)."""
 
+    @abstractmethod
+    def _inferred(self, count: int, start: Start | None) -> Any:
+        """The outcome of so many starts, with an axis of them before runs."""
+
+    @abstractmethod
     def target(self, laws: Laws) -> Target:
         """The exact density of all hidden variables; a NumericalError where there is none.
 
         It is of one turn about the laws, in angles of which it knows no turns.
         """
-        ...
 
-    def outcome(self, found: Found) -> ModesOutcome:
-        """The mixtures of the modes."""
-        ...
+    @abstractmethod
+    def laws(self, found: Found) -> Laws:
+        """The Gaussian laws of all hidden variables, one of each mode."""
 
+    @abstractmethod
     def beliefs(self, laws: Laws) -> Any:
         """The beliefs of laws, with an axis of modes before runs."""
-        ...
+
+    @abstractmethod
+    def outcome(self, found: Found) -> ModesOutcome:
+        """The mixtures of the modes."""

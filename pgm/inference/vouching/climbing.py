@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from pgm.beliefs.modes.adapted import moved
+from pgm.beliefs.modes.arrivals import heights
 from pgm.beliefs.modes.laws import Laws
+from pgm.beliefs.modes.outcome import Part
 from pgm.beliefs.modes.pool import BLOCKS, Pool, Weighed
 from pgm.beliefs.modes.search import Search
 from pgm.errors import PgmError
@@ -21,9 +23,11 @@ from pgm.schedules.damping import LevenbergMarquardt
 
 # Starts of the first search, and of the last; modes that are kept; nats of log-evidence below the
 # best from which on a mode has no mass that counts.
-STARTS, MOST_STARTS, MODES, NEGLIGIBLE = 16, 64, 16, 10.0
-# The part of starts that settle where they agree: one that does not may be near a mode of its own.
-SETTLED = 0.9
+STARTS, MOST_STARTS, MODES, NEGLIGIBLE = 32, 64, 16, 10.0
+# Starts agree if this part of them has settled, since one that has not may be near a mode of its
+# own, and if modes that were found once have no more of the mass, which estimates the mass of modes
+# that were not found (Good, 1953): half of what the verdict allows for these.
+SETTLED, UNSEEN = 0.9, 0.005
 # Linearisations, their tolerance and damping: of the first search, and of more careful ones.
 PLAIN = 25, 1e-4, 0.0
 CAREFUL = 50, 1e-4, LevenbergMarquardt(tries=3)
@@ -72,7 +76,9 @@ class Sought(ByRun):
     """The modes that starts have found.
 
     log_evidence: Laplace's approximation.
-    agreed: Whether nine in ten starts settled, and every mode was found from two or more.
+    agreed: Whether nine in ten starts are done, and modes that were found once have little mass.
+        A start is done where it settled, or stopped so far below the best mode, in nats, that what
+        it gained of late would not bring it near.
     starts, settled: How many starts there were, and how many settled.
     """
 
@@ -118,21 +124,54 @@ class Answer(ByRun):
 
 @quiet()
 def seek(search: Search) -> Sought:
-    """The modes of all runs, from 16 starts and from none, by Gauss–Newton.
+    """The modes of all runs, from 32 starts and from none.
 
-    Where more than one in ten do not settle, or one alone found a mode, by Levenberg–Marquardt from
-    twice as many, up to 64; of a long chain by no more.
+    Twice as many are tried where starts do not agree; of a long chain no more.
     """
-    found = _sought(search.by(*PLAIN), STARTS)
-    starts = 2 * STARTS
-    long = found.laws.mean.shape[1] > LONG
-    while starts <= MOST_STARTS and not long and not found.agreed.all():
-        left = np.flatnonzero(~found.agreed)
-        runs = _asked(search, left)
-        own = _sought(search.of(runs).by(*CAREFUL), starts)
-        found = found.put(left, own.some(np.searchsorted(runs, left)))
-        starts *= 2
+    every = np.arange(search.runs)
+    paths = _paths(search, every, 0, STARTS)
+    found, starts = _sought(search, paths), STARTS
+    while starts < MOST_STARTS and search.steps <= LONG and not found.agreed.all():
+        runs = _asked(search, np.flatnonzero(~found.agreed))
+        paths = paths.with_others(_paths(search, runs, starts, 2 * starts))
+        found, starts = _sought(search, paths), 2 * starts
     return found
+
+
+class Paths(NamedTuple):
+    """Starts, and where they stopped: at first, and where some went on more carefully."""
+
+    first: list[Part]
+    careful: list[Part]
+
+    @property
+    def parts(self) -> list[Part]:
+        """All beliefs, the last of a start that counts after those before."""
+        return [*self.first, *self.careful]
+
+    def with_others(self, other: Paths) -> Paths:
+        """The paths of these starts and of others."""
+        return Paths([*self.first, *other.first], [*self.careful, *other.careful])
+
+
+def _paths(search: Search, runs: Integers, before: int, starts: int) -> Paths:
+    """The paths of so many starts, less a number `before` of them, in some runs.
+
+    They are by Gauss–Newton; those that have not settled go on by it, and then by
+    Levenberg–Marquardt.
+    """
+    part = search.of(runs)
+    plain = part.by(*PLAIN)
+    first = plain.arrived(starts, before)
+    if not before:
+        first += plain.unled()
+    careful = []
+    if part.steps <= LONG:
+        first += plain.resumed(first)
+        careful = part.by(*CAREFUL).resumed(first)
+    if part is search:
+        return Paths(first, careful)
+    return Paths([own.within(runs) for own in first], [own.within(runs) for own in careful])
 
 
 def _asked(search: Search, runs: Integers) -> Integers:
@@ -140,20 +179,23 @@ def _asked(search: Search, runs: Integers) -> Integers:
     return np.arange(search.runs) if search.together else runs
 
 
-def _sought(search: Search, starts: int) -> Sought:
-    """The modes of all runs from so many starts, and from none."""
-    found = search.chosen([*search.unled(), *search.arrived(starts)], MODES)
+def _sought(search: Search, paths: Paths) -> Sought:
+    """The modes of all runs at which starts have arrived."""
+    found = search.chosen(paths.parts, MODES)
     laws, runs = search.laws(found), search.runs
     near = laws.weights > np.exp(-NEGLIGIBLE) * laws.weights.max(axis=0)
     weights = np.where(near, laws.weights, 0.0)
-    agreed = ((found.hits != 1) | ~near).all(axis=0)
-    settled = np.asarray(found.status.arrived).reshape(runs)
+    unseen = np.where(found.hits == 1, laws.weights, 0.0).sum(axis=0)
+    before, (logs, settled) = heights(paths.first, search.lead), heights(paths.parts, search.lead)
+    starts = (~np.isnan(logs)).sum(axis=0)
+    best = np.where(settled, logs, -np.inf).max(axis=0)
+    done = settled | (best - logs > NEGLIGIBLE + (logs - before.log_evidence))
     return Sought(
         laws._replace(weights=weights / weights.sum(axis=0)),
         np.reshape(found.log_evidence, runs),
-        agreed & (settled >= SETTLED * (starts + 1)),
-        np.full(runs, starts + 1),
-        settled,
+        (unseen <= UNSEEN) & (done.sum(axis=0) >= SETTLED * starts),
+        starts,
+        settled.sum(axis=0),
     )
 
 
