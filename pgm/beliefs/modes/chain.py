@@ -1,6 +1,6 @@
 """Several modes of a chain's posterior: iterated smoothers from many starts, as runs of one call.
 
-A start is a trajectory: a point of the prior, sent through the motion without its noise.
+A start is a trajectory: a point of the prior, sent through the motion, without its noise or with.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence
 from pgm.factors.scope import Scope
 from pgm.kernels import roots
-from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.arrays import Array, Integers, apply
 from pgm.posteriors.belief_kind import SMOOTHED
 from pgm.schedules.convergence import is_iterated
 from pgm.schedules.options import Call
@@ -135,7 +135,11 @@ class ChainSearch(Search):
         return outcome
 
     def _begun(self, starts: int) -> dict[Variable, Array]:
-        """Points of the prior, driven on without noise."""
+        """Points of the prior, sent through the motion: every other one with its noise.
+
+        A motion without noise leads from all points of a narrow prior along one path, and modes of
+        later steps may lie beside it.
+        """
         bound, layout = self.bound, self.graph.layout
         many = bound.repeated(starts)
         plan = ChainPlan.make(self.graph, many, self.call.lineariser)
@@ -148,12 +152,15 @@ class ChainSearch(Search):
                 "one"
             )
         every = np.repeat(white_points(starts, mean.shape[-1]), bound.runs, axis=0)
-        at = Moments.of(plan, mean + (lower @ every[..., None])[..., 0], np.zeros_like(cov))
-        each = [at.by_run[0]]
+        at = Moments.of(plan, mean + apply(lower, every), np.zeros_like(cov))
+        each, rng = [at.by_run[0]], np.random.default_rng(0)
         for step in range(1, bound.steps + 1):
-            moved = chain.predict(step, at)
-            at = Moments(moved.mean, np.zeros_like(moved.cov))
-            each.append(at.by_run[0])
+            mean, noise = chain.predict(step, at).by_run
+            white = rng.standard_normal((starts, mean.shape[-1]))
+            white[::2] = 0.0
+            mean = mean + apply(roots.root(noise), np.repeat(white, bound.runs, axis=0))
+            at = Moments.of(plan, mean, np.zeros_like(noise))
+            each.append(mean)
         whole = np.stack(each, axis=1)
         found = {}
         for variable, place in layout.places.items():

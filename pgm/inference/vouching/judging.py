@@ -32,7 +32,8 @@ from pgm.kernels.mahalanobis import square_within
 from pgm.kernels.pareto import pareto_shape
 from pgm.posteriors.verdict import HEAVY
 
-# What is estimated of error is taken so many times, and has so much added.
+# What is estimated of moments' error is taken so many times; any error has so much added, nats that
+# neither matter nor can be told by draws.
 CAUTION, FLOOR = 1.5, 0.001
 # The probability with which a bound holds, and the standard errors of it.
 SURE, ERRORS = 0.95, 2.0
@@ -95,7 +96,7 @@ def judge(pool: Pool, laws: Laws, before: list[Marginal] | None) -> Judged:
 
 
 def _density(pool: Pool, weighed: Weighed) -> Array:
-    """A bound on KL(p ‖ q), (runs,): its estimate and two standard errors."""
+    """A bound on KL(p ‖ q), (runs,): its estimate, two standard errors, and the floor."""
     last = slice(pool.count - pool.rounds[-1].count, None)
     log_proposal = pool.log_proposal(last=True)[:, last]
     log_mixture = weighed.log_mixture[:, last]
@@ -105,7 +106,7 @@ def _density(pool: Pool, weighed: Weighed) -> Array:
     terms = exact * logs - exact + own
     error: Array = terms.std(axis=1) / np.sqrt(terms.shape[1])
     heavy = pareto_shape(weighed.log_weights, of_sums=False) > HEAVY
-    return np.where(heavy, np.inf, terms.mean(axis=1) + ERRORS * error)
+    return np.where(heavy, np.inf, terms.mean(axis=1) + ERRORS * error + FLOOR)
 
 
 def marginal(laws: Laws, scope: Scoped, angles: Mask) -> Marginal:

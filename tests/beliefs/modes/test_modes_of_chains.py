@@ -106,7 +106,7 @@ def test_modes_a_whole_turn_apart_are_one():
         observation=[pgm.NonlinearGaussianCPD(compass, heading, lambda h: h, cov=0.04)],
     )
     found = pgm.smooth(model, {compass: [[1.0], [1.1]]}, belief=pgm.Gaussians(4, starts=16))
-    assert found.status.modes == 1
+    assert (found[heading].weights[:, 0] > 1.0 - 1e-12).all()  # none but where readings disagree
 
 
 def test_starts_that_do_not_settle_are_told():

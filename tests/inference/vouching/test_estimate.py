@@ -87,6 +87,78 @@ def test_all_of_forty_mirror_drives():
     assert off[vouched].max() <= 0.05
 
 
+def judged_wide_starts(runs):
+    """Verdicts on robots begun 3 m and 1.5 rad off, and their NEES, of ranges alone."""
+    pose = pgm.Variable("pose", components=("east", "north", "turn"), angles=("turn",))
+    push, where = pgm.Variable("push", components=("v", "w")), pgm.Variable("where", ("e", "n"))
+    heard = pgm.Variable("heard")
+
+    def moved(pose, push):
+        east, north, turn = np.moveaxis(pose, -1, 0)
+        speed, rate = np.moveaxis(push, -1, 0) / 2.0
+        there = east + speed * np.cos(turn), north + speed * np.sin(turn), turn + rate
+        return np.stack(np.broadcast_arrays(*there), -1)
+
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(pose, np.zeros(3), np.diag([3.0, 3.0, 1.5]) ** 2)],
+        [
+            pgm.NonlinearGaussianCPD(
+                pose, (pose.previous, push), moved, cov=np.diag([0.05, 0.05, 0.03]) ** 2
+            )
+        ],
+        [
+            pgm.NonlinearGaussianCPD(
+                heard,
+                (pose, where),
+                lambda pose, where: np.hypot(
+                    pose[..., :1] - where[..., :1], pose[..., 1:2] - where[..., 1:]
+                ),
+                cov=0.04,
+            )
+        ],
+    )
+    beacons = np.resize([(7.0, 1.0), (-6.0, 8.0), (4.0, 12.0)], (21, 2))
+    ranges = pgm.sightings(step=np.arange(0, 61, 3), given={where: beacons})
+    drawn = model.sample({push: np.tile([1.0, 0.2], (60, 1)), heard: ranges}, runs=runs, rng=77)
+    found = pgm.estimate(model, drawn.evidence)
+    belief, off = found[pose], np.asarray(drawn[pose]) - found[pose].mean
+    off[..., 2] = np.arctan2(np.sin(off[..., 2]), np.cos(off[..., 2]))
+    nees = np.einsum("rti,rti->rt", off, np.linalg.solve(belief.cov, off[..., None])[..., 0])
+    return found.verdict, nees.mean(axis=1) / 3.0
+
+
+def test_starts_that_creep_far_below_the_mode_do_not_count():
+    """Of ranges from a wide start some in nine in ten runs stop a thousand nats below."""
+    verdict, nees = judged_wide_starts(8)
+    assert verdict.vouched.all()
+    assert nees.max() < 5.0
+    assert verdict.starts.max() <= 40
+
+
+@pytest.mark.slow
+def test_two_hundred_wide_starts():
+    verdict, nees = judged_wide_starts(200)
+    assert verdict.vouched.sum() >= 190
+    assert not (verdict.vouched & (nees > 5.0)).any()
+
+
+def test_modes_that_the_noise_of_a_motion_makes_are_found():
+    """From a narrow prior a walk goes to either root of what is read: against quadrature."""
+    step = pgm.LinearGaussianCPD(x, {x.previous: 1.0}, cov=1.0)
+    read = pgm.NonlinearGaussianCPD(y, x, lambda x: x**2, cov=0.05)
+    model = pgm.DynamicBayesianNetwork([pgm.GaussianCPD(x, 0.5, 1e-4)], [step], [read])
+    found = pgm.estimate(model, {y: pgm.sightings([[4.0]], [4])}, steps=4)
+    grid = np.linspace(-4.0, 4.0, 80_001)
+    logs = -0.5 * (grid - 0.5) ** 2 / 4.0001 - 0.5 * (4.0 - grid**2) ** 2 / 0.05
+    weights = np.exp(logs - logs.max())
+    last = found[x.at(4)]
+    assert found.verdict.vouched
+    assert last.mean[0] == pytest.approx(weights @ grid / weights.sum(), abs=0.01)
+    below = last.components.mean[:, 0] < 0.0
+    share = weights[grid < 0.0].sum() / weights.sum()
+    assert last.weights[below].sum() == pytest.approx(share, abs=0.01)
+
+
 def test_exact_answers_are_vouched_for():
     for model, evidence in ((walk, {z: [[4.0]]}), (rainy, {wet: "yes"})):
         verdict = pgm.estimate(model, evidence).verdict
