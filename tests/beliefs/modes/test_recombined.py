@@ -125,3 +125,30 @@ def test_chains_with_components_without_noise_or_with_many_are_not_recombined():
     assert recombined(*target(2, np.eye(2)), rng) is not None
     assert recombined(*target(2, np.diag([1.0, 0.0])), rng) is None
     assert recombined(*target(7, np.eye(7)), rng) is None
+
+
+def test_a_hidden_control_of_each_step_is_recombined_with_the_states():
+    x, u, seen = pgm.Variable("x", components=("a", "b")), pgm.Variable("u"), pgm.Variable("s")
+    model = pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(x, [0.0, 1.0], np.eye(2))],
+        transition=[
+            pgm.GaussianCPD(u, 1.0, 0.5),
+            pgm.LinearGaussianCPD(
+                x,
+                {x.previous: [[1.0, 0.3], [0.0, 0.9]], u: [[0.5], [1.0]]},
+                cov=np.diag([0.2, 0.3]),
+            ),
+        ],
+        observation=[pgm.LinearGaussianCPD(seen, {x: [[1.0, 0.0]]}, cov=0.5)],
+    )
+    evidence = {seen: np.array([[0.4], [1.6], [2.0]])}
+    exact = pgm.smooth(model, evidence)
+    found = recombination(model, evidence).run(384, 2000, None, np.random.default_rng(0))
+    np.testing.assert_allclose(found.log_evidence, exact.log_evidence, atol=0.1)
+    for step in (1, 2, 3):
+        drawn = found.trajectories.values[step][0, :, 2:]
+        for variable, place in ((u, slice(0, 1)), (x, slice(1, 3))):
+            belief = exact[variable.at(step)]
+            off = (drawn[:, place].mean(axis=0) - belief.mean) / belief.std
+            assert np.abs(off).max() < 0.25
+            np.testing.assert_allclose(drawn[:, place].std(axis=0), belief.std, rtol=0.15)
