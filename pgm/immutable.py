@@ -32,7 +32,7 @@ class Immutable:
         state = filled | getattr(self, "__dict__", {})
         # Read-only views of mappings cannot be pickled: they travel as what they show.
         return {
-            name: dict(value) if isinstance(value, MappingProxyType) else value
+            name: value.copy() if isinstance(value, MappingProxyType) else value
             for name, value in state.items()
         }
 

@@ -20,6 +20,10 @@ from pgm.variables import Variable
 class NoGains(dict[Variable, Array]):
     """The gains of mixtures, of which each Gaussian has its own: asked for, they are refused."""
 
+    def copy(self) -> NoGains:
+        """A mapping that refuses them too, by which innovations travel in a pickle."""
+        return NoGains(self)
+
     def __missing__(self, variable: Variable) -> Array:
         raise Unanswered(
             "a mixture of Gaussians has no gain: each of its Gaussians has its own, and their "

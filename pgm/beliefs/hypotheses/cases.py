@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
@@ -180,10 +179,10 @@ class Batch:
         readings: Sequence[Reading],
         *,
         keep: bool = False,
-        values: Mapping[Variable, Array] = MappingProxyType({}),
+        values: Mapping[Variable, Array] | None = None,
     ) -> None:
         self.which, self._given, self._graph = which, given, graph
-        self._values = values
+        self._values = values or {}
         self._inputs, self._readings, self._keep = inputs, readings, keep
         self._count = copies * which.size
         self._length = max(given.bound.steps, 1)

@@ -1,5 +1,6 @@
 """Beliefs of a switching chain's measurements, against the sum over all paths of modes."""
 
+import pickle
 from itertools import product
 
 import numpy as np
@@ -193,7 +194,8 @@ def without(*keys):
 
 
 def test_readings_left_out_equal_the_sum_over_paths():
-    found = pgm.smooth(MODEL, EVIDENCE, steps=STEPS, belief=MANY).left_out
+    posterior = pgm.smooth(MODEL, EVIDENCE, steps=STEPS, belief=MANY)
+    found = posterior.left_out
     assert list(found) == [z, w, said]
     for v, t in KNOWN:
         if v == said:
@@ -209,6 +211,9 @@ def test_readings_left_out_equal_the_sum_over_paths():
             levels.append(np.logaddexp.reduce([log for log, *_ in each]))
         share = np.exp(levels - np.logaddexp(*levels))
         assert_allclose(found[said].probabilities[t - 1], share, rtol=1e-8)
+    # A posterior whose pass forward was asked for can be pickled.
+    again = pickle.loads(pickle.dumps(posterior)).left_out
+    assert_allclose(again[z].mean, found[z].mean, rtol=1e-12)
 
 
 def test_measurements_that_hidden_modes_choose():
@@ -289,8 +294,9 @@ def test_innovations_of_the_mixture_in_a_loop_and_of_a_recording():
     assert_allclose(found.cov[:, 0, 0], cov[0, 0], rtol=1e-8)
     assert_allclose(found.nis, away @ np.linalg.solve(whole, away), rtol=1e-8)
     assert found.dof == 2
-    with pytest.raises(pgm.EvidenceError, match="mixture of Gaussians has no gain"):
-        found.gain[x]
+    for each in (found, pickle.loads(pickle.dumps(found))):
+        with pytest.raises(pgm.EvidenceError, match="mixture of Gaussians has no gain"):
+            each.gain[x]
     recorded = pgm.smooth(MODEL, EVIDENCE, steps=STEPS, belief=MANY).innovations
     assert list(recorded) == [z, w]
     for v, t in ((z, 2), (w, 3)):
