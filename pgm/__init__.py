@@ -113,7 +113,7 @@ from pgm.variables import Discrete, Variable, variables
 
 if TYPE_CHECKING:
     from pgm import comparison, consistency, learning, maps, plot, recordings, results
-    from pgm.comparison import compare
+    from pgm.comparison import compare, study
     from pgm.io.alignment import PoseErrors
     from pgm.io.euroc import read_euroc
     from pgm.io.kitti import read_kitti, write_kitti
@@ -155,7 +155,7 @@ _MODULES = (
     "viewer",
 )
 _LATER = {
-    "pgm.comparison": ("compare",),
+    "pgm.comparison": ("compare", "study"),
     "pgm.io.networks": (
         "from_pgmpy",
         "from_pyagrum",
@@ -378,6 +378,7 @@ __all__ = [
     "smooth",
     "soft",
     "stamped",
+    "study",
     "timeline",
     "to_pgmpy",
     "to_pyagrum",

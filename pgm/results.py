@@ -33,6 +33,9 @@ name              what it is                           what returns it
 `Comparison`      linearisers side by side             `pgm.compare`
 `Row`             one lineariser under one schedule    ``comparison["Taylor", "filter"]``
 `Judgement`       its KL from one oracle, and errors   ``row.by_oracle["Grid"]``
+`Study`           methods over many drawn runs         `pgm.study`
+`StudyRow`        one method's beliefs of one state    ``study["EKF"]``
+`Statistic`       its NEES, RMSE, ..., with errors     ``study["EKF"].nees``
 `Fit`             a model, with what was learnt        `pgm.fit`
 `FitStatus`       the course of learning               ``pgm.fit(...).status``
 `Sample`          states and measurements drawn        ``model.sample(...)``
@@ -81,13 +84,13 @@ from pgm.io import ControlReport, ReadingReport, Stamped, Timeline
 from pgm.networks import Sample
 
 if TYPE_CHECKING:
-    from pgm.comparison import Comparison, Judgement, Row
+    from pgm.comparison import Comparison, Judgement, Row, Statistic, Study, StudyRow
     from pgm.learning import Fit, FitStatus
 else:  # loaded when first asked for, as they load SciPy
 
     def __getattr__(name: str) -> Any:
         """Load the module of a name that is seldom wanted."""
-        if name in ("Comparison", "Judgement", "Row"):
+        if name in ("Comparison", "Judgement", "Row", "Statistic", "Study", "StudyRow"):
             from pgm import comparison
 
             return getattr(comparison, name)
@@ -137,8 +140,11 @@ __all__ = [
     "Sensitivities",
     "Sensitivity",
     "Stamped",
+    "Statistic",
     "Status",
     "StepInnovations",
+    "Study",
+    "StudyRow",
     "Timeline",
     "Verdict",
 ]

@@ -37,6 +37,10 @@ def read():
     return pgm.OnlineFilter(walk).update(online(), {z: [4.0]})
 
 
+def studied():
+    return pgm.study(walk, steps=2, runs=3, methods={"KF": pgm.Filtering()}, seed=1)
+
+
 def sighted():
     """A map of one landmark, which is sighted without its name."""
     sees = pgm.LinearGaussianCPD(z, {M: 1.0}, cov=1.0)
@@ -90,8 +94,11 @@ CALLS = {
     "SensitiveEntry": lambda: pgm.sensitivity(rainy, {rain: "no"}).ranked(1)[0],
     "Sensitivities": lambda: pgm.sensitivity(rainy, {rain: "no"}),
     "Sensitivity": lambda: pgm.sensitivity(rainy, {rain: "no"})[rain],
+    "Statistic": lambda: studied()["KF"].nees,
     "Status": lambda: pgm.smooth(walk, GIVEN).status,
     "StepInnovations": lambda: read().innovations[z],
+    "Study": studied,
+    "StudyRow": lambda: studied()["KF"],
     "Timeline": lambda: pgm.timeline(**LOG),
     "Verdict": lambda: pgm.estimate(walk, GIVEN).verdict,
 }
@@ -108,7 +115,7 @@ OLD = sorted(
         "Sensitivities",
         "Sensitivity",
     }
-    - {"Predictions", "StepInnovations", "Verdict"}
+    - {"Predictions", "Statistic", "StepInnovations", "Study", "StudyRow", "Verdict"}
 )
 # What posteriors, statuses and filters are of, by the name of their class before.
 POSTERIORS = {

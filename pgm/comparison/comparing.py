@@ -178,7 +178,7 @@ def compare(
             "linearise, and nothing to compare"
         )
     things = _things(rows, model)
-    chosen = _states(model, states, None if oracles else truth)
+    chosen = as_states(model, states, None if oracles else truth)
     compared = Compared(compile(model, bound.steps), evidence, bound.lead, chosen, ())
     true = _truths(truth or {}, compared, model)
     every = entries.of_methods(methods, plans, compared)
@@ -456,9 +456,10 @@ def _listed_oracles(oracle: Any) -> list[tuple[str, Any]]:
     return list(zip(names, oracle, strict=True))
 
 
-def _states(
+def as_states(
     model: DynamicBayesianNetwork, states: Any, truth: Truth | None
 ) -> tuple[Variable, ...]:
+    """The continuous states that are judged: those named, else those of a truth, or all."""
     continuous = tuple(state for state in model.states if not isinstance(state, Discrete))
     if states is None:
         return tuple(state for state in continuous if state in (truth or ())) or continuous

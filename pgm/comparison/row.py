@@ -9,6 +9,7 @@ import numpy as np
 
 from pgm import consistency
 from pgm.comparison.judgement import Judgement
+from pgm.comparison.tally import Tally
 from pgm.display import Listing, Shown, Summary, number
 from pgm.errors import LinearisationError, NumericalError
 from pgm.factors import Gaussian
@@ -257,22 +258,9 @@ def proper(belief: Gaussian) -> Mask:
 
 
 def over_runs(values: Array) -> tuple[float, float]:
-    """The mean of values (*runs, T+1) that are not NaN, and its standard error over runs.
-
-    Runs are independent, steps of one run are not: the error is that of the ratio of the sum of
-    each run's values to their number, NaN of a single run.
-    """
-    known = ~np.isnan(values)
-    count = known.reshape(-1, known.shape[-1]).sum(axis=-1)
-    total = np.where(known, values, 0.0).reshape(len(count), -1).sum(axis=-1)
-    if not count.sum():
-        return np.nan, np.nan
-    mean = float(total.sum() / count.sum())
-    runs = len(count)
-    if runs < 2:
-        return mean, np.nan
-    parts = (total - mean * count) / count.sum()
-    return mean, float(np.sqrt(runs / (runs - 1.0) * (parts**2).sum()))
+    """The mean of values (*runs, T+1) that are not NaN, and its standard error over runs."""
+    mean, error = Tally.of(values.reshape(-1, values.shape[-1])).over_all()
+    return float(mean), float(error)
 
 
 def _rmse(state: Variable, errors: Array) -> dict[str, dict[str, float]]:

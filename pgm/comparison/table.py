@@ -174,7 +174,7 @@ class Comparison(Shown, Immutable):
     def _summary(self) -> Summary:
         heads, *rows = zip(*self._columns(), strict=True)
         names = sum(head in (*_NAMES, "state") for head in heads)
-        shown = [None if k is None else rows[k] for k in few(len(rows))]
+        kept = [None if k is None else rows[k] for k in few(len(rows))]
         failed = [f"{_who(row)}: {row.error}" for row in self.rows if row.error]
         notes = failed[:FAILED] + [f"... {len(failed)} failed"] * (len(failed) > FAILED)
         left = [row for row in (*self.rows, *self.oracle_rows) if row.left_out]
@@ -197,7 +197,7 @@ class Comparison(Shown, Immutable):
             )
         if self.oracle_status:
             notes.append(f"the oracle's status: {self.oracle_status}")
-        return Summary(self._title, [Listing(heads, shown, names), *notes])
+        return Summary(self._title, [Listing(heads, kept, names), *notes])
 
     def _columns(self) -> list[list[str]]:
         rows = [*self.rows, *self.oracle_rows]
@@ -208,27 +208,27 @@ class Comparison(Shown, Immutable):
         for oracle in self.oracles:
             columns += self._columns_of(oracle, rows)
         columns += _known(
-            (f"RMSE {name}", [_shown(row.rmse.get(name, np.nan)) for row in rows])
+            (f"RMSE {name}", [shown(row.rmse.get(name, np.nan)) for row in rows])
             for name in self._components
         )
         columns += _known([("NEES", _shown_each(rows, "nees"))])
-        columns += _known([("of", [_shown(row.nees_expected) for row in rows])])
+        columns += _known([("of", [shown(row.nees_expected) for row in rows])])
         columns += _known([("log-score", _shown_each(rows, "log_score"))])
         plain = {"ln p(z)": "log_evidence", "converged": "converged", "seconds": "seconds"}
         return columns + _known(
-            (head, [_shown(getattr(row, name)) for row in rows]) for head, name in plain.items()
+            (head, [shown(getattr(row, name)) for row in rows]) for head, name in plain.items()
         )
 
     def _columns_of(self, oracle: str, rows: Sequence[Row]) -> list[list[str]]:
         """The columns of one oracle; of several without the step where the KL is largest."""
         each = [_judgement(row, oracle) for row in rows]
         marks = [" ?" if j.weak and not np.isnan(j.kl) else "" for j in each]
-        cells = [_shown(j.kl, j.error) + m for j, m in zip(each, marks, strict=True)]
+        cells = [shown(j.kl, j.error) + m for j, m in zip(each, marks, strict=True)]
         if len(self.oracles) > 1:
             return _known([(f"KL {oracle}", cells)])
         steps = [np.nan if j.kl_step is None else j.kl_step for j in each]
-        most = [_shown(j.kl_most) for j in each]
-        return _known([("KL [nats]", cells), ("most", most), ("at step", map(_shown, steps))])
+        most = [shown(j.kl_most) for j in each]
+        return _known([("KL [nats]", cells), ("most", most), ("at step", map(shown, steps))])
 
     def _tells_no_error(self, oracle: str) -> bool:
         """Whether an oracle that judges some row has no error there, and no doubt either."""
@@ -273,7 +273,7 @@ def _known(columns: Iterable[tuple[str, Iterable[str]]]) -> list[list[str]]:
 
 def _shown_each(rows: Sequence[Row], name: str) -> list[str]:
     """A score of each row with its standard error, where there is one."""
-    return [_shown(getattr(row, name), getattr(row, f"{name}_error")) for row in rows]
+    return [shown(getattr(row, name), getattr(row, f"{name}_error")) for row in rows]
 
 
 def _judgement(row: Row, oracle: str) -> Judgement:
@@ -299,7 +299,7 @@ def _few(names: Sequence[str]) -> str:
     return "; ".join(names[:2]) + (f" and {more} more" if more > 0 else "")
 
 
-def _shown(value: float, error: float = np.nan) -> str:
+def shown(value: float, error: float = np.nan) -> str:
     """A number, and its standard error where there is one."""
     if np.isnan(value):
         return _NONE

@@ -232,7 +232,9 @@ class DynamicBayesianNetwork(Drawn, Immutable):
         >>> walk.sample(steps=5, runs=3, rng=0)[x].shape
         (3, 6, 1)
         """
-        return draw_steps(self, as_mapping(inputs, "inputs"), steps, runs, as_generator(rng))
+        generator = as_generator(rng)
+        asked = as_mapping(inputs, "inputs")
+        return draw_steps(self, asked, steps, runs, lambda variable, rows: generator)
 
     @public
     def unroll(self, steps: int) -> BayesianNetwork:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import zip_longest
 from types import MappingProxyType
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from pgm.networks.dynamic import DynamicBayesianNetwork
     from pgm.networks.static import BayesianNetwork
 
+# What draws by the place of a variable, and the step or the readings drawn.
+Source = Callable[[int, Any], Any]
 # The most variables of a sample that are shown.
 VARIABLES = 12
 
@@ -148,9 +150,13 @@ def draw_steps(
     inputs: Evidence,
     steps: int | None,
     runs: int | tuple[int, ...],
-    rng: np.random.Generator,
+    source: Source,
 ) -> Sample:
-    """Draw states forward in time, then the measurements."""
+    """Draw states forward in time, then the measurements.
+
+    `source` gives what the CPD of a child draws by, a generator: by the child's place among the
+    model's variables, and the step; of a sensor by the places (m,) of its readings in the evidence.
+    """
     hidden = (*model.states, *model.controls)
     width = sum(variable.dimension or 1 for variable in hidden)
     shape = _as_shape("runs", as_tuple(runs) or runs, model.lead)
@@ -158,10 +164,13 @@ def draw_steps(
     bound = bind(model.transition, model.observation, inputs, steps, shape, drawing=True)
     count = bound.runs
     _require_memory(bound.lead, bound.steps + 1, width)
+    place = {variable: k for k, variable in enumerate(model.variables)}
     path = {v: _unfilled(v, (bound.steps + 1, count)) for v in hidden}
     for cpd in model.prior:
         now = {v: path[v][0] for v in cpd.given}
-        path[cpd.child][0] = cpd._draw(Known(now, bound.lead, (count,), 0), rng)
+        path[cpd.child][0] = cpd._draw(
+            Known(now, bound.lead, (count,), 0), source(place[cpd.child], 0)
+        )
     for step in range(1, bound.steps + 1):
         for cpd, known in zip(model.transition, bound.transition, strict=True):
             values = {v: _states(v, rows[step - 1]) for v, rows in known.items()}
@@ -169,13 +178,13 @@ def draw_steps(
                 if parent not in values:
                     values[parent] = path[parent.template][step - parent.lag]
             given = Known(values, bound.lead, (count,), step)
-            path[cpd.child][step] = cpd._draw(given, rng)
+            path[cpd.child][step] = cpd._draw(given, source(place[cpd.child], step))
     evidence: dict[Variable, Any] = dict(inputs)
     values = {v: _unflat(v, path[v], bound.lead) for v in model.states}
     values |= {v: _unflat(v, path[v][1:], bound.lead) for v in model.controls}
     for reading in bound.readings:
         child = reading.cpd.child
-        rows = _draw_reading(reading, path, count, bound.lead, rng)
+        rows = _draw_reading(reading, path, count, bound.lead, source(place[child], reading.order))
         values[child] = _unflat(child, rows[np.argsort(reading.order)], bound.lead)
         asked = inputs.get(child)
         evidence[child] = (

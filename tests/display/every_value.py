@@ -177,6 +177,8 @@ def filtered():
     landmark = pgm.Variable("landmark", M.components)
     sees = pgm.LinearGaussianCPD(Z, {landmark: np.eye(2)}, cov=1.0)
     sighted = grown.add(sees, {Z: [0.0, 1.0], landmark: pgm.unknown([M], association="likelihood")})
+    methods = {"EKF": pgm.Taylor(), "RTS": pgm.Smoothing()}
+    studied = pgm.study(model, asked, runs=3, methods=methods, seed=1)
     return {
         "dynamic network": model,
         "sample": drawn,
@@ -246,6 +248,9 @@ def filtered():
         .rows[1]
         .by_oracle["oracle"],
         "row": pgm.compare(model, drawn.evidence, truth={X: drawn[X]}).rows[0],
+        "study": studied,
+        "study row": studied.rows[0],
+        "statistic": studied.rows[0].nees,
     }
 
 

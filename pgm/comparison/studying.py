@@ -1,0 +1,362 @@
+"""Simulation studies: methods judged on many runs, drawn, inferred and reduced block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from functools import reduce
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pgm import consistency
+from pgm.arguments import public
+from pgm.boundary import as_mapping, is_whole
+from pgm.comparison.comparing import as_states
+from pgm.comparison.drawn_runs import DrawnRuns, drawn_runs, of_runs
+from pgm.comparison.entries import OverTime, class_name, named
+from pgm.comparison.row import FAILURES, proper
+from pgm.comparison.study_result import Statistic, Study, StudyRow
+from pgm.comparison.tally import Tally
+from pgm.compile import DynamicGraph, compile
+from pgm.consistency.errors import check_confidence
+from pgm.consistency.regions import chi_squared
+from pgm.display import titled
+from pgm.errors import ModelError
+from pgm.evidence import Evidence
+from pgm.factors import Gaussian
+from pgm.inference import Filtering, Posterior
+from pgm.inference.engine import send
+from pgm.inference.families import family_of
+from pgm.kernels.angles import difference
+from pgm.kernels.arrays import Array, Integers
+from pgm.linearisers import TAYLOR, Lineariser
+from pgm.networks import DynamicBayesianNetwork, Sample
+from pgm.progress import Progress, counted, reporting
+from pgm.schedules.argument_checks import require_lineariser
+from pgm.schedules.options import Call, require_over_time
+from pgm.variables import Variable
+
+# A right belief leaves out the truth once in a million, by this region.
+_SURE = 1.0 - 1e-6
+_EXAMPLE = 'methods={"EKF": pgm.Taylor(), "RTS": (pgm.Taylor(), pgm.Smoothing())}'
+
+
+@public
+def study(
+    model: DynamicBayesianNetwork,
+    evidence: Evidence | None = None,
+    *,
+    runs: int,
+    methods: Mapping[str, Any],
+    seed: int,
+    states: Iterable[Variable] | None = None,
+    steps: int | None = None,
+    confidence: float = 0.95,
+    progress: Progress = False,
+) -> Study:
+    r"""Judge methods on many runs of a model: draw, filter or smooth, and reduce to statistics.
+
+    Of each method's beliefs N(μ, P), against the truths x that were drawn, over runs and by step:
+
+    .. math::
+        \sqrt{\overline{e^2}}, \quad \bar e, \qquad \overline{e^\top P^{-1} e}, \qquad
+        \overline{[\,e^\top P^{-1} e \le \chi^2_d(c)\,]}, \quad e = \mu - x, \qquad
+        \overline{\nu^\top S^{-1} \nu}
+
+    with standard errors: RMSE and bias, NEES, the coverage of regions of confidence c, and the NIS
+    of each sensor, ν its innovation of covariance S. All methods have the same runs.
+
+    Runs are worked through in blocks, of which one is held at a time, so that a study takes the
+    memory of a block, however many runs it has. The draws of run k depend on the seed and k alone
+    (Philox, a counter-based generator): a longer study begins with the runs of a shorter one, and
+    `Study.run` draws any run again by itself.
+
+    Parameters
+    ----------
+    model : DynamicBayesianNetwork
+        Of Gaussian CPDs, whose noise may be `StudentT`, `Cauchy` or `Huber`.
+    evidence : mapping of Variable, optional
+        Values of the inputs, of all runs, and when sensors read, as for
+        `DynamicBayesianNetwork.sample`: ``{u: controls, z: pgm.sightings(step=..., given=...)}``.
+    runs : int
+    methods : mapping of str to method
+        By name, a lineariser, which filters; a schedule, `Filtering`, `FixedLag` or `Smoothing`,
+        which has `Taylor`; or a pair of both, ``(pgm.Unscented(), pgm.Smoothing())``.
+    seed : int
+        A whole number from 0.
+    states : collection of Variable, optional
+        Those judged; all without.
+    steps : int, optional
+        T, where no plain array of the evidence tells.
+    confidence : float
+        Of the regions whose coverage is counted.
+    progress : bool or callable
+        As for `infer`: of the blocks.
+
+    Returns
+    -------
+    Study
+        ``found["EKF"].nees.value``; printed it is a table.
+
+    Raises
+    ------
+    ModelError
+        If the model is no dynamic network of CPDs that can be drawn by counters, or another
+        argument is not what it should be; or if a function of the model fails by itself.
+    EvidenceError
+        If the evidence does not fit the model, or has axes of runs.
+    LinearisationError, NumericalError
+        If a draw of the model has no finite value, or a method fails in all runs of the first
+        block.
+
+    References
+    ----------
+    Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001,
+    section 5.4; Salmon, Moraes, Dror & Shaw, Parallel random numbers: as easy as 1, 2, 3, 2011.
+
+    Examples
+    --------
+    >>> from pgm.examples import walk
+    >>> methods = {"KF": pgm.Filtering(), "RTS": pgm.Smoothing()}
+    >>> found = pgm.study(walk, steps=10, runs=2000, methods=methods, seed=1)
+    >>> bool(abs(found["KF"].nees.value - 1.0) < 4 * found["KF"].nees.error)
+    True
+    """
+    if not isinstance(model, DynamicBayesianNetwork):
+        raise ModelError(f"a study is of a DynamicBayesianNetwork, not of {titled(model)}")
+    _require_whole("runs", runs, 1)
+    _require_whole("seed", seed, 0)
+    level = check_confidence(confidence)
+    if level.ndim:
+        raise ModelError(f"confidence= is one probability, not {confidence!r}")
+    chosen = _methods(methods)
+    drawn = drawn_runs(model, as_mapping(evidence, "evidence"), steps, int(runs), int(seed))
+    judged = as_states(model, states, None)
+    _require_shared_points(model, chosen)
+    graph = compile(model, drawn.steps)
+    family = family_of(model)
+    for method in chosen.values():
+        require_over_time(method.call, graph, family)
+    asked = _Asked(graph, judged, float(level))
+    with reporting(progress):
+        blocks = counted(drawn.blocks, "blocks")
+        sums = joined(of_block(drawn, first, chosen, asked) for first in blocks)
+    return Study(_rows(sums, chosen, asked), drawn, float(level))
+
+
+def joined(blocks: Iterable[Mapping[str, _Sums]]) -> dict[str, _Sums]:
+    """The sums of each method, joined in the order of the blocks, so that all digits are fixed."""
+    found: dict[str, _Sums] = {}
+    for block in blocks:
+        for name, part in block.items():
+            found[name] = found[name].joined(part) if name in found else part
+    return found
+
+
+def of_block(
+    drawn: DrawnRuns, first: int, methods: Mapping[str, _Method], asked: _Asked
+) -> dict[str, _Sums]:
+    """The sums of each method over the block that begins with run `first`."""
+    sample = drawn.sample(first)
+    found: dict[str, _Sums] = {}
+    for name, method in methods.items():
+        found[name] = reduce(_Sums.joined, _of_method(method, sample, first, asked))
+        if not found[name].runs and not first:  # whose error tells more than a table without it
+            send(asked.graph, of_runs(sample, slice(1)).evidence, method.call)
+    return found
+
+
+class _Method(NamedTuple):
+    """A lineariser under a schedule."""
+
+    lineariser: Lineariser
+    schedule: OverTime
+
+    @property
+    def call(self) -> Call:
+        """The options of its inference."""
+        return Call(self.schedule, self.lineariser)
+
+
+class _Asked(NamedTuple):
+    """The graph that methods run on, the states that are judged, and the regions' confidence."""
+
+    graph: DynamicGraph
+    states: tuple[Variable, ...]
+    confidence: float
+
+
+class _Sums(NamedTuple):
+    """The statistics of a method over some runs.
+
+    tallies: By the name of the statistic, and the state or the sensor.
+    diverged, failed: Numbers of runs.
+    unsettled: How many runs did not settle.
+    """
+
+    tallies: Mapping[tuple[str, Variable], Tally]
+    runs: int
+    diverged: Integers
+    failed: Integers
+    unsettled: int = 0
+
+    def joined(self, other: _Sums) -> _Sums:
+        """The statistics over these runs and the next."""
+        tallies = dict(self.tallies)
+        for key, tally in other.tallies.items():
+            tallies[key] = tallies[key].joined(tally) if key in tallies else tally
+        return _Sums(
+            tallies,
+            self.runs + other.runs,
+            np.concatenate([self.diverged, other.diverged]),
+            np.concatenate([self.failed, other.failed]),
+            self.unsettled + other.unsettled,
+        )
+
+
+_NONE: Integers = np.zeros(0, dtype=np.intp)
+
+
+def _of_method(method: _Method, sample: Sample, first: int, asked: _Asked) -> Iterator[_Sums]:
+    """The sums of a method over a block whose first run has this number.
+
+    Where some run fails the halves of the block are tried by themselves, down to single runs.
+    """
+    count = len(sample[asked.states[0]])
+    try:
+        posterior = send(asked.graph, sample.evidence, method.call)
+        sums = _reduced(posterior, sample, first, asked)
+        if method.schedule.iterations > 1 and method.schedule.tolerance > 0.0:
+            sums = sums._replace(unsettled=int((~posterior.status.converged).sum()))
+        yield sums
+    except FAILURES:
+        if count == 1:
+            yield _Sums({}, 0, _NONE, np.array([first], dtype=np.intp))
+            return
+        half = count // 2
+        yield from _of_method(method, of_runs(sample, slice(half)), first, asked)
+        yield from _of_method(method, of_runs(sample, slice(half, None)), first + half, asked)
+
+
+def _reduced(posterior: Posterior[Gaussian], sample: Sample, first: int, asked: _Asked) -> _Sums:
+    tallies: dict[tuple[str, Variable], Tally] = {}
+    lost = np.zeros(len(sample[asked.states[0]]), dtype=bool)
+    for state in asked.states:
+        # Wrapped, as headings of long drives go beyond a turn.
+        truth = difference(np.asarray(sample[state]), np.zeros(1), state.angle_mask)
+        belief = posterior[state]
+        errors = consistency.error(belief, truth)
+        squares = _squares(belief, truth)
+        held = squares <= chi_squared(asked.confidence, state.dimension)
+        last = squares[:, np.flatnonzero(~np.isnan(squares[0]))[-1:]]
+        lost |= (last > chi_squared(_SURE, state.dimension)).any(axis=1)
+        tallies["error", state] = Tally.of(errors)
+        tallies["square", state] = Tally.of(errors**2)
+        tallies["nees", state] = Tally.of(squares)
+        tallies["held", state] = Tally.of(np.where(np.isnan(squares), np.nan, held))
+    for sensor, innovations in posterior.innovations.items():
+        read = innovations.dof > 0
+        tallies["nis", sensor] = Tally.of(np.where(read, innovations.nis, np.nan))
+        tallies["dof", sensor] = Tally.of(np.where(read, innovations.dof, np.nan))
+    return _Sums(tallies, len(lost), first + np.flatnonzero(lost), _NONE)
+
+
+def _squares(belief: Gaussian, truth: Array) -> Array:
+    """The NEES, (runs, T+1); NaN at steps at which some covariance is singular."""
+    kept = proper(belief)
+    squares = np.full(truth.shape[:-1], np.nan)
+    if kept.any():
+        squares[:, kept] = consistency.nees(belief[..., kept], truth[..., kept, :])
+    return squares
+
+
+def _rows(
+    sums: Mapping[str, _Sums], methods: Mapping[str, _Method], asked: _Asked
+) -> Iterator[StudyRow]:
+    for name, (lineariser, schedule) in methods.items():
+        tallies, runs, diverged, failed, unsettled = sums[name]
+        for each in (diverged, failed):
+            each.flags.writeable = False
+        nis = {
+            z: _statistic(tally, float(tallies["dof", z].over_all()[0]))
+            for (what, z), tally in tallies.items()
+            if what == "nis"
+        }
+        for state in asked.states:
+            yield StudyRow(
+                name,
+                lineariser,
+                schedule,
+                state,
+                schedule.kind,
+                runs,
+                _root(_statistic(tallies["square", state])),
+                _statistic(tallies["error", state], 0.0),
+                _statistic(tallies["nees", state], float(state.dimension)),
+                _statistic(tallies["held", state], asked.confidence),
+                nis,
+                diverged,
+                failed,
+                unsettled,
+            )
+
+
+def _statistic(tally: Tally, expected: float = np.nan) -> Statistic:
+    value, error = map(np.asarray, tally.over_all())
+    by_step, error_by_step = tally.by_step()
+    for each in (value, error, by_step, error_by_step):
+        each.flags.writeable = False
+    return Statistic(value, error, by_step, error_by_step, expected)
+
+
+def _root(squares: Statistic) -> Statistic:
+    """The root of mean squares, with its errors to first order."""
+
+    def root(square: Array, error: Array) -> tuple[Array, Array]:
+        value = np.asarray(np.sqrt(square))
+        return value, np.divide(error, 2.0 * value, out=np.array(error), where=value > 0.0)
+
+    return Statistic(
+        *root(squares.value, squares.error), *root(squares.by_step, squares.error_by_step)
+    )
+
+
+def _require_whole(name: str, value: Any, least: int) -> None:
+    if not is_whole(value) or value < least:
+        raise ModelError(f"{name} = {value!r}; a whole number, {least} or more, was due")
+
+
+def _methods(methods: Any) -> dict[str, _Method]:
+    if not isinstance(methods, Mapping):
+        raise ModelError(f"methods= maps names to methods, as in {_EXAMPLE}; found {methods!r}")
+    return {
+        name: _method(name, each)
+        for name, each in named(methods, "methods", _EXAMPLE, class_name).items()
+    }
+
+
+def _method(name: str, given: Any) -> _Method:
+    """A method from a lineariser, a schedule, or a pair of both."""
+    parts = given if isinstance(given, tuple) else (given,)
+    schedules = [part for part in parts if isinstance(part, OverTime)]
+    rules = [part for part in parts if not isinstance(part, OverTime)]
+    if not parts or len(schedules) > 1 or len(rules) > 1 or not all(map(callable, rules)):
+        raise ModelError(
+            f"methods= has {name!r}, which is {titled(given)}; a method is a lineariser, a "
+            f"schedule over time, or a pair of both, as in {_EXAMPLE}"
+        )
+    for rule in rules:
+        require_lineariser(rule)
+    return _Method(*(rules or [TAYLOR]), *(schedules or [Filtering()]))
+
+
+def _require_shared_points(model: DynamicBayesianNetwork, methods: Mapping[str, _Method]) -> None:
+    """Refuse rules that draw points of their own for each run of a call, as blocks are calls."""
+    rules: list[Any] = [method.lineariser for method in methods.values()]
+    rules += [getattr(cpd, "lineariser", None) for cpd in model.cpds]
+    for rule in rules:
+        if getattr(rule, "fresh_per_run", False):
+            raise ModelError(
+                f"{titled(rule)} draws anew for each run of a call, and would repeat its draws in "
+                "each block of a study; leave fresh_per_run out"
+            )
