@@ -392,7 +392,10 @@ def fit(
     lineariser, `Taylor(expected=True)`. So Student-t noise is learnt, a distribution; the
     covariance of a loss (Huber, Cauchy, truncated least squares) is that of the readings without
     outliers. Its likelihood would be that of its tails, and with a gate there is none: steps go on
-    until parameters stay, what is spared being made up for as of Gaussian residuals.
+    until parameters stay, what is spared being made up for as of Gaussian residuals. They do so
+    too where Gaussian noise, as of a motion, is learnt beside Student-t noise on a chain: that
+    which maximises the bound is too small, so that covariances are of readings that count with the
+    information that they have on average.
 
     A network without time is learnt from records, the rows of its evidence. Where the child and the
     parents of all that is learnt were observed, there is a closed form, and no search, unless its
@@ -461,7 +464,8 @@ def fit(
     1982. Jamshidian & Jennrich, Acceleration of the EM algorithm by using quasi-Newton methods,
     1997, method QN2. Lange, Little & Taylor, Robust statistical modeling using the t distribution,
     1989. Liu & Rubin, ML estimation of the t distribution using EM and its extensions, ECM and
-    ECME, 1995. Huber, Robust estimation of a location parameter, 1964 (proposal 2). Windham,
+    ECME, 1995. Huber, Robust estimation of a location parameter, 1964 (proposal 2); The behavior of
+    maximum likelihood estimates under nonstandard conditions, 1967. Windham,
     Robustifying model fitting, 1995. Kokkala, Solin & Särkkä, Sigma-point filtering and smoothing
     based parameter estimation in nonlinear dynamic systems, 2015.
 

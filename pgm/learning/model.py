@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pgm.beliefs.own.family import BeliefFamily
-from pgm.cpds import CPD, ConditionalGaussian, MixtureCPD, TableCPD
+from pgm.cpds import CPD, ConditionalGaussian, MixtureCPD, RobustNoise, TableCPD
 from pgm.display import titled
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import Evidence, constant
@@ -33,6 +33,7 @@ from pgm.learning.values import (
     Table,
 )
 from pgm.linearisers import TAYLOR, Lineariser
+from pgm.networks import DynamicBayesianNetwork
 from pgm.posteriors.expectations import PRIOR, ROLES, Expectations, Learnable
 from pgm.posteriors.posterior import Posterior
 from pgm.schedules.binding import bind_chain
@@ -131,14 +132,33 @@ class Learner:
     def by_equations(self) -> bool:
         """Whether parameters are at a fixed point of steps, since no likelihood is to be raised.
 
-        So it is with a gate, which takes in other measurements at other parameters, and of the
-        covariance of a loss.
+        So it is with a gate, which takes in other measurements at other parameters; of the
+        covariance of a loss; and where covariances are by score.
         """
-        return getattr(self.schedule, "gate", None) is not None or any(
-            cpd.noise is not None and not cpd.noise.distribution
-            for block, cpd in zip(self.blocks, self._cpds(self.start), strict=True)
-            if isinstance(block, GaussianStep) and block.noise is not None
+        return (
+            getattr(self.schedule, "gate", None) is not None
+            or self.by_score
+            or any(noise and not noise.distribution for noise in self._noises)
         )
+
+    @property
+    def by_score(self) -> bool:
+        """Whether a Gaussian noise is learnt beside measurements of Student-t noise, on a chain.
+
+        It is learnt from covariances of beliefs that are by score, see `Weights.information`: by
+        those in which measurements count with their weights it comes out too small.
+        """
+        model = self.start.model
+        if not isinstance(model, DynamicBayesianNetwork) or model.discrete or self.belief:
+            return False
+        kinds = [getattr(cpd, "noise", None) for cpd in model.observation]
+        return None in self._noises and any(noise and noise.distribution for noise in kinds)
+
+    @property
+    def _noises(self) -> list[RobustNoise | None]:
+        """The kinds of the noises whose covariances are learnt, None for a Gaussian one."""
+        blocks = zip(self.blocks, self._cpds(self.start), strict=True)
+        return [cpd.noise for b, cpd in blocks if isinstance(b, GaussianStep) and b.noise]
 
     @property
     def _sensors(self) -> set[Variable]:
@@ -244,7 +264,7 @@ class Learner:
         for evidence, steps in zip(self.evidence(point), self.steps, strict=True):
             # Whether smoothers have settled is told at the end of the search, once.
             family, asked = over_time(point.model, evidence, call, steps, belief=self.belief)
-            outcome, expect = family.infer_to_learn(*asked)
+            outcome, expect = family.infer_to_learn(*asked, by_score=self.by_score)
             posteriors.append(Posterior(outcome))
             expectations.append(expect)
         return posteriors, expectations, float(sum(np.sum(p.log_evidence) for p in posteriors))

@@ -223,9 +223,14 @@ def _robust(found: Residuals, belief: FamilyBelief) -> Residuals:
     noise, robust = belief.family.cpd.noise, belief.robust
     assert noise is not None
     assert robust is not None
-    factor = _times(found.weight, robust.weight.reshape(-1))
+    weight = robust.weight.reshape(-1)
+    factor = _times(found.weight, weight)
     if noise.distribution:
-        return replace(found, factor=factor)
+        if robust.information is None:
+            return replace(found, factor=factor)
+        # Its moments enter times w, and so the covariances by score times the information.
+        share = robust.information / weight
+        return replace(found, factor=factor, cov=found.cov * share[:, None, None])
     spread, own = predict(found.cov, found.line, found.error), found.noise
     if belief.taken is not None:
         taken = np.broadcast_to(belief.taken, (*robust.weight.shape, spread.shape[-1]))

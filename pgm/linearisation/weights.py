@@ -32,6 +32,8 @@ from pgm.linearisation.family import Family
 
 # Those of a truncated loss are about 0 or 1.
 _HALF = 0.5
+# The least information of a measurement, so that its covariance exists.
+_UNTOLD = 1e-3
 
 
 @dataclass(eq=False)
@@ -182,6 +184,18 @@ class Weights:
         else:
             found = noise.loss(square, self.count)
         return 2.0 * np.where(self.count > 0, found, 0.0)
+
+    @property
+    def information(self) -> float:
+        """The share of R⁻¹ that a measured component tells on average: Σ w² s / Σ d, at least 10⁻³.
+
+        It is the variance of the score w R^{−1/2} r at the squares s. Where the density is that of
+        the residuals this is Fisher's information, the mean curvature of the loss; of other
+        residuals, as of outliers, it is less (Huber, 1967; White, 1982).
+        """
+        count = np.broadcast_to(self.count, self.weight.shape)
+        told = np.where(count > 0, self.weight**2 * self.square, 0.0).sum()
+        return max(float(told) / max(int(count.sum()), 1), _UNTOLD)
 
     def scaled(self, own: Array) -> Array:
         """The covariances R / w, (k, runs, d, d), of noise R = `own`, (k or 1, runs or 1, d, d)."""

@@ -40,12 +40,15 @@ class RobustWeights(NamedTuple):
     """The weights of a sensor's measurements with robust noise, and where they were found.
 
     `weight` w (rows, runs); the `square` s (rows, runs) of the residual at which it was found; and
-    the number of `components` (rows or 1, runs or 1) that were measured.
+    the number of `components` (rows or 1, runs or 1) that were measured. `information` is the share
+    of R⁻¹ with which all of them count in the covariances of beliefs; None where each counts there
+    with its weight.
     """
 
     weight: Array
     square: Array
     components: Integers
+    information: float | None = None
 
 
 class FamilyBelief(NamedTuple):

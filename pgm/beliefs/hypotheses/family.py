@@ -189,7 +189,7 @@ class Gaussians(BeliefFamily[Any]):
         return MIXED.infer_static(graph, evidence, call)
 
     def infer_to_learn(
-        self, graph: DynamicGraph, bound: BoundEvidence, call: Call
+        self, graph: DynamicGraph, bound: BoundEvidence, call: Call, *, by_score: bool = False
     ) -> tuple[Outcome[Any], Callable[[Sequence[Learnable]], Expectations]]:
         """The mixtures of a smoother, and expectations by its pass back."""
         if self.starts:

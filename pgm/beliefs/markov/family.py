@@ -49,7 +49,7 @@ class Tables(BeliefFamily[Table]):
         return run(graph, bound, call.schedule, call.impossible)
 
     def infer_to_learn(
-        self, graph: DynamicGraph, bound: BoundEvidence, call: Call
+        self, graph: DynamicGraph, bound: BoundEvidence, call: Call, *, by_score: bool = False
     ) -> tuple[Outcome[Table], Callable[[Sequence[Learnable]], Expectations]]:
         """The tables, and their expected counts."""
         outcome = run(graph, bound, call.schedule, call.impossible)

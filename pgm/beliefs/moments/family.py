@@ -39,12 +39,12 @@ class Moments(BeliefFamily[Gaussian]):
     infer = staticmethod(run)
 
     def infer_to_learn(
-        self, graph: DynamicGraph, bound: BoundEvidence, call: Call
+        self, graph: DynamicGraph, bound: BoundEvidence, call: Call, *, by_score: bool = False
     ) -> tuple[Outcome[Gaussian], Callable[[Sequence[Learnable]], Expectations]]:
         """The moments, and the smoothed beliefs of all families."""
         outcome = run(graph, bound, call)
         assert isinstance(outcome, ChainOutcome)  # nothing is asked to be kept alone
-        return outcome, lambda parts: family_beliefs(outcome)
+        return outcome, lambda parts: family_beliefs(outcome, by_score=by_score)
 
     def infer_static(
         self, graph: ClusterGraph, evidence: Evidence, call: Call

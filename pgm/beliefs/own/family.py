@@ -292,9 +292,12 @@ class BeliefFamily(ByAttributes, Generic[B]):
         return run(self, graph, bound, call)
 
     def infer_to_learn(
-        self, graph: DynamicGraph, bound: BoundEvidence, call: Call
+        self, graph: DynamicGraph, bound: BoundEvidence, call: Call, *, by_score: bool = False
     ) -> tuple[Outcome[B], Callable[[Sequence[Learnable]], Expectations]]:
-        """The outcome of a smoother, and expectations of CPDs given all evidence, as of `fit`."""
+        """The outcome of a smoother, and expectations of CPDs given all evidence, as of `fit`.
+
+        Gaussian covariances beside Student-t noise may be `by_score`: see `Weights.information`.
+        """
         raise ModelError(
             f"{self!r} has no expectations to learn by: fit with Gaussian beliefs, tables, or "
             "mixtures of Gaussians, and leave belief= out"

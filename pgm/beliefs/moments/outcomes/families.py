@@ -3,9 +3,18 @@
 A family is a CPD with its hidden parents and its child. A transition has a row for each step, a
 sensor for each of its sightings (measurements at a step), and a prior has one row. A *slice* is the
 vector of a step's states and hidden controls; only the states act on the next slice.
+
+A measurement of robust noise counts in the smoother with its weight w, as N(r; 0, R / w). In a
+covariance that is too much: w R⁻¹ is the precision of one whose scale is known, and what is left
+open of the states comes out too small. Covariances may be *by score*, of a pass in which each
+measurement of a sensor counts with the same share of R⁻¹, its `Weights.information`: of noise that
+is meant as a distribution, such as Student's t.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,6 +22,8 @@ from pgm.beliefs.moments.digits.adjoint import CarefulSmoothed
 from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
 from pgm.beliefs.moments.passes import backward
 from pgm.beliefs.moments.passes.backward import Beliefs
+from pgm.beliefs.moments.smoothers import smoother
+from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.kernels.arrays import Array, Index, block, independent, quiet
 from pgm.kernels.mahalanobis import square_within
@@ -28,17 +39,34 @@ from pgm.posteriors.expectations import (
     RobustWeights,
 )
 
+# Of a smaller weight w, R / w has no digits left for the error of a linearisation beside it.
+_FAINT = 1e-6
+
+
+class _Smoothed(NamedTuple):
+    """The moments of slices (T+1, runs, ...), and of pairs (T, runs, ...)."""
+
+    slices: Beliefs
+    pairs: Beliefs
+
 
 @quiet()
-def family_beliefs(posterior: ChainOutcome) -> Expectations:
-    """The belief of each family that has rows, from a smoothed posterior."""
-    plan, beliefs = posterior._plan, posterior._beliefs
+def family_beliefs(posterior: ChainOutcome, *, by_score: bool = False) -> Expectations:
+    """The belief of each family that has rows, from a smoothed posterior.
+
+    Its covariances may be `by_score`, beside robust noise that is meant as a distribution.
+    """
+    plan, told = posterior._plan, dict[int, float]()
+    for sensor in plan.robust if by_score else ():
+        if sensor.weights.noise.distribution:
+            told[id(sensor)] = sensor.weights.information
+    beliefs, pairs = _by_score(posterior, told) if told else _of(posterior)
     layout, places = plan.layout, plan.layout.state_places
     found: dict[Learnable, FamilyBelief] = {}
     first = Beliefs(beliefs.mean[:1][..., places], block(beliefs.cov[:1], places, places))
     groups = [(PRIOR, plan.prior, first)]
     if plan.steps:
-        groups.append((TRANSITION, plan.transition, _pairs(posterior)))
+        groups.append((TRANSITION, plan.transition, pairs))
     for role, links, moments in groups:
         everywhere = np.arange(moments.mean.shape[-1])
         for link in links:
@@ -54,16 +82,16 @@ def family_beliefs(posterior: ChainOutcome) -> Expectations:
         found[Learnable(sensor.family.cpd, OBSERVATION)] = own._replace(
             values=sensor.values,
             taken=sensor.taken,
-            robust=_robust(sensor) if sensor.robust else None,
+            robust=_robust(sensor, told.get(id(sensor))) if sensor.robust else None,
             cut=None if sensor.gated is None else _cut(posterior, sensor),
         )
     return Expectations({}, found)
 
 
-def _robust(sensor: Sensor) -> RobustWeights:
+def _robust(sensor: Sensor, information: float | None) -> RobustWeights:
     """The weights that a smoother found for a sensor's measurements."""
     weights = sensor.weights
-    return RobustWeights(weights.weight, weights.square, weights.count)
+    return RobustWeights(weights.weight, weights.square, weights.count, information)
 
 
 def _cut(posterior: ChainOutcome, sensor: Sensor) -> Array:
@@ -102,11 +130,39 @@ def _belief(family: Family, moments: Beliefs, chosen: Index) -> FamilyBelief:
     return FamilyBelief(family, mean, cov, None, None)
 
 
-def _pairs(posterior: ChainOutcome) -> Beliefs:
-    """The smoothed moments of the pairs (states at t − 1, slice at t), t = 1..T: (T, runs, ...)."""
+def _of(posterior: ChainOutcome) -> _Smoothed:
+    """The smoothed moments."""
     beliefs, careful = posterior._beliefs, posterior._careful
     if careful is None:
-        return backward.pairs(beliefs, posterior._reverse, slice(None))
-    states = posterior._plan.layout.state_places
-    mean = np.concatenate([beliefs.mean[:-1][..., states], beliefs.mean[1:]], axis=-1)
-    return Beliefs(mean, CarefulSmoothed.of(posterior._plan, careful).pairs())
+        return _Smoothed(beliefs, backward.pairs(beliefs, posterior._reverse, slice(None)))
+    cov = CarefulSmoothed.of(posterior._plan, careful).pairs()
+    return _Smoothed(beliefs, _pairs(posterior._plan, beliefs.mean, cov))
+
+
+def _by_score(posterior: ChainOutcome, told: dict[int, float]) -> _Smoothed:
+    """The smoothed means, with covariances by score.
+
+    `told` has the information of the sensors of robust noise, by their identity.
+    """
+    plan, again = posterior._plan, posterior._plan.copies(1)
+    for sensor, other in zip(plan.sensors, again.sensors, strict=True):
+        if id(sensor) in told:
+            weights, own, noise = sensor.weights, sensor.family.own_noise, other.family.noise
+            error = noise - weights.scaled(own)
+            if sensor.family.taylor:
+                error = np.zeros_like(noise)
+            error = np.where(weights.weight[..., None, None] > _FAINT, error, 0.0)
+            alike = np.full_like(weights.weight, told[id(sensor)])
+            noise[...] = replace(weights, weight=alike).scaled(own) + error
+    mean = posterior._beliefs.mean
+    slices, pairs = smoother.covariances(again, mean, careful=posterior._careful is not None)
+    return _Smoothed(Beliefs(mean, slices), _pairs(plan, mean, pairs))
+
+
+def _pairs(plan: ChainPlan, mean: Array, cov: Array) -> Beliefs:
+    """The moments of pairs (states at t − 1, slice at t), t = 1..T, of covariances (T, runs, ...).
+
+    `mean` (T+1, runs, n) is that of the slices.
+    """
+    states = plan.layout.state_places
+    return Beliefs(np.concatenate([mean[:-1][..., states], mean[1:]], axis=-1), cov)

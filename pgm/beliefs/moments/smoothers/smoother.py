@@ -321,6 +321,19 @@ def _careful(plan: ChainPlan, reference: Array, anchor: Anchor | None) -> Carefu
     return CarefulSmoothed.of(plan, careful.sweep(plan, None, anchor)[0])
 
 
+def covariances(plan: ChainPlan, reference: Array, *, careful: bool) -> tuple[Array, Array]:
+    """The smoothed covariances of slices (T+1, runs, ...) and of pairs (T, runs, ...).
+
+    They are of the plan as it is linearised; with `careful`, by a pass in twice the digits.
+    """
+    if careful:
+        found = _careful(plan, reference, None)
+        return found.beliefs.cov, found.pairs()
+    swept_ = swept(plan, reference, None)
+    reverse = swept_.reversed_of(plan)
+    return swept_.beliefs.cov, backward.pairs(swept_.beliefs, reverse, slice(None)).cov
+
+
 def _is_long(plan: ChainPlan) -> bool:
     """Whether a scan is faster than a sweep: 64 steps or more, of at most 200 numbers each.
 
