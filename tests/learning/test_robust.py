@@ -81,7 +81,7 @@ def test_variance_and_degrees_of_freedom_maximise_the_bound_of_a_dense_twin():
 def test_plain_steps_never_lower_the_bound(noise):
     """Of everything at once, with readings and components of readings missing.
 
-    Of losses all but their covariance is likeliest; beside a distribution all but other noises.
+    Of losses all but their covariance is likeliest.
     """
     rng = np.random.default_rng(4)
     model = pgm.DynamicBayesianNetwork(
@@ -96,7 +96,7 @@ def test_plain_steps_never_lower_the_bound(noise):
     found = pgm.fit(
         model,
         {Z: readings},
-        learn={X: every[:2], Z: every} if noise.distribution else {X: every, Z: every[:2]},
+        learn={X: every, Z: every if noise.distribution else every[:2]},
         schedule=pgm.Smoothing(iterations=300, tolerance=1e-9),
         iterations=5,
         accelerate=False,
