@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from functools import reduce
+from importlib.util import find_spec
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from pgm import consistency
 from pgm.arguments import public
+from pgm.beliefs.moments.compiled.sweep import repays
 from pgm.boundary import as_mapping, is_whole
 from pgm.comparison.comparing import as_states
 from pgm.comparison.drawn_runs import DrawnRuns, drawn_runs, of_runs
@@ -18,6 +20,7 @@ from pgm.comparison.row import FAILURES, proper
 from pgm.comparison.study_result import Statistic, Study, StudyRow
 from pgm.comparison.tally import Tally
 from pgm.compile import DynamicGraph, compile
+from pgm.compile.machine import Choice
 from pgm.consistency.errors import check_confidence
 from pgm.consistency.regions import chi_squared
 from pgm.display import titled
@@ -52,6 +55,7 @@ def study(
     states: Iterable[Variable] | None = None,
     steps: int | None = None,
     confidence: float = 0.95,
+    compiled: Choice = None,
     progress: Progress = False,
 ) -> Study:
     r"""Judge methods on many runs of a model: draw, filter or smooth, and reduce to statistics.
@@ -90,6 +94,9 @@ def study(
         T, where no plain array of the evidence tells.
     confidence : float
         Of the regions whose coverage is counted.
+    compiled : bool or Compiled, optional
+        Whether methods run in machine code, as for `filter`; if not given, where all blocks
+        together are long enough for that to be quicker.
     progress : bool or callable
         As for `infer`: of the blocks.
 
@@ -133,7 +140,9 @@ def study(
     drawn = drawn_runs(model, as_mapping(evidence, "evidence"), steps, int(runs), int(seed))
     judged = as_states(model, states, None)
     _require_shared_points(model, chosen)
-    graph = compile(model, drawn.steps)
+    # The code is made once, for all blocks.
+    long = repays(drawn.steps, drawn.block, len(drawn.blocks)) and find_spec("llvmlite")
+    graph = compile(model, drawn.steps, compiled=True if compiled is None and long else compiled)
     family = family_of(model)
     for method in chosen.values():
         require_over_time(method.call, graph, family)

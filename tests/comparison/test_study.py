@@ -135,6 +135,16 @@ def test_figures_are_plain_means_over_runs(study, monkeypatch):
             assert_allclose(row.nis[r].expected, 8.0 / 3.0)
 
 
+def test_machine_code_gives_the_same_figures(study):
+    pytest.importorskip("llvmlite")
+    found = robots(40, compiled=True)
+    for row, other in zip(found.rows, study.rows, strict=True):
+        for name, statistic in row._statistics().items():
+            assert_allclose(statistic.by_step, other._statistics()[name].by_step, atol=1e-9)
+    with pytest.raises(ModelError, match="compiled='yes'"):
+        robots(40, compiled="yes")
+
+
 def test_a_linear_filter_is_consistent():
     found = pgm.study(walk, steps=5, runs=3000, methods={"KF": pgm.Filtering()}, seed=2)["KF"]
     for statistic in (found.nees, found.nis[z], found.coverage, found.bias):

@@ -108,6 +108,11 @@ def is_iterated(plan: ChainPlan, schedule: Filtering) -> bool:
     return schedule.iterations > 1 and any(sensor.family.template for sensor in plan.read)
 
 
+def repays(steps: int, runs: int, times: int = 1) -> bool:
+    """Whether NumPy would take longer than making machine code does, for so many such sweeps."""
+    return times * steps * (_STEP + runs) >= _LONG
+
+
 def is_used(plan: ChainPlan, times: int = 1) -> bool:
     """Whether a plan is to be swept in machine code; its account says why not.
 
@@ -116,7 +121,7 @@ def is_used(plan: ChainPlan, times: int = 1) -> bool:
     choice, account = plan.layout.compiled, plan.account
     if choice is False:
         account.rest = "compiled=False"
-    elif choice is None and times * plan.steps * (_STEP + plan.runs) < _LONG:
+    elif choice is None and not repays(plan.steps, plan.runs, times):
         account.rest = "machine code is made for longer work, or by compiled=True"
     elif choice is None and find_spec("llvmlite") is None:
         account.rest = "llvmlite is not installed"
