@@ -175,7 +175,7 @@ class Study(Shown, Immutable):
     """Methods beside each other over many drawn runs; its text is a table.
 
     ``found["EKF"]`` is the row of a method, of the only state; ``found["EKF", x]`` that of one of
-    several.
+    several. `pgm.plot.study` draws it over time.
 
     Attributes
     ----------

@@ -16,6 +16,7 @@ from pgm.plot.statistics.compared import comparison, ranking
 from pgm.plot.statistics.consistency import coverage, nees, nis, whiteness
 from pgm.plot.statistics.over_time import errors, kl, rmse
 from pgm.plot.statistics.records import convergence
+from pgm.plot.statistics.studied import study
 
 __all__ = [
     "animate",
@@ -42,6 +43,7 @@ __all__ = [
     "particles",
     "ranking",
     "rmse",
+    "study",
     "trajectory",
     "whiteness",
 ]

@@ -66,6 +66,14 @@ def compared(linearisers, schedules=None):
     return pgm.plot.comparison(found)
 
 
+def studied(count):
+    methods = {f"rule {k}": pgm.Unscented(alpha=1.0 + 0.3 * k) for k in range(count)}
+    found = pgm.study(
+        networks.linear(), {shift: np.zeros((STEPS, 2))}, runs=50, methods=methods, seed=1
+    )
+    return pgm.plot.study(found)
+
+
 def _rmse(posterior, truth, label, ax):
     return pgm.plot.rmse(posterior[point], truth, label=label, ax=ax, unit="m")
 
@@ -105,4 +113,6 @@ STATISTICS = {
     "convergence runs": lambda: convergence(2, runs=30, zero=True),
     "comparison 2": lambda: compared(2),
     "comparison 9": lambda: compared(9),
+    "study 2": lambda: studied(2),
+    "study 9": lambda: studied(9),
 }
