@@ -98,6 +98,8 @@ class StudyRow(Shown):
         The numbers of the runs in which the method ended in an error.
     unsettled : int
         The number of the runs whose iterations ended before they settled; they count.
+    worst : int
+        The number of the run with the largest NEES at any step; 0 where none has any.
 
     Examples
     --------
@@ -120,7 +122,8 @@ class StudyRow(Shown):
     nis: Mapping[Variable, Statistic]
     diverged: Integers
     failed: Integers
-    unsettled: int = 0
+    unsettled: int
+    worst: int
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "nis", MappingProxyType(dict(self.nis)))

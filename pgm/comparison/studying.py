@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from functools import reduce
 from importlib.util import find_spec
+from operator import itemgetter
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -201,6 +203,7 @@ class _Sums(NamedTuple):
     tallies: By the name of the statistic, and the state or the sensor.
     diverged, failed: Numbers of runs.
     unsettled: How many runs did not settle.
+    worst: By state, the largest NEES of any step, and the number of its run.
     """
 
     tallies: Mapping[tuple[str, Variable], Tally]
@@ -208,6 +211,7 @@ class _Sums(NamedTuple):
     diverged: Integers
     failed: Integers
     unsettled: int = 0
+    worst: Mapping[Variable, tuple[float, int]] = MappingProxyType({})
 
     def joined(self, other: _Sums) -> _Sums:
         """The statistics over these runs and the next."""
@@ -220,6 +224,10 @@ class _Sums(NamedTuple):
             np.concatenate([self.diverged, other.diverged]),
             np.concatenate([self.failed, other.failed]),
             self.unsettled + other.unsettled,
+            {
+                state: max(self.worst.get(state, each), each, key=itemgetter(0))
+                for state, each in (other.worst or self.worst).items()
+            },
         )
 
 
@@ -249,6 +257,7 @@ def _of_method(method: _Method, sample: Sample, first: int, asked: _Asked) -> It
 
 def _reduced(posterior: Posterior[Gaussian], sample: Sample, first: int, asked: _Asked) -> _Sums:
     tallies: dict[tuple[str, Variable], Tally] = {}
+    worst: dict[Variable, tuple[float, int]] = {}
     lost = np.zeros(len(sample[asked.states[0]]), dtype=bool)
     for state in asked.states:
         # Wrapped, as headings of long drives go beyond a turn.
@@ -258,6 +267,8 @@ def _reduced(posterior: Posterior[Gaussian], sample: Sample, first: int, asked: 
         squares = _squares(belief, truth)
         held = squares <= chi_squared(asked.confidence, state.dimension)
         last = squares[:, np.flatnonzero(~np.isnan(squares[0]))[-1:]]
+        most = np.where(np.isnan(squares), -np.inf, squares).max(axis=1)
+        worst[state] = float(most.max()), first + int(most.argmax())
         lost |= (last > chi_squared(_SURE, state.dimension)).any(axis=1)
         tallies["error", state] = Tally.of(errors)
         tallies["square", state] = Tally.of(errors**2)
@@ -267,7 +278,7 @@ def _reduced(posterior: Posterior[Gaussian], sample: Sample, first: int, asked: 
         read = innovations.dof > 0
         tallies["nis", sensor] = Tally.of(np.where(read, innovations.nis, np.nan))
         tallies["dof", sensor] = Tally.of(np.where(read, innovations.dof, np.nan))
-    return _Sums(tallies, len(lost), first + np.flatnonzero(lost), _NONE)
+    return _Sums(tallies, len(lost), first + np.flatnonzero(lost), _NONE, worst=worst)
 
 
 def _squares(belief: Gaussian, truth: Array) -> Array:
@@ -283,7 +294,7 @@ def _rows(
     sums: Mapping[str, _Sums], methods: Mapping[str, _Method], asked: _Asked
 ) -> Iterator[StudyRow]:
     for name, (lineariser, schedule) in methods.items():
-        tallies, runs, diverged, failed, unsettled = sums[name]
+        tallies, runs, diverged, failed, unsettled, worst = sums[name]
         for each in (diverged, failed):
             each.flags.writeable = False
         nis = {
@@ -307,6 +318,7 @@ def _rows(
                 diverged,
                 failed,
                 unsettled,
+                worst[state][1],
             )
 
 

@@ -129,6 +129,7 @@ def test_figures_are_plain_means_over_runs(study, monkeypatch):
             assert_allclose(row.rmse.value, rmse, atol=1e-10)
             spread = (error**2).mean(axis=1).std(axis=0, ddof=1) / np.sqrt(runs)
             assert_allclose(row.rmse.error, spread / (2.0 * rmse), atol=1e-10)
+            assert row.worst == nees.max(axis=1).argmax()
             nis = posterior.innovations[r].nis
             assert_allclose(row.nis[r].by_step, nis.mean(axis=0), atol=1e-10)
             assert_allclose(row.nis[r].value, np.nanmean(nis), atol=1e-10)
