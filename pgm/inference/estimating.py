@@ -65,11 +65,11 @@ def estimate(
        are drawn, until q is near, or the moments of each belief are known within .1 nats, or the
        `effort` is spent.
     3. Means and covariances are those of the weighed draws, with each mode as a control variate.
-    4. What this does not vouch for is tried by another rule; then, of a chain of up to 6 components
-       a step, all with noise, by draws of each step alone, 256 and 512, any of which may follow any
-       of the step before. A chain that is ambiguous at many steps, each apart from the others, has
-       more modes than can be counted, and this way a belief all the same. Whatever the most can be
-       said of is the answer.
+    4. What this does not vouch for is tried by another rule. What is then not vouched for by the
+       density is tried, of a chain of up to 6 components a step, all with noise, by draws of each
+       step alone, 256 and 512, any of which may follow any of the step before. So a chain has a
+       belief that is ambiguous at many steps, each apart from the others. It is the answer where
+       more can be said of it, or where it refutes the one before.
 
     The result says in ``posterior.verdict`` whether it is vouched for, within how much, and what it
     took; so does ``print(posterior)``. Nothing is vouched for if starts do not agree on the modes,
@@ -86,7 +86,8 @@ def estimate(
     evidence : mapping of Variable
         As of `smooth` over time, else as of `infer`. Leading axes are runs.
     effort : int
-        The most draws of a run, 40 or more. A chain of more than 1,000 steps has 200 in all.
+        The most draws of a run by each rule, 40 or more. Draws of each step alone come on top, if
+        it is 768 or more. A chain of more than 1,000 steps has 200 in all.
     steps : int, optional
         T, the last step; see `smooth`.
     rng : numpy.random.Generator or int

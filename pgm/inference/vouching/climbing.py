@@ -16,7 +16,7 @@ from pgm.beliefs.modes.pool import BLOCKS, Pool, Weighed
 from pgm.beliefs.modes.search import Search
 from pgm.errors import PgmError
 from pgm.inference.vouching.judging import Judged, Marginal, judge
-from pgm.inference.vouching.recombining import PASSES, Recombined, per_call, recombined
+from pgm.inference.vouching.recombining import PASSES, Recombined, apart, per_call, recombined
 from pgm.kernels.arrays import Array, Integers, Mask, quiet
 from pgm.posteriors.verdict import ENOUGH, HEAVY
 from pgm.schedules.damping import LevenbergMarquardt
@@ -203,15 +203,15 @@ def _sought(search: Search, paths: Paths) -> Sought:
 def climb(search: Search, effort: int, rng: np.random.Generator) -> tuple[Sought, Answer]:
     """The modes of all runs, and their answers.
 
-    Runs that draws of these modes do not vouch for have modes by another rule as well, and then
-    trajectories recombined from draws of each step, and the answer of whose draws more can be said.
-    Starts and draws of all count.
+    Runs that draws of these modes do not vouch for have modes by another rule as well, and the
+    answer of whose draws more can be said. Those that are still not vouched for by the density have
+    trajectories recombined from draws of each step. Starts and draws of all count.
     """
     sought = seek(search)
     answer = weigh(search, sought.laws, effort, rng)
     if answer.draws.max() > FEW:
-        for another in (_otherwise, _recombined):
-            left = np.flatnonzero(answer.of == 0)
+        for another, kinds in ((_otherwise, (0,)), (_recombined, (0, 2))):
+            left = np.flatnonzero(np.isin(answer.of, kinds))
             if left.size:
                 try:
                     sought, answer = another(search, sought, answer, left, effort, rng)
@@ -241,7 +241,8 @@ def _otherwise(
     starts[left] += HALF + 1
     settled[left] += np.reshape(found.status.arrived, -1)[places]
     sought = replace(sought, starts=starts, settled=settled)
-    return sought, _preferred(answer, left, other, count >= sought.modes[left])
+    preferred = (other.rank > answer.rank[left]) & (count >= sought.modes[left])
+    return sought, _with(answer, left, other, preferred)
 
 
 def _recombined(
@@ -252,7 +253,11 @@ def _recombined(
     effort: int,
     rng: np.random.Generator,
 ) -> tuple[Sought, Answer]:
-    """The answers with those of recombined trajectories where more can be said of these."""
+    """The answers with those of recombined trajectories where more can be said of these.
+
+    And where the others' moments are further from theirs than the errors of both allow: draws of
+    many steps that are of modes do not meet what is beside these.
+    """
     if effort < sum(PASSES):
         return sought, answer
     runs = _asked(search, left)
@@ -266,8 +271,12 @@ def _recombined(
     other = _in_parts(runs, most, ask)
     if other is None:
         return sought, answer
-    own = other.some(np.searchsorted(runs, left))
-    return sought, _preferred(answer, left, own, np.ones(left.shape, dtype=bool))
+    old = answer.some(runs)
+    off = apart(search.of(runs).target(other.laws), other.laws, old.laws)
+    refuted = other.sound & (off > old.within + 2.0 * other.within)
+    places = np.searchsorted(runs, left)
+    preferred = (other.rank > old.rank) | refuted
+    return sought, _with(answer, left, other.some(places), preferred[places])
 
 
 def _of_recombined(found: Recombined) -> Answer:
@@ -280,12 +289,9 @@ def _of_recombined(found: Recombined) -> Answer:
     return Answer(found.laws, found.log_evidence, found.within, of, sound, usable, *rest)
 
 
-def _preferred(answer: Answer, runs: Integers, other: Answer, allowed: Mask) -> Answer:
-    """The answers with others of some runs where these are allowed, and more can be said of them.
-
-    The draws of both count.
-    """
-    better = np.flatnonzero((other.rank > answer.rank[runs]) & allowed)
+def _with(answer: Answer, runs: Integers, other: Answer, preferred: Mask) -> Answer:
+    """The answers with others of some runs where these are preferred. The draws of both count."""
+    better = np.flatnonzero(preferred)
     draws = _put(answer.draws, runs, answer.draws[runs] + other.draws)
     return replace(answer.put(runs[better], other.some(better)), draws=draws)
 

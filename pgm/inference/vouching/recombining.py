@@ -53,16 +53,22 @@ def recombined(target: Target, laws: Laws, rng: np.random.Generator) -> Recombin
         return None
     recombination = Recombination(target.chain, laws)
     before = None
-    found, marginals = [], []
+    found = []
     for count in PASSES:
         before = recombination.run(count, KEPT, before, rng)
         found.append(of_trajectories(target, laws, before.trajectories.values))
-        marginals.append([marginal(found[-1], scope, target.angles) for scope in target.scopes])
     assert before is not None
-    off = np.zeros(laws.weights.shape[1])
-    for scope, first, last in zip(target.scopes, *marginals, strict=True):
-        off = np.maximum(off, worst(last, first, target.angles[scope.places]))
+    off = apart(target, found[-1], found[0])
     with np.errstate(divide="ignore"):  # draws of no weight
         tail = pareto_shape(np.log(before.worst))
     worth = np.where(np.isfinite(before.log_evidence), effective(before.worst), 0.0)
     return Recombined(found[-1], before.log_evidence, CAUTION * off + FLOOR, worth, tail)
+
+
+def apart(target: Target, laws: Laws, others: Laws) -> Array:
+    """The divergence of the worst marginal's moments from those under other laws, (runs,)."""
+    found = np.zeros(laws.weights.shape[1])
+    for scope in target.scopes:
+        own, other = (marginal(each, scope, target.angles) for each in (laws, others))
+        found = np.maximum(found, worst(own, other, target.angles[scope.places]))
+    return found

@@ -1,5 +1,7 @@
 """Trajectories recombined from draws of each step, against exact smoothers and a grid."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from pgm.beliefs.modes.chain import ChainSearch
 from pgm.beliefs.modes.recombined import Recombination
 from pgm.examples import walk, x, z
 from pgm.inference.estimating import _over_time
+from pgm.inference.vouching import climbing
 from pgm.inference.vouching.climbing import seek
 from pgm.inference.vouching.recombining import recombined
 
@@ -26,6 +29,15 @@ def moments(found, step):
     drawn, weights = found.points[step][..., 0], found.weights[step]
     mean = (weights * drawn).sum(axis=1)
     return mean, (weights * drawn**2).sum(axis=1) - mean**2
+
+
+def ambiguous(steps, seed):
+    """The measurements of three runs of the growth model."""
+    asked = {
+        growth.clock: 1.0 + np.arange(steps)[:, None],
+        growth.reading: pgm.sightings(step=np.arange(1, steps + 1)),
+    }
+    return growth.network(3).sample(asked, runs=3, rng=seed).evidence
 
 
 @pytest.mark.parametrize("shift", [0.0, 1.5])
@@ -88,13 +100,7 @@ def test_a_heading_that_is_told_but_for_whole_turns_may_pass_a_turn():
 
 
 def test_a_chain_ambiguous_at_many_steps_is_smoothed_as_by_a_grid():
-    steps = 15
-    asked = {
-        growth.clock: 1.0 + np.arange(steps)[:, None],
-        growth.reading: pgm.sightings(step=np.arange(1, steps + 1)),
-    }
-    model = growth.network(3)
-    evidence = model.sample(asked, runs=3, rng=11).evidence
+    model, evidence = growth.network(3), ambiguous(15, 11)
     exact = pgm.smooth(model, evidence, belief=pgm.Grid({"x": (-30, 30, 3000)}))
     found = pgm.estimate(model, evidence, effort=1000)
     assert found.verdict.recombined.any()
@@ -107,6 +113,26 @@ def test_a_chain_ambiguous_at_many_steps_is_smoothed_as_by_a_grid():
     assert (worst <= 2 * found.verdict.within[found.verdict.recombined]).all()
     np.testing.assert_allclose(found.log_evidence, exact.log_evidence, atol=0.5)
     assert "recombined from draws of each step" in repr(found.verdict)
+
+
+def test_moments_that_are_vouched_for_wrongly_are_refuted(monkeypatch):
+    """Draws of the modes are made to vouch for a quarter of the deviations."""
+    weigh = climbing.weigh
+
+    def flattering(*asked):
+        answer = weigh(*asked)
+        laws = answer.laws._replace(cov=answer.laws.cov / 16.0)
+        within, of = np.full(answer.within.shape, 0.01), np.full(answer.of.shape, 2)
+        return replace(answer, laws=laws, within=within, of=of, sound=of > 0, usable=of > 0)
+
+    model, evidence = growth.network(3), ambiguous(6, 3)
+    exact = pgm.smooth(model, evidence, belief=pgm.Grid({"x": (-30, 30, 3000)}))
+    monkeypatch.setattr(climbing, "weigh", flattering)
+    found = pgm.estimate(model, evidence, effort=1000)
+    assert found.verdict.recombined.all()
+    off = np.abs(found[growth.state].mean - exact[growth.state].mean) / exact[growth.state].std
+    assert off.max() < 0.3
+    np.testing.assert_allclose(found[growth.state].std, exact[growth.state].std, rtol=0.25)
 
 
 def test_chains_with_components_without_noise_or_with_many_are_not_recombined():
