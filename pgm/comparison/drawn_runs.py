@@ -5,6 +5,8 @@ from __future__ import annotations
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from pgm.cpds.conditional import ConditionalGaussian
 from pgm.cpds.robust import Cauchy, Huber, StudentT, TruncatedLeastSquares
 from pgm.display import titled
@@ -95,11 +97,28 @@ def drawn_runs(
                 variable=cpd.child,
                 cpd=cpd,
             )
+    if not model.observation:
+        raise ModelError(
+            "the model has no sensors, so that there is nothing to filter: give it an observation"
+        )
     if model.lead:
         raise ModelError(
             f"the model has CPDs with axes of runs {model.lead}, where the runs of a study are "
             "draws of one model; make a study of each"
         )
+    # Runs are drawn again later, whatever becomes of the caller's arrays.
+    inputs = {
+        v: each.copy() if isinstance(each, np.ndarray) else each for v, each in inputs.items()
+    }
+    for cpd in model.observation:
+        given = inputs.get(cpd.child)
+        if isinstance(given, np.ndarray) and given.ndim > 2:
+            raise EvidenceError(
+                f"{cpd.child!r} is given as an array of shape {given.shape}, which "
+                "has axes of runs; a study draws what sensors read: give (steps, components), or "
+                "pgm.sightings(step=...)",
+                variable=cpd.child,
+            )
     bound = bind(model.transition, model.observation, inputs, steps, (1,), drawing=True)
     if bound.lead != (1,):
         raise EvidenceError(

@@ -143,7 +143,9 @@ def study(
     judged = as_states(model, states, None)
     _require_shared_points(model, chosen)
     # The code is made once, for all blocks.
-    long = repays(drawn.steps, drawn.block, len(drawn.blocks)) and find_spec("llvmlite")
+    long = repays(drawn.steps, min(drawn.block, drawn.runs), len(drawn.blocks)) and find_spec(
+        "llvmlite"
+    )
     graph = compile(model, drawn.steps, compiled=True if compiled is None and long else compiled)
     family = family_of(model)
     for method in chosen.values():

@@ -38,7 +38,7 @@ class Verdict(Shown, Immutable, NoArray):
         Whether nine in ten starts settled, or stopped too far below the best mode to matter, and
         modes that one start alone has found have no more than .005 of the mass.
     draws : ndarray of int
-        How many draws were weighed.
+        How many draws were weighed, by all rules that were tried.
     effective : ndarray
         How many equally weighted draws they are worth; 100 or more can be used.
     pareto_k : ndarray

@@ -302,3 +302,28 @@ def test_what_a_study_has_not(study):
         study.run(40)
     with pytest.raises(ModelError, match="asked for a method of"):
         study["PF"]
+
+
+def test_readings_of_several_runs_are_refused():
+    with pytest.raises(EvidenceError, match=r"shape \(3, 4, 1\), which has axes of runs"):
+        pgm.study(walk, {z: np.zeros((3, 4, 1))}, runs=3, methods={"KF": pgm.Taylor()}, seed=1)
+
+
+def test_a_study_draws_again_whatever_becomes_of_its_inputs():
+    a, b, c = (pgm.Variable(name) for name in "abc")
+    model = pgm.DynamicBayesianNetwork(
+        prior=[pgm.GaussianCPD(a, 0.0, 1.0)],
+        transition=[pgm.LinearGaussianCPD(a, {a.previous: 1.0, b: 1.0}, cov=1.0)],
+        observation=[pgm.LinearGaussianCPD(c, {a: 1.0}, cov=1.0)],
+    )
+    pushes = np.ones((4, 1))
+    found = pgm.study(model, {b: pushes}, runs=3, methods={"KF": pgm.Taylor()}, seed=1)
+    before = found.run(2)[a]
+    pushes[:] = 1e3
+    np.testing.assert_array_equal(found.run(2)[a], before)
+
+
+def test_a_model_without_sensors_is_refused():
+    model = pgm.DynamicBayesianNetwork(prior=walk.prior, transition=walk.transition, observation=[])
+    with pytest.raises(ModelError, match="has no sensors"):
+        pgm.study(model, steps=3, runs=3, methods={"KF": pgm.Taylor()}, seed=1)

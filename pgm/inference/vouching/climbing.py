@@ -130,11 +130,13 @@ def seek(search: Search) -> Sought:
     """
     every = np.arange(search.runs)
     paths = _paths(search, every, 0, STARTS)
-    found, starts = _sought(search, paths), STARTS
-    while starts < MOST_STARTS and search.steps <= LONG and not found.agreed.all():
+    asked = np.full(search.runs, STARTS + 1)
+    found = _sought(search, paths, asked)
+    if search.steps <= LONG and not found.agreed.all():
         runs = _asked(search, np.flatnonzero(~found.agreed))
-        paths = paths.with_others(_paths(search, runs, starts, 2 * starts))
-        found, starts = _sought(search, paths), 2 * starts
+        paths = paths.with_others(_paths(search, runs, STARTS, MOST_STARTS))
+        asked[runs] += MOST_STARTS - STARTS
+        found = _sought(search, paths, asked)
     return found
 
 
@@ -179,8 +181,11 @@ def _asked(search: Search, runs: Integers) -> Integers:
     return np.arange(search.runs) if search.together else runs
 
 
-def _sought(search: Search, paths: Paths) -> Sought:
-    """The modes of all runs at which starts have arrived."""
+def _sought(search: Search, paths: Paths, asked: Integers) -> Sought:
+    """The modes of all runs at which starts have arrived, of so many that were `asked`, (runs,).
+
+    Those that ended in an error in some run are of none; more than half must be left.
+    """
     found = search.chosen(paths.parts, MODES)
     laws, runs = search.laws(found), search.runs
     near = laws.weights > np.exp(-NEGLIGIBLE) * laws.weights.max(axis=0)
@@ -189,11 +194,14 @@ def _sought(search: Search, paths: Paths) -> Sought:
     before, (logs, settled) = heights(paths.first, search.lead), heights(paths.parts, search.lead)
     starts = (~np.isnan(logs)).sum(axis=0)
     best = np.where(settled, logs, -np.inf).max(axis=0)
-    done = settled | (best - logs > NEGLIGIBLE + (logs - before.log_evidence))
+    gained = logs - before.log_evidence
+    far = best - logs > NEGLIGIBLE + np.maximum(gained, 0.0)
+    done = settled | (far & (gained != 0.0))  # else it did not go on, and may be on its way
+    enough = (done.sum(axis=0) >= SETTLED * starts) & (2 * starts > asked)
     return Sought(
         laws._replace(weights=weights / weights.sum(axis=0)),
         np.reshape(found.log_evidence, runs),
-        (unseen <= UNSEEN) & (done.sum(axis=0) >= SETTLED * starts),
+        (unseen <= UNSEEN) & enough,
         starts,
         settled.sum(axis=0),
     )
@@ -258,16 +266,15 @@ def _recombined(
     And where the others' moments are further from theirs than the errors of both allow: draws of
     many steps that are of modes do not meet what is beside these.
     """
-    if effort < sum(PASSES):
+    most, runs = per_call(sought.laws), _asked(search, left)
+    if effort < sum(PASSES) or (search.together and search.runs > most):
         return sought, answer
-    runs = _asked(search, left)
 
     def ask(some: Integers) -> Answer | None:
         laws = sought.laws.of(some)
         found = recombined(search.of(some).target(laws), laws, rng)
         return None if found is None else _of_recombined(found)
 
-    most = search.runs if search.together else per_call(sought.laws)
     other = _in_parts(runs, most, ask)
     if other is None:
         return sought, answer

@@ -77,6 +77,15 @@ def study(
         raise ModelError(f"statistic= is one of {list(_STATISTICS)}, not {statistic!r}")
     state = _one("state", state, found.states)
     rows = [row for row in found.rows if row.state == state]
+    for argument, given, of in (
+        ("component", component, ("rmse", "bias")),
+        ("sensor", sensor, ("nis",)),
+    ):
+        if given is not None and statistic not in of:
+            raise ModelError(
+                f"{argument}={given!r} is of statistic={' or '.join(map(repr, of))}, and "
+                f"{statistic!r} is drawn: leave it out"
+            )
     name, place = statistic.upper() if statistic in ("rmse", "nees", "nis") else statistic, None
     if statistic in ("rmse", "bias"):
         known = labels((state,))
@@ -98,7 +107,7 @@ def study(
 
 
 def _statistic(row: StudyRow, name: str, sensor: Variable | None) -> Statistic:
-    found: Statistic = row.nis[sensor] if sensor is not None else getattr(row, name)
+    found: Statistic = row.nis[sensor] if sensor and name == "nis" else getattr(row, name)
     return found
 
 

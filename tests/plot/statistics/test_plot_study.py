@@ -70,3 +70,11 @@ def test_wrong_arguments(found, given, message):
 def test_something_else():
     with pytest.raises(ModelError, match=r"what pgm\.study returns, not 3"):
         pgm.plot.study(3)
+
+
+@pytest.mark.parametrize(
+    ("statistic", "given"), [("nees", {"sensor": q}), ("nees", {"component": "east"})]
+)
+def test_what_a_statistic_is_not_of_is_refused(found, statistic, given):
+    with pytest.raises(ModelError, match="leave it out"):
+        pgm.plot.study(found, statistic=statistic, **given)
