@@ -169,7 +169,20 @@ TABLES: dict[str, Callable[[Figures], Lines]] = {
 
 
 def _timed(figures: Figures) -> list[Row]:
-    """The rows of libraries; those of changes and neighbours have tables of their own."""
+    """The rows of libraries; those of changes and neighbours have tables of their own.
+
+    Raises
+    ------
+    FileNotFoundError
+        Where the published pose graphs are not here, whose rows have other names then.
+    """
+    drawn = {row.name.replace("_drawn", "") for row in ROWS if "_drawn" in row.name}
+    absent = [name for name in figures["found"] if name in drawn]
+    if absent:
+        raise FileNotFoundError(
+            f"figures of {', '.join(absent)} are recorded, and the pose graphs are not here; "
+            "PGM_DATA may name their folder's folder"
+        )
     others = (*cliffs.ROWS, *neighbours.ROWS)
     return [row for row in ROWS if row.name in figures["found"] and row not in others]
 

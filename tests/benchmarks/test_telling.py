@@ -384,7 +384,11 @@ def test_figures_of_which_all_holds_say_so():
 @pytest.mark.parametrize("path", page.pages(), ids=lambda path: path.stem)
 def test_pages_have_the_recorded_figures(path):
     text = path.read_text(encoding="utf-8")
-    assert page.written(text, recorded.read()) == text, "run python -m benchmarks.page"
+    try:
+        written = page.written(text, recorded.read())
+    except FileNotFoundError as error:
+        pytest.skip(str(error))
+    assert written == text, "run python -m benchmarks.page"
 
 
 @pytest.mark.parametrize("path", EVERY, ids=lambda path: path.stem)
