@@ -231,7 +231,9 @@ class Study(Shown, Immutable):
             If there is no such row, or several.
         """
         method, *rest = key if isinstance(key, tuple) else (key,)
-        found = [r for r in self.rows if r.method == method and rest in ([], [r.state])]
+        named = isinstance(method, str) and all(isinstance(each, Variable) for each in rest)
+        rows = self.rows if named else ()
+        found = [r for r in rows if r.method == method and rest in ([], [r.state])]
         if len(found) == 1:
             return found[0]
         if found:

@@ -175,7 +175,8 @@ def of_block(
     for name, method in methods.items():
         found[name] = reduce(_Sums.joined, _of_method(method, sample, first, asked))
         if not found[name].runs and not first:  # whose error tells more than a table without it
-            send(asked.graph, of_runs(sample, slice(1)).evidence, method.call)
+            alone = of_runs(sample, slice(1))
+            _reduced(send(asked.graph, alone.evidence, method.call), alone, 0, asked)
     return found
 
 
@@ -320,7 +321,7 @@ def _rows(
                 diverged,
                 failed,
                 unsettled,
-                worst[state][1],
+                worst[state][1] if np.isfinite(worst[state][0]) else 0,
             )
 
 

@@ -27,7 +27,7 @@ class CountedDraws:
         self.source, self.first, self.runs = philox.Philox(seed), first, runs
 
     def at(self, variable: int, rows: int | Integers) -> Stream:
-        """What a CPD draws by, its child at one step, or at the rows (m,) of a sensor."""
+        """The draws of a CPD's child at one step, or at the rows (m,) of a sensor."""
         return Stream(self, variable, np.asarray(rows))
 
 

@@ -302,6 +302,9 @@ def test_what_a_study_has_not(study):
         study.run(40)
     with pytest.raises(ModelError, match="asked for a method of"):
         study["PF"]
+    for key in (np.array([1, 2]), ("EKF", np.array([1, 2])), 0):
+        with pytest.raises(ModelError, match="asked for a method of"):
+            study[key]
 
 
 def test_readings_of_several_runs_are_refused():

@@ -221,10 +221,35 @@ def climb(search: Search, effort: int, rng: np.random.Generator) -> tuple[Sought
         for another, kinds in ((_otherwise, (0,)), (_recombined, (0, 2))):
             left = np.flatnonzero(np.isin(answer.of, kinds))
             if left.size:
-                try:
-                    sought, answer = another(search, sought, answer, left, effort, rng)
-                except PgmError:  # as where a rule asks a function for values that it does not have
-                    continue
+                sought, answer = _tried(another, search, sought, answer, left, effort, rng)
+    return sought, answer
+
+
+# A way to other answers of some runs: its arguments are those of `_otherwise`.
+Way = Callable[[Search, Sought, Answer, Integers, int, np.random.Generator], tuple[Sought, Answer]]
+
+
+def _tried(
+    way: Way,
+    search: Search,
+    sought: Sought,
+    answer: Answer,
+    left: Integers,
+    effort: int,
+    rng: np.random.Generator,
+) -> tuple[Sought, Answer]:
+    """The answers by a way, but those of runs that it refuses, which stay as they are.
+
+    It refuses some where a rule asks a function for values that it does not have, or a law has no
+    density. Runs that are asked together are refused together.
+    """
+    try:
+        return way(search, sought, answer, left, effort, rng)
+    except PgmError:
+        if left.size == 1 or search.together:
+            return sought, answer
+    for half in np.array_split(left, 2):
+        sought, answer = _tried(way, search, sought, answer, half, effort, rng)
     return sought, answer
 
 

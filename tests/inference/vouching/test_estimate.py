@@ -1,6 +1,7 @@
 """Estimates, and their verdicts, against grids, quadrature and exact answers."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -279,3 +280,17 @@ def test_arguments_are_checked():
     with pytest.raises(pgm.EvidenceError):
         pgm.estimate(square, {x: [[1.0, 2.0]]})
     assert pgm.smooth(walk, {z: [[4.0]]}).verdict is None
+
+
+@pytest.mark.parametrize(
+    ("together", "answered"), [(False, [0, 1, 3, 4]), (True, [])], ids=["apart", "together"]
+)
+def test_a_run_that_a_way_refuses_keeps_its_answer_alone(together, answered):
+    def way(search, sought, answer, left, effort, rng):
+        if 2 in left:
+            raise pgm.PgmError("run 2")
+        return sought, [*answer, *left.tolist()]
+
+    search = SimpleNamespace(together=together)
+    _, found = climbing._tried(way, search, None, [], np.arange(5), 1000, None)
+    assert found == answered
