@@ -1,8 +1,10 @@
 """How the tests run: property tests draw the same examples everywhere, and are not timed."""
 
 import gc
+import sys
 from functools import partialmethod
 
+import pytest
 from hypothesis import settings
 
 gc.disable()  # until all tests are collected
@@ -21,6 +23,14 @@ def pytest_configure(config):
         config.option.loadscopereorder = False
     if config.option.markexpr == "slow":
         check_machine_code()
+
+
+@pytest.fixture(autouse=True)
+def _figures_are_closed():
+    """Leave no figure of pyplot to the next test: Matplotlib warns of the twenty-first."""
+    yield
+    if pyplot := sys.modules.get("matplotlib.pyplot"):
+        pyplot.close("all")
 
 
 def check_machine_code():

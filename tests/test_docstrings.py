@@ -5,7 +5,6 @@ import importlib
 import inspect
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
@@ -49,7 +48,6 @@ def has_example(value):
 @pytest.mark.parametrize("name", MODULES)
 def test_examples_run_as_written(name):
     found = doctest.testmod(importlib.import_module(name), extraglobs={"pgm": pgm, "np": np})
-    plt.close("all")
     assert not found.failed
 
 

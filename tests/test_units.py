@@ -109,7 +109,6 @@ def test_plots_are_labelled_by_the_units():
     assert pgm.plot.rmse(belief(METRES), truth, components=NAMES[:2]).get_ylabel().endswith("[m]")
     with pytest.raises(pgm.ModelError, match="whose variable is in 'km'"):
         pgm.plot.errors(belief(KILOMETRES), truth, unit={"east": "m"})
-    matplotlib.pyplot.close("all")
 
 
 def test_grids_and_particles_have_units_and_label_maps():
@@ -125,7 +124,6 @@ def test_grids_and_particles_have_units_and_label_maps():
         assert found.units == ("km", "km")
     ax = pgm.plot.grid_map(pgm.filter(model, {}, steps=1, belief=pgm.Grid(axes))[place.at(1)])
     assert ax.get_xlabel() == "east [km]"
-    matplotlib.pyplot.close("all")
 
 
 def test_printed_beliefs_and_frames_have_units():

@@ -112,7 +112,6 @@ def test_a_dashed_boundary_holds_the_factors_of_its_cluster_and_nothing_else():
         assert not one.get_bbox().overlaps(other.get_bbox())
     arrows = sum(isinstance(patch, FancyArrowPatch) for patch in ax.patches)
     assert arrows == sum(len(cpd.parents) for cpd in graph.network.cpds)
-    plt.close("all")
 
 
 def test_messages_can_be_read_off(done):
@@ -137,7 +136,6 @@ def test_messages_can_be_read_off(done):
                 assert float(variance) == pytest.approx(sent["variance"], rel=0.01)
             else:
                 assert mean is None
-    plt.close("all")
 
 
 def test_nothing_in_the_figure_of_messages_overlaps():
@@ -150,4 +148,3 @@ def test_nothing_in_the_figure_of_messages_overlaps():
             assert not one.padded(-1.0).overlaps(other.padded(-1.0))
         for box in boxes:
             assert figure.bbox.x0 <= box.x0 < box.x1 <= figure.bbox.x1
-    plt.close("all")

@@ -4,7 +4,6 @@ import io
 import pickle
 from itertools import combinations
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -478,7 +477,6 @@ def test_pictures_and_pages(tmp_path):
     pgm.plot.factor_graph(net)
     ax = pgm.plot.cluster_graph(graph)
     assert any("up to" in text.get_text() for text in ax.texts)
-    plt.close("all")
     file = tmp_path / "page.html"
     pgm.view(pgm.infer(graph, {Y: "yes"}), file)
     assert file.stat().st_size

@@ -1,10 +1,9 @@
-"""Models to draw; figures are drawn without a screen and closed after each test."""
+"""Models to draw; figures are drawn without a screen."""
 
 import matplotlib
 
 matplotlib.use("Agg")
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
@@ -23,7 +22,6 @@ M = pgm.Variable("m", components=("east", "north"))
 def _figures():
     before = dict(matplotlib.rcParams)
     yield
-    plt.close("all")
     assert dict(matplotlib.rcParams) == before
 
 

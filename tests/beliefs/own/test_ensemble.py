@@ -112,7 +112,6 @@ def test_it_is_drawn(draw):
     plt.subplots()
     truth = {"truth": np.zeros((13, 3))} if draw is pgm.plot.errors else {}
     draw(belief[3] if draw is pgm.plot.particles else belief.gaussian(), **truth)
-    plt.close("all")
     assert "over [s], EnsembleKalman(n=40, seed=3), 13 steps" in repr(posterior)
 
 

@@ -91,7 +91,6 @@ def test_errors_are_bands_and_weak_rows_are_marked():
     ]
     with pytest.raises(ModelError, match=r"no oracle 'Other'; it has \['Audit', 'Grid'\]"):
         pgm.plot.comparison(found, oracle="Other")
-    plt.close("all")
 
 
 @pytest.mark.parametrize(
