@@ -98,8 +98,9 @@ class StudyRow(Shown):
         The numbers of the runs in which the method ended in an error.
     unsettled : int
         The number of the runs whose iterations ended before they settled; they count.
-    worst : int
-        The number of the run with the largest NEES at any step; 0 where none has any.
+    worst : int or None
+        The number of the run with the largest NEES at any step; None where no run has any, as of a
+        state whose covariances are all singular.
 
     Examples
     --------
@@ -123,7 +124,7 @@ class StudyRow(Shown):
     diverged: Integers
     failed: Integers
     unsettled: int
-    worst: int
+    worst: int | None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "nis", MappingProxyType(dict(self.nis)))

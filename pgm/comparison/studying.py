@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from functools import reduce
 from importlib.util import find_spec
-from operator import itemgetter
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +18,7 @@ from pgm.comparison.drawn_runs import DrawnRuns, drawn_runs, of_runs
 from pgm.comparison.entries import OverTime, class_name, named
 from pgm.comparison.row import FAILURES, proper
 from pgm.comparison.study_result import Statistic, Study, StudyRow
+from pgm.comparison.sums import NONE, Sums, joined
 from pgm.comparison.tally import Tally
 from pgm.compile import DynamicGraph, compile
 from pgm.compile.machine import Choice
@@ -33,7 +32,7 @@ from pgm.inference import Filtering, Posterior
 from pgm.inference.engine import send
 from pgm.inference.families import family_of
 from pgm.kernels.angles import difference
-from pgm.kernels.arrays import Array, Integers
+from pgm.kernels.arrays import Array
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork, Sample
 from pgm.progress import Progress, counted, reporting
@@ -157,23 +156,14 @@ def study(
     return Study(_rows(sums, chosen, asked), drawn, float(level))
 
 
-def joined(blocks: Iterable[Mapping[str, _Sums]]) -> dict[str, _Sums]:
-    """The sums of each method, joined in the order of the blocks, so that all digits are fixed."""
-    found: dict[str, _Sums] = {}
-    for block in blocks:
-        for name, part in block.items():
-            found[name] = found[name].joined(part) if name in found else part
-    return found
-
-
 def of_block(
     drawn: DrawnRuns, first: int, methods: Mapping[str, _Method], asked: _Asked
-) -> dict[str, _Sums]:
+) -> dict[str, Sums]:
     """The sums of each method over the block that begins with run `first`."""
     sample = drawn.sample(first)
-    found: dict[str, _Sums] = {}
+    found: dict[str, Sums] = {}
     for name, method in methods.items():
-        found[name] = reduce(_Sums.joined, _of_method(method, sample, first, asked))
+        found[name] = reduce(Sums.joined, _of_method(method, sample, first, asked))
         if not found[name].runs and not first:  # whose error tells more than a table without it
             alone = of_runs(sample, slice(1))
             _reduced(send(asked.graph, alone.evidence, method.call), alone, 0, asked)
@@ -200,44 +190,7 @@ class _Asked(NamedTuple):
     confidence: float
 
 
-class _Sums(NamedTuple):
-    """The statistics of a method over some runs.
-
-    tallies: By the name of the statistic, and the state or the sensor.
-    diverged, failed: Numbers of runs.
-    unsettled: How many runs did not settle.
-    worst: By state, the largest NEES of any step, and the number of its run.
-    """
-
-    tallies: Mapping[tuple[str, Variable], Tally]
-    runs: int
-    diverged: Integers
-    failed: Integers
-    unsettled: int = 0
-    worst: Mapping[Variable, tuple[float, int]] = MappingProxyType({})
-
-    def joined(self, other: _Sums) -> _Sums:
-        """The statistics over these runs and the next."""
-        tallies = dict(self.tallies)
-        for key, tally in other.tallies.items():
-            tallies[key] = tallies[key].joined(tally) if key in tallies else tally
-        return _Sums(
-            tallies,
-            self.runs + other.runs,
-            np.concatenate([self.diverged, other.diverged]),
-            np.concatenate([self.failed, other.failed]),
-            self.unsettled + other.unsettled,
-            {
-                state: max(self.worst.get(state, each), each, key=itemgetter(0))
-                for state, each in (other.worst or self.worst).items()
-            },
-        )
-
-
-_NONE: Integers = np.zeros(0, dtype=np.intp)
-
-
-def _of_method(method: _Method, sample: Sample, first: int, asked: _Asked) -> Iterator[_Sums]:
+def _of_method(method: _Method, sample: Sample, first: int, asked: _Asked) -> Iterator[Sums]:
     """The sums of a method over a block whose first run has this number.
 
     Where some run fails the halves of the block are tried by themselves, down to single runs.
@@ -251,14 +204,14 @@ def _of_method(method: _Method, sample: Sample, first: int, asked: _Asked) -> It
         yield sums
     except FAILURES:
         if count == 1:
-            yield _Sums({}, 0, _NONE, np.array([first], dtype=np.intp))
+            yield Sums.of_failed(first)
             return
         half = count // 2
         yield from _of_method(method, of_runs(sample, slice(half)), first, asked)
         yield from _of_method(method, of_runs(sample, slice(half, None)), first + half, asked)
 
 
-def _reduced(posterior: Posterior[Gaussian], sample: Sample, first: int, asked: _Asked) -> _Sums:
+def _reduced(posterior: Posterior[Gaussian], sample: Sample, first: int, asked: _Asked) -> Sums:
     tallies: dict[tuple[str, Variable], Tally] = {}
     worst: dict[Variable, tuple[float, int]] = {}
     lost = np.zeros(len(sample[asked.states[0]]), dtype=bool)
@@ -281,7 +234,7 @@ def _reduced(posterior: Posterior[Gaussian], sample: Sample, first: int, asked: 
         read = innovations.dof > 0
         tallies["nis", sensor] = Tally.of(np.where(read, innovations.nis, np.nan))
         tallies["dof", sensor] = Tally.of(np.where(read, innovations.dof, np.nan))
-    return _Sums(tallies, len(lost), first + np.flatnonzero(lost), _NONE, worst=worst)
+    return Sums(tallies, len(lost), first + np.flatnonzero(lost), NONE, 0, worst)
 
 
 def _squares(belief: Gaussian, truth: Array) -> Array:
@@ -294,7 +247,7 @@ def _squares(belief: Gaussian, truth: Array) -> Array:
 
 
 def _rows(
-    sums: Mapping[str, _Sums], methods: Mapping[str, _Method], asked: _Asked
+    sums: Mapping[str, Sums], methods: Mapping[str, _Method], asked: _Asked
 ) -> Iterator[StudyRow]:
     for name, (lineariser, schedule) in methods.items():
         tallies, runs, diverged, failed, unsettled, worst = sums[name]
@@ -321,7 +274,7 @@ def _rows(
                 diverged,
                 failed,
                 unsettled,
-                worst[state][1] if np.isfinite(worst[state][0]) else 0,
+                worst[state][1] if worst[state][0] > -np.inf else None,
             )
 
 

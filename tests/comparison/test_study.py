@@ -218,6 +218,35 @@ def test_steps_at_which_the_state_is_known_have_no_nees():
     assert row.rmse.by_step[0] == 0.0
 
 
+def test_the_worst_run_is_none_where_no_run_has_a_nees():
+    fixed = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(x, 0.0, cov=0.0)],
+        [pgm.LinearGaussianCPD(x, {x.previous: 1.0}, cov=0.0)],
+        [pgm.LinearGaussianCPD(z, {x: 1.0}, cov=1.0)],
+    )
+    assert pgm.study(fixed, steps=2, runs=4, methods=METHODS, seed=3)["EKF"].worst is None
+
+
+def test_a_run_that_failed_is_not_the_worst():
+    """Of run 0 alone the sensor's slope has no value: the worst is that of the others."""
+    drawn = pgm.study(walk, steps=3, runs=6, methods={"EKF": pgm.Taylor()}, seed=3)
+    predicted = pgm.filter(walk, drawn.run(0).evidence)[x].mean[1]
+
+    def slope(x):
+        return np.where(np.abs(x - predicted) < 1e-9, np.nan, 1.0)[..., None]
+
+    sensor = pgm.NonlinearGaussianCPD(z, x, lambda x: x + 0.0, cov=2.0, jacobian={x: slope})
+    model = walk.replace(observation=[sensor])
+    found = pgm.study(model, steps=3, runs=6, methods={"EKF": pgm.Taylor()}, seed=3)
+    assert found["EKF"].failed.tolist() == [0]
+    largest = []
+    for k in range(1, 6):
+        run = found.run(k)
+        belief = pgm.filter(walk, run.evidence)[x]
+        largest.append(((belief.mean - run[x]) ** 2 / belief.cov[..., 0]).max())
+    assert found["EKF"].worst == 1 + int(np.argmax(largest))
+
+
 def test_a_single_run_has_no_errors():
     row = robots(1)["EKF"]
     assert np.isnan(row.nees.error)
