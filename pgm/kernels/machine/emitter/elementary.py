@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pgm.kernels.machine.emitter.kinds import PACK, packed
 from pgm.kernels.machine.emitter.numbers import Number, alike
-from pgm.kernels.machine.emitter.processor import known_in_c, vector_function
 
 # Functions of C neither write memory nor fail, so that equal calls are made once.
 PURE = "nounwind willreturn memory(none)"
@@ -15,7 +14,7 @@ def elementary(name: str, *given: Number) -> Number:
     given = alike(*given) if len(given) == 2 else (given[0].number(),)
     code, lanes = given[0].code, given[0].lanes
     if lanes == 1:
-        return code.from_outside(known_in_c(name), list(given), "double", PURE)
+        return code.from_outside(code.module.target.scalar_function(name), list(given), "double", PURE)
     if lanes != code.lanes:  # and no function of these packs can be called
         return _of_pack(name, given)
     helper = code.module.helper(f"{name} of {lanes}", [PACK] * len(given), lanes)
@@ -27,7 +26,8 @@ def elementary(name: str, *given: Number) -> Number:
 
 def _of_pack(name: str, given: tuple[Number, ...]) -> Number:
     lanes = given[0].lanes
-    known = vector_function(name, len(given), lanes)
+    target = given[0].code.module.target
+    known = target.vector_function(name, len(given), lanes)
     return _lane_by_lane(name, given) if known is None else _at_once(given, *known)
 
 

@@ -41,5 +41,5 @@ def packed(scalar: str, lanes: int) -> str:
 
 
 def symbol(name: str) -> str:
-    """The name of a function for the linker, apart from those of C."""
-    return f"pgm.{name}"
+    """The name of a function for the linker, apart from those of C; assemblers of cards know it."""
+    return f"pgm_{name}"

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from pgm.kernels.machine.emitter.code import Code
 from pgm.kernels.machine.emitter.kinds import PACK, Kind
+from pgm.kernels.machine.emitter.processor import PROCESSOR
+from pgm.kernels.machine.emitter.target import Target
 
 if TYPE_CHECKING:
     from pgm.kernels.machine.emitter.compiled import Compiled
@@ -25,11 +27,14 @@ class Module:
     """Functions of machine code, written together and compiled once.
 
     With `contract`, a product and a sum may be rounded together. With `checked`, memory tests its
-    indices and alignments, and `Compiled.callable` raises an IndexError for the first fault.
+    indices and alignments, and `Compiled.callable` raises an IndexError for the first fault. The
+    `target` is the machine that it is for.
     """
 
-    def __init__(self, *, contract: bool = True, checked: bool = False) -> None:
-        self.contract, self.checked = contract, checked
+    def __init__(
+        self, *, contract: bool = True, checked: bool = False, target: Target = PROCESSOR
+    ) -> None:
+        self.contract, self.checked, self.target = contract, checked, target
         self.faults: list[str] = []
         self._functions: dict[str, Code] = {}
         self._helpers: dict[str, Code] = {}
@@ -59,7 +64,7 @@ class Module:
             raise ValueError(f"the module has a function {name!r} already")
         if not internal and lanes > 1 and PACK in (*arguments, result):
             raise ValueError(f"{name!r} takes or gives packs: only an internal function can")
-        heading = "define internal" if internal else "define"
+        heading = "define internal" if internal else self.target.exported
         ending = f"{_INLINE[inline]}nounwind{' presplitcoroutine' if waits else ''}"
         code = Code(self, name, arguments, result, lanes, heading, ending, disjoint)
         self._functions[name] = code

@@ -5,7 +5,10 @@ from __future__ import annotations
 import ctypes.util
 import sys
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pgm.kernels.machine.emitter.wholes import Address
 
 # Where C's functions are, by platform; elsewhere the search for them may start a compiler.
 _LIBRARIES = {"linux": "libm.so.6", "darwin": "libSystem.B.dylib", "win32": "ucrtbase.dll"}
@@ -49,27 +52,49 @@ def layout() -> str:
     return f'target datalayout = "{machine.target_data}"\ntarget triple = "{machine.triple}"'
 
 
+class Processor:
+    """This processor, as a `Target`."""
+
+    exported = "define"
+
+    def scalar_function(self, name: str) -> str:
+        """The name of a function of C's that is there; LLVM would end the process for want of it.
+
+        Raises an OSError where it is not.
+        """
+        return _known(name)
+
+    def vector_function(self, name: str, arguments: int, lanes: int) -> tuple[str, int] | None:
+        """The symbol of C's function for packs, and of how many lanes; None where there is none."""
+        for width, prefix in _widths():
+            symbol = f"{prefix}{'v' * arguments}_{name}"
+            if lanes % width == 0 and llvm().address_of_symbol(symbol) is not None:
+                return symbol, width
+        return None
+
+    def pointed(self, address: Address) -> Address:
+        """An address that has been read from memory."""
+        return address
+
+    @property
+    def registers(self) -> tuple[int, int]:
+        """The floats of a register for vectors, and how many of them there are."""
+        return _registers()
+
+
+PROCESSOR = Processor()
+
+
 @cache
-def known_in_c(name: str) -> str:
-    """The name of a function of C's that is there; LLVM would end the process for want of it."""
+def _known(name: str) -> str:
     prepare()
     if llvm().address_of_symbol(name) is None:
         raise OSError(f"C's function {name} is not found; machine code cannot be made with it")
     return name
 
 
-def vector_function(name: str, arguments: int, lanes: int) -> tuple[str, int] | None:
-    """The symbol of C's function for packs, and of how many lanes; None where there is none."""
-    for width, prefix in _widths():
-        symbol = f"{prefix}{'v' * arguments}_{name}"
-        if lanes % width == 0 and llvm().address_of_symbol(symbol) is not None:
-            return symbol, width
-    return None
-
-
 @cache
-def registers() -> tuple[int, int]:
-    """The floats of a register for vectors, and how many of them there are."""
+def _registers() -> tuple[int, int]:
     has = llvm().get_host_cpu_features().get
     if has("avx512f"):
         return 8, 32

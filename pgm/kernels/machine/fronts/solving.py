@@ -11,7 +11,7 @@ import numpy as np
 
 from pgm.kernels.arrays import Array, Integers
 from pgm.kernels.machine.emitter.module import Module
-from pgm.kernels.machine.emitter.processor import registers
+from pgm.kernels.machine.emitter.processor import PROCESSOR
 from pgm.kernels.machine.fronts import back, rows, squares
 from pgm.kernels.machine.fronts.plan import TOLD, Plan
 
@@ -19,7 +19,7 @@ from pgm.kernels.machine.fronts.plan import TOLD, Plan
 @lru_cache(maxsize=1)
 def _machine() -> dict[str, Callable[..., Any]]:
     module = Module()
-    lanes = max(registers()[0], 4)
+    lanes = max(PROCESSOR.registers[0], 4)
     for part in (rows, squares, back):
         part.write(module, lanes)
     # Loops are written as they are to run: more of LLVM's passes make no faster code of them.
@@ -43,7 +43,7 @@ class Solver:
 
     @cached_property
     def _lanes(self) -> int:
-        return max(registers()[0], 4)
+        return max(PROCESSOR.registers[0], 4)
 
     @cached_property
     def _table(self) -> tuple[Integers, list[Integers]]:

@@ -10,7 +10,6 @@ from pgm.kernels.machine.emitter.code import Code
 from pgm.kernels.machine.emitter.functions import Function
 from pgm.kernels.machine.emitter.memory import Memory
 from pgm.kernels.machine.emitter.numbers import Number, constant
-from pgm.kernels.machine.emitter.processor import registers
 from pgm.kernels.machine.emitter.traces import Inputs, traced
 from pgm.kernels.machine.emitter.variables import held
 from pgm.kernels.numbers import Matrix, most, where
@@ -131,7 +130,7 @@ class Lines:
 
     def values(self, function: Function, points: Matrix, inputs: Inputs) -> Matrix:
         """The values of a function at points, row by row: those of a single run pack by pack."""
-        lanes = registers()[0]
+        lanes = self.code.module.target.registers[0]
         if self.code.lanes > 1 or len(points.rows) <= lanes:
             return Matrix(traced(self.code, function, row, inputs)[0] for row in points.rows)
         found: list[list[Any]] = []

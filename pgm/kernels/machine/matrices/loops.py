@@ -26,7 +26,7 @@ class Loops:
 
     def __init__(self, code: Code, frame: Frame) -> None:
         self.code, self._frame = code, frame
-        self._space = Space(code, frame, Layout.of(code.lanes))
+        self._space = Space(code, frame, Layout.of(code.lanes, code.module.target.registers))
 
     # From arrays and to them
 

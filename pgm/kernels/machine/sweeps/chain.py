@@ -57,20 +57,25 @@ def made(chain: Chain, lanes: int, loops: bool | None = None) -> Sweep:
     looped = is_long(chain, lanes) if loops is None else loops
     w = Writer(code, table, chain, Loops(code, frame) if looped else Lines(code))
     with each_run(w, first, last):
-        if isinstance(chain, Forward):
-            forward(w, chain)
-        elif isinstance(chain, Windows):
-            _tell(w, LEFT, where(windows.written(w, chain), 0.0, 1.0))
-        elif isinstance(chain, Mixture):
-            _tell(w, LEFT, where(mixture.written(w, chain), 0.0, 1.0))
-        elif isinstance(chain, Linearised):
-            written = relinearising.written if chain.cost is None else costs.written
-            _tell(w, LEFT, where(written(w, chain), 0.0, 1.0))
-        else:
-            _backward(w, chain)
+        swept(w, chain)
     # Of straight lines all of LLVM's passes make faster code; of loops they only take longer.
     function = module.compile(1 if looped else 2).callable("sweep")
     return frame.with_room(function) if looped else partial(_without_room, function)
+
+
+def swept(w: Writer, chain: Chain) -> None:
+    """Write the sweep of the runs at hand."""
+    if isinstance(chain, Forward):
+        forward(w, chain)
+    elif isinstance(chain, Windows):
+        _tell(w, LEFT, where(windows.written(w, chain), 0.0, 1.0))
+    elif isinstance(chain, Mixture):
+        _tell(w, LEFT, where(mixture.written(w, chain), 0.0, 1.0))
+    elif isinstance(chain, Linearised):
+        written = relinearising.written if chain.cost is None else costs.written
+        _tell(w, LEFT, where(written(w, chain), 0.0, 1.0))
+    else:
+        _backward(w, chain)
 
 
 def _without_room(function: Callable[..., None], table: int, first: int, last: int) -> None:

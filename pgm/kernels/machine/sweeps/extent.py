@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pgm.kernels.machine.emitter.processor import registers
+from pgm.kernels.machine.emitter.processor import PROCESSOR
 from pgm.kernels.machine.sweeps.told import Backward, Forward, Linearised, Mixture, Row, Windows
 
 # Operations of a sweep forward and of one back from which on loops are compiled sooner and run no
@@ -51,5 +51,5 @@ def _of(row: Row, lanes: int) -> int:
     if row.points is None:
         return count
     points = len(row.points.points)
-    values = points if lanes > 1 else -(-points // registers()[0])
+    values = points if lanes > 1 else -(-points // PROCESSOR.registers[0])
     return values * count + points * (n**2 + 2 * n * d + d**2)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from pgm.kernels.machine.emitter.processor import registers
-
 
 class Layout(NamedTuple):
     """Rows of packs, each of some columns of a single run, or of one column of several runs.
@@ -27,9 +25,9 @@ class Layout(NamedTuple):
     held: int
 
     @classmethod
-    def of(cls, runs: int) -> Layout:
-        """The layout for so many runs at once."""
-        width, count = registers()
+    def of(cls, runs: int, registers: tuple[int, int]) -> Layout:
+        """The layout for so many runs at once, by the registers of the machine that it is for."""
+        width, count = registers
         lanes = runs if runs > 1 else max(width, 4)
         # A quarter of the registers is for what is multiplied.
         held = max(3 * count // 4 * width // lanes, 2)

@@ -1,0 +1,38 @@
+"""Sweeps of a chain on a card, each run a thread of its own: the sweeps of `chain`, printed."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+from pgm.kernels.machine.emitter.card import Card, printed, thread
+from pgm.kernels.machine.emitter.kinds import ADDRESS, WHOLE
+from pgm.kernels.machine.emitter.module import Module
+from pgm.kernels.machine.matrices.in_memory.frame import Frame
+from pgm.kernels.machine.matrices.lines import Lines
+from pgm.kernels.machine.matrices.loops import Loops
+from pgm.kernels.machine.sweeps.chain import Chain, swept
+from pgm.kernels.machine.sweeps.extent import is_long
+from pgm.kernels.machine.sweeps.writer import Writer
+
+# The name of the kernel: ``pgm_sweep(table, first, last)``.
+SWEEP = "sweep"
+
+
+@lru_cache(maxsize=128)
+def kernel(chain: Chain, capability: tuple[int, int], loops: bool | None = None) -> str:
+    """The sweep of a chain as PTX: a kernel of its table, the first run, and the one after the last.
+
+    The thread of number k sweeps run first + k. `loops` is as of `chain.made`, where matrices are
+    in memory of the thread's own.
+    """
+    module = Module(target=Card(capability))
+    code = module.function(SWEEP, (ADDRESS, WHOLE, WHOLE))
+    table, first, last = code.arguments
+    frame = Frame.of_function(code)
+    looped = is_long(chain, 1) if loops is None else loops
+    with code.when(first + thread(code) < last):
+        w = Writer(code, table, chain, Loops(code, frame) if looped else Lines(code))
+        w.run = first + thread(code)
+        swept(w, chain)
+    frame.settle()
+    return printed(module, [SWEEP], 1 if looped else 2)
