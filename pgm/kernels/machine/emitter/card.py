@@ -38,9 +38,19 @@ _PLACE = ("ctaid", "ntid", "tid")
 
 @dataclass(frozen=True)
 class Card:
-    """A card, as a `Target`: by its compute capability, from `OLDEST` on."""
+    """A card, as a `Target`: by its compute capability, from `OLDEST` on.
+
+    PTX for an older one runs on a newer one: beyond the newest that is known, it is for that.
+    """
 
     capability: tuple[int, int]
+
+    def __post_init__(self) -> None:
+        if self.capability < OLDEST:
+            told, least = (".".join(map(str, each)) for each in (self.capability, OLDEST))
+            raise ValueError(
+                f"code is printed for cards of compute capability {least} and later, not of {told}"
+            )
 
     exported = "define ptx_kernel"
     # One float each: a thread has no vectors. More than so many in use would lie in memory.
@@ -66,16 +76,13 @@ class Card:
     @property
     def arguments(self) -> dict[str, Any]:
         """The description of this card for LLVM."""
-        major, minor = self.capability
-        version = _VERSIONS[max(known for known in _VERSIONS if known <= self.capability)]
-        return {"cpu": f"sm_{major}{minor}", "features": f"+ptx{version}"}
+        major, minor = known = max(each for each in _VERSIONS if each <= self.capability)
+        return {"cpu": f"sm_{major}{minor}", "features": f"+ptx{_VERSIONS[known]}"}
 
 
 def thread(code: Code) -> Whole:
     """The number of the thread at hand, over all blocks of a launch."""
-    block, size, own = (
-        _register(code, f"llvm.nvvm.read.ptx.sreg.{place}.x") for place in _PLACE
-    )
+    block, size, own = (_register(code, f"llvm.nvvm.read.ptx.sreg.{place}.x") for place in _PLACE)
     return block * size + own
 
 

@@ -1,4 +1,4 @@
-"""Elementary functions: C's own, and of packs those of its vector library where they are right."""
+"""Elementary functions, those of C or a card; of packs of a vector library where it is right."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ def elementary(name: str, *given: Number) -> Number:
     given = alike(*given) if len(given) == 2 else (given[0].number(),)
     code, lanes = given[0].code, given[0].lanes
     if lanes == 1:
-        return code.from_outside(code.module.target.scalar_function(name), list(given), "double", PURE)
+        symbol = code.module.target.scalar_function(name)
+        return code.from_outside(symbol, list(given), "double", PURE)
     if lanes != code.lanes:  # and no function of these packs can be called
         return _of_pack(name, given)
     helper = code.module.helper(f"{name} of {lanes}", [PACK] * len(given), lanes)

@@ -137,8 +137,9 @@ class Cells(Generic[Value]):
         if self._scalar == "i8":
             truth = self.code.value(f"icmp ne i8 {found}, 0")
             return cast(Value, Number(self.code, truth, truth=True))
-        value = self._kind(self.code, found)
-        return cast(Value, self.code.module.target.pointed(value) if self._kind is Address else value)
+        if self._kind is Address:
+            return cast(Value, self.code.module.target.pointed(Address(self.code, found)))
+        return cast(Value, self._kind(self.code, found))
 
     def store(self, index: Whole | int, value: Value) -> None:
         """Write a value to a place."""

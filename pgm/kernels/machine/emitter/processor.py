@@ -1,4 +1,4 @@
-"""The processor that code is for, and the libraries of C that it calls."""
+"""The processor that code runs on, and the libraries of C that it calls."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def layout() -> str:
 
 
 class Processor:
-    """This processor, as a `Target`."""
+    """The processor at hand, as a `Target`."""
 
     exported = "define"
 

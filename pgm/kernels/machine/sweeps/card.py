@@ -12,6 +12,7 @@ from pgm.kernels.machine.matrices.lines import Lines
 from pgm.kernels.machine.matrices.loops import Loops
 from pgm.kernels.machine.sweeps.chain import Chain, swept
 from pgm.kernels.machine.sweeps.extent import is_long
+from pgm.kernels.machine.sweeps.told import Forward
 from pgm.kernels.machine.sweeps.writer import Writer
 
 # The name of the kernel: ``pgm_sweep(table, first, last)``.
@@ -20,11 +21,15 @@ SWEEP = "sweep"
 
 @lru_cache(maxsize=128)
 def kernel(chain: Chain, capability: tuple[int, int], loops: bool | None = None) -> str:
-    """The sweep of a chain as PTX: a kernel of its table, the first run, and the one after the last.
+    """The sweep of a chain as PTX, for a card of this compute capability or a later one.
 
-    The thread of number k sweeps run first + k. `loops` is as of `chain.made`, where matrices are
-    in memory of the thread's own.
+    It is a kernel of a table, the first run, and the one after the last: the thread of number k
+    sweeps run first + k. `loops` is as of `chain.made`; their matrices lie in memory of the
+    thread's own. Raises a ValueError where functions of the program are called, or the capability
+    is older than `emitter.card.OLDEST`, and an ImportError where libdevice is due and missing.
     """
+    if isinstance(chain, Forward) and chain.asked is not None:
+        raise ValueError("a card cannot call the functions of a program: they have to be traced")
     module = Module(target=Card(capability))
     code = module.function(SWEEP, (ADDRESS, WHOLE, WHOLE))
     table, first, last = code.arguments
