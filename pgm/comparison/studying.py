@@ -9,19 +9,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pgm import consistency
 from pgm.arguments import public
 from pgm.beliefs.moments.compiled.sweep import repays
 from pgm.boundary import as_mapping, is_whole
 from pgm.comparison.comparing import as_states
 from pgm.comparison.drawn_runs import DrawnRuns, drawn_runs, of_runs
 from pgm.comparison.entries import OverTime, class_name, named
-from pgm.comparison.row import FAILURES, proper
+from pgm.comparison.judged_runs import judged_runs, tally_of
+from pgm.comparison.row import FAILURES
 from pgm.comparison.study_result import Statistic, Study, StudyRow
 from pgm.comparison.sums import NONE, Sums, joined
 from pgm.comparison.tally import Tally
 from pgm.compile import DynamicGraph, compile
-from pgm.compile.machine import Choice
+from pgm.compile.machine import Choice, Compiled, Squared, as_choice
 from pgm.consistency.errors import check_confidence
 from pgm.consistency.regions import chi_squared
 from pgm.display import titled
@@ -31,7 +31,6 @@ from pgm.factors import Gaussian
 from pgm.inference import Filtering, Posterior
 from pgm.inference.engine import send
 from pgm.inference.families import family_of
-from pgm.kernels.angles import difference
 from pgm.kernels.arrays import Array
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork, Sample
@@ -145,7 +144,10 @@ def study(
     long = repays(drawn.steps, min(drawn.block, drawn.runs), len(drawn.blocks)) and find_spec(
         "llvmlite"
     )
-    graph = compile(model, drawn.steps, compiled=True if compiled is None and long else compiled)
+    choice = as_choice(compiled, "pgm.study(...)")
+    if choice or (choice is None and long):
+        choice = Squared(choice.threads if isinstance(choice, Compiled) else 1)
+    graph = compile(model, drawn.steps, compiled=choice)
     family = family_of(model)
     for method in chosen.values():
         require_over_time(method.call, graph, family)
@@ -212,38 +214,21 @@ def _of_method(method: _Method, sample: Sample, first: int, asked: _Asked) -> It
 
 
 def _reduced(posterior: Posterior[Gaussian], sample: Sample, first: int, asked: _Asked) -> Sums:
+    compiled = bool(asked.graph.layout.compiled)
     tallies: dict[tuple[str, Variable], Tally] = {}
     worst: dict[Variable, tuple[float, int]] = {}
     lost = np.zeros(len(sample[asked.states[0]]), dtype=bool)
     for state in asked.states:
-        # Wrapped, as headings of long drives go beyond a turn.
-        truth = difference(np.asarray(sample[state]), np.zeros(1), state.angle_mask)
-        belief = posterior[state]
-        errors = consistency.error(belief, truth)
-        squares = _squares(belief, truth)
-        held = squares <= chi_squared(asked.confidence, state.dimension)
-        last = squares[:, np.flatnonzero(~np.isnan(squares[0]))[-1:]]
-        most = np.where(np.isnan(squares), -np.inf, squares).max(axis=1)
-        worst[state] = float(most.max()), first + int(most.argmax())
-        lost |= (last > chi_squared(_SURE, state.dimension)).any(axis=1)
-        tallies["error", state] = Tally.of(errors)
-        tallies["square", state] = Tally.of(errors**2)
-        tallies["nees", state] = Tally.of(squares)
-        tallies["held", state] = Tally.of(np.where(np.isnan(squares), np.nan, held))
-    for sensor, innovations in posterior.innovations.items():
-        read = innovations.dof > 0
-        tallies["nis", sensor] = Tally.of(np.where(read, innovations.nis, np.nan))
-        tallies["dof", sensor] = Tally.of(np.where(read, innovations.dof, np.nan))
+        truth = np.asarray(sample[state])
+        found = judged_runs(posterior[state], truth, asked.confidence, compiled=compiled)
+        tallies |= {(name, state): tally for name, tally in found.tallies.items()}
+        worst[state] = float(found.most.max()), first + int(found.most.argmax())
+        lost |= found.last > chi_squared(_SURE, state.dimension)
+    for sensor, (nis, dof) in posterior._squares.items():
+        for name, values in (("nis", nis), ("dof", dof)):
+            each = np.where(dof > 0, values, np.nan)
+            tallies[name, sensor] = tally_of(each, compiled=compiled)
     return Sums(tallies, len(lost), first + np.flatnonzero(lost), NONE, 0, worst)
-
-
-def _squares(belief: Gaussian, truth: Array) -> Array:
-    """The NEES, (runs, T+1); NaN at steps at which some covariance is singular."""
-    kept = proper(belief)
-    squares = np.full(truth.shape[:-1], np.nan)
-    if kept.any():
-        squares[:, kept] = consistency.nees(belief[..., kept], truth[..., kept, :])
-    return squares
 
 
 def _rows(

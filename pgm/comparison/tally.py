@@ -35,11 +35,21 @@ class Tally(NamedTuple):
         filled = np.where(known, values, 0.0)
         mean = filled.sum(axis=0) / np.maximum(count, 1.0)
         spread = np.where(known, (filled - mean) ** 2, 0.0).sum(axis=0)
-        pairs = np.stack([filled.sum(axis=1), known.sum(axis=1).astype(np.float64)])
+        return cls.of_sums(count, mean, spread, filled.sum(axis=1), known.sum(axis=1))
+
+    @classmethod
+    def of_sums(
+        cls, known: Array, mean: Array, spread: Array, total: Array, number: Array
+    ) -> Tally:
+        """The moments of one block by step, and by its runs' sums of values and their numbers.
+
+        `total` and `number` are (runs, ...).
+        """
+        pairs = np.stack([total, number.astype(np.float64)])
         centre = pairs.mean(axis=1)
         off = pairs - centre[:, None]
         scatter = np.einsum("ir...,jr...->ij...", off, off)
-        return cls(count, mean, spread, float(len(values)), centre, scatter)
+        return cls(known, mean, spread, float(len(total)), centre, scatter)
 
     def joined(self, other: Tally) -> Tally:
         """The moments of two blocks."""

@@ -57,6 +57,11 @@ class Compiled(InCode):
             )
 
 
+@dataclass(frozen=True)
+class Squared(Compiled):
+    """Sweeps that keep the NIS of each sensor as well, as simulation studies ask."""
+
+
 # Points of these rules are the same at all steps.
 RULES = Unscented, Cubature, GaussHermite
 # Components of a slice from which on these surely leave machine code; of packs some two fewer do.

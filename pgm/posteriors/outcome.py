@@ -145,6 +145,17 @@ class Outcome(Shown, ABC, Generic[B]):
         raise self.refusal("predicted")
 
     @property
+    def _squares(self) -> Mapping[Variable, tuple[Array, Integers]]:
+        """The NIS of each sensor by step, and its degrees of freedom, (*runs, T+1) each.
+
+        They are those of the innovations. Where the latter are zero, a NIS has no meaning.
+        """
+        found = getattr(self, "innovations", None)
+        if found is None:
+            raise self.refusal("innovations")
+        return {sensor: (each.nis, each.dof) for sensor, each in found.items()}
+
+    @property
     @abstractmethod
     def _hidden(self) -> Scope:
         """The variables that have marginals; of a dynamic network their templates."""

@@ -739,6 +739,10 @@ class Posterior(Labelled, Judged, Shown, NoArray, Generic[B]):
         return self._outcome._readings_of(variable)
 
     @property
+    def _squares(self) -> Mapping[Variable, tuple[Array, Integers]]:
+        return self._outcome._squares
+
+    @property
     def _hidden(self) -> Scope:
         return self._outcome._hidden
 

@@ -1,4 +1,5 @@
 """Machine code by LLVM: `emitter` writes it, `matrices` has those that it is written with.
 
-`sweeps` are along chains, and `newton` has the Gauss–Newton steps of chains.
+`sweeps` are along chains, `newton` has the Gauss–Newton steps of chains, and `studies` the
+statistics of simulated runs.
 """

@@ -26,7 +26,8 @@ from pgm.beliefs.moments.steps.chain import MomentChain
 from pgm.beliefs.moments.steps.gate import Asked
 from pgm.beliefs.moments.steps.open_sensor import OpenSensor
 from pgm.beliefs.moments.steps.plan import ChainPlan
-from pgm.compile.machine import LONG, Compiled
+from pgm.beliefs.moments.steps.sensor import Sensor
+from pgm.compile.machine import LONG, Compiled, Squared
 from pgm.kernels.arrays import Array, Mask, address, vacant
 from pgm.kernels.machine.sweeps import chain as sweeps
 from pgm.kernels.machine.sweeps import told
@@ -62,8 +63,8 @@ _CONTROLS = "control matrix", "control offset", "control cov"
 class Swept:
     """How a sweep went: the runs that are left to the general kernels, and what it says of others.
 
-    `residuals` and `converged` are as of a `MomentChain`; `closest`, `far`, `held` and `nis` as of
-    `Forward`.
+    `residuals` and `converged` are as of a `MomentChain`; `closest`, `far`, `held`, `nis` and
+    `squares` as of `Forward`.
     """
 
     left: list[slice]
@@ -73,6 +74,7 @@ class Swept:
     far: bool = True
     held: bool | None = None
     nis: Array | None = None
+    squares: tuple[Array, ...] = ()
 
     @classmethod
     def told(
@@ -83,6 +85,7 @@ class Swept:
         *,
         linear: bool,
         judged: bool = True,
+        squares: tuple[Array, ...] = (),
     ) -> Swept:
         """How a sweep went by what it tells of each run, (`chain.TOLD`, runs).
 
@@ -100,7 +103,7 @@ class Swept:
         far = bool(ended[sweeps.FAR].any())
         closest = float(ended[sweeps.CLOSEST].min(initial=1.0))
         held = None if left or not judged else not ended[sweeps.LOST].any()
-        return cls(left, every, converged, closest, far, held)
+        return cls(left, every, converged, closest, far, held, squares=squares)
 
 
 def is_iterated(plan: ChainPlan, schedule: Filtering) -> bool:
@@ -176,6 +179,8 @@ def forward(
         record: Record = dict(zip(BEGIN, begun(plan, schedule, keep=keep), strict=True))
         record |= zip(KNOWN, known, strict=True)
         record |= zip(PREDICTED, predicted, strict=False)
+        squares = _squares(plan) if anchor is None else {}
+        record |= squares
         record |= undecided(plan, asked.gate, stored=stored)
         residuals = np.zeros((asked.iterations + 1, plan.runs)) if iterated else None
         if residuals is not None:
@@ -222,7 +227,21 @@ def forward(
         judge(plan, known, predicted or known, done, again=asked.iterations > 1)
     # Gates that have decided before are not told to sweeps with stored linearisations.
     judged = not (stored and any(sensor.gated is not None for sensor in plan.read))
-    return Swept.told(left, ended, residuals, linear=plan.linear, judged=judged)
+    own = tuple(squares.values())
+    return Swept.told(left, ended, residuals, linear=plan.linear, judged=judged, squares=own)
+
+
+def _squares(plan: ChainPlan) -> Record:
+    """Room for the NIS of each sensor, if it is to be kept and no sighting is open."""
+    asked = isinstance(plan.layout.compiled, Squared)
+    if not asked or any(isinstance(sensor, OpenSensor) for sensor in plan.read):
+        return {}
+    return {_square(sensor): np.empty((plan.steps + 1, plan.runs)) for sensor in plan.read}
+
+
+def _square(sensor: Sensor) -> str:
+    """The name in a record of a sensor's NIS."""
+    return f"square {sensor.variable.name}"
 
 
 def told_ahead(
@@ -267,6 +286,7 @@ def told_ahead(
         controlled=controlled,
         anchor=tuple(array(name) for name in _ANCHOR if name in record),
         asked=table.array(calls.asked.T[None]) if calls is not None and calls.each else None,
+        squares=tuple(array(_square(s)) for s in plan.read if _square(s) in record),
     )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from pgm.beliefs.moments.outcomes.innovations import by_step, innovations, measured
 from pgm.beliefs.moments.passes.forward import Filtered, Forward
 from pgm.beliefs.moments.steps.plan import ChainPlan
-from pgm.kernels.arrays import quiet
+from pgm.kernels.arrays import Array, Integers, quiet
 from pgm.posteriors.associations import Found
 from pgm.posteriors.innovations import BySensor, Innovations
 from pgm.posteriors.lost import Lost, Read
@@ -55,6 +55,25 @@ class Innovated(ABC):
         """The innovations of each sensor with evidence, by the sensor's variable."""
         plan, forward = self._plan, self._forward
         return BySensor({s.variable: innovations(plan, s, forward) for s in plan.sensors})
+
+    @property
+    @quiet()
+    def _squares(self) -> Mapping[Variable, tuple[Array, Integers]]:
+        """The NIS of each sensor with evidence by step, and its degrees of freedom.
+
+        They are those that the sweep has kept, else those of `innovations`.
+        """
+        plan, kept = self._planned, self._swept.squares
+        none, shape = np.zeros((plan.steps + 1, plan.runs)), (*plan.lead, plan.steps + 1)
+        if kept:
+            own = dict(zip((s.variable for s in plan.read), kept, strict=True))
+            found = {
+                s.variable: (own.get(s.variable, none), measured(plan, s)) for s in plan.sensors
+            }
+        else:
+            plan, forward = self._plan, self._forward
+            found = {s.variable: by_step(plan, [s], forward) for s in plan.sensors}
+        return {z: (nis.T.reshape(shape), dof.T.reshape(shape)) for z, (nis, dof) in found.items()}
 
     @property
     def rejected(self) -> Mapping[Variable, Rejections]:

@@ -69,10 +69,13 @@ def by_step(plan: ChainPlan, sensors: list[Sensor], forward: Forward) -> tuple[A
     return nis, dof
 
 
-def measured(plan: ChainPlan) -> Integers:
-    """How many components were measured at each step, and not rejected by a gate, (T+1, runs)."""
+def measured(plan: ChainPlan, *sensors: Sensor) -> Integers:
+    """How many components were measured at each step, and not rejected by a gate, (T+1, runs).
+
+    They are of some sensors, or of all.
+    """
     found = np.zeros((plan.steps + 1, plan.runs), dtype=np.intp)
-    for sensor in plan.read:
+    for sensor in sensors or plan.read:
         if sensor.taken is None:
             found += sensor.height * np.diff(sensor.edges)[:, None]
         else:

@@ -66,7 +66,8 @@ class Forward:
     directions, None unless a flat prior leaves some unknown. `nis` (T+1, runs) is the normalised
     innovation squared of each step's measurements, None if the sweep has not kept it. `held` says
     that the belief was lost in no run (see `pgm.posteriors.lost`), None if the sweep has not tested
-    that.
+    that. `squares` are the NIS of each sensor that was read, by itself, (T+1, runs); empty if the
+    sweep has not kept them.
     """
 
     predicted_mean: Array
@@ -79,6 +80,7 @@ class Forward:
     diffuse: Diffuse | None = None
     nis: Array | None = None
     held: bool | None = None
+    squares: tuple[Array, ...] = ()
 
     @classmethod
     def empty(cls, plan: ChainPlan) -> Forward:
@@ -115,7 +117,8 @@ class Forward:
 
     def went(self, swept: Swept) -> Forward:
         """The pass, of which a sweep tells how it went."""
-        told = {name: getattr(swept, name) for name in ("closest", "far", "nis", "held")}
+        names = "closest", "far", "nis", "held", "squares"
+        told = {name: getattr(swept, name) for name in names}
         return replace(self, **told)
 
 
@@ -128,7 +131,7 @@ class Filtered:
     that was swept, and `schedule` says how the second sweep linearises. `closest` is the smallest
     share that any component's variance keeps when the components before it in the slice are given,
     or when a step's measurements are. `far` says that a mean may be 10⁸ standard deviations from
-    zero, or that this was not checked. `nis` and `held` are as of `Forward`.
+    zero, or that this was not checked. `nis`, `held` and `squares` are as of `Forward`.
     """
 
     plan: ChainPlan
@@ -140,12 +143,13 @@ class Filtered:
     far: bool = True
     nis: Array | None = None
     held: bool | None = None
+    squares: tuple[Array, ...] = ()
 
     @classmethod
     def by(cls, plan: ChainPlan, schedule: Filtering, known: Arrays, went: Swept) -> Filtered:
         """The beliefs that a sweep by a schedule has found, whose gates' decisions stay."""
         (mean, cov, log_density), own = known, replace(schedule, gate=None)
-        rest = went.closest, went.far, went.nis, went.held
+        rest = went.closest, went.far, went.nis, went.held, went.squares
         return cls(plan, mean, cov, log_density, own, *rest)
 
     @cached_property
@@ -400,6 +404,7 @@ class Pass:
         if schedule is None:  # the plan of some runs has none of the linearisations of this one
             return (yield from _stepwise(plan, schedule, *rest, keep=keep))
         closest, converged, residuals = found.closest, found.converged, found.residuals
+        squares = found.squares if len(found.squares) == 1 else ()
         for runs in found.left:
             whole = runs == slice(0, plan.runs)
             part = plan if whole else plan.of(runs)
@@ -410,7 +415,10 @@ class Pass:
             residuals = joined(residuals, again.residuals, runs, plan.runs)
             if keep and not whole:
                 plan.put_runs(runs, part)
-        return Swept([], residuals, converged, closest)
+            squares = squares if again.squares else ()
+            for array, own in zip(squares, again.squares, strict=False):
+                array[:, runs] = own
+        return Swept([], residuals, converged, closest, squares=squares)
 
     @property
     def status(self) -> Status:
@@ -483,7 +491,10 @@ def _stepwise(
         residuals = joined(residuals, chain.residuals, runs, plan.runs)
     # A sensor of singular noise tells some components for certain, which have no innovation.
     exact = any(sensor.exact for sensor in plan.read)
-    return Swept([], residuals, converged, closest, nis=None if exact else nis)
+    if exact:
+        return Swept([], residuals, converged, closest)
+    squares = (nis,) if len(plan.read) == 1 else ()
+    return Swept([], residuals, converged, closest, nis=nis, squares=squares)
 
 
 def joined(record: list[Array], part: list[Array], runs: slice, count: int) -> list[Array]:

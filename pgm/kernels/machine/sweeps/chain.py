@@ -122,6 +122,8 @@ def forward(w: Writer, chain: Forward) -> None:
         w.keep(chain.known[0], known, at)
         w.keep(chain.known[1], spread, at)
         w.at(chain.density, at).store(0, found.density)
+        for array, square in zip(chain.squares, found.squares, strict=True):
+            w.at(array, at).store(0, square.get())
         watch.look(at, last, known, cov, spread)
         tests.take(found.counts)
         belief.set(known, spread)

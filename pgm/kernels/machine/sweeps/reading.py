@@ -50,8 +50,10 @@ class Counts(NamedTuple):
 class Taken:
     """A belief that takes in measurements: moments, their log-density, and whether it is sure."""
 
-    def __init__(self, w: Writer, mean: AnyMatrix, cov: AnyMatrix) -> None:
+    def __init__(self, w: Writer, mean: AnyMatrix, cov: AnyMatrix, sensors: int = 0) -> None:
         self.moments = w.matrices.carried(mean, cov)
+        # Of each sensor, of so many, the normalised innovation squared of its sightings.
+        self.squares = [w.code.varying(0.0) for _ in range(sensors)]
         self._density, self._sure = w.code.varying(0.0), w.code.varying(True)
         self._settled = w.code.varying(True)
         self._counts = [w.code.varying(0.0) for _ in Counts._fields]
@@ -116,7 +118,7 @@ def taken(
 
     `decided` says that gates have decided before.
     """
-    found = Taken(w, mean, cov)
+    found = Taken(w, mean, cov, len(chain.squares))
     weighing = None
     if chain.alone is None and any(sensor.weighs for sensor in chain.sensors):
         weighing = Weighing(w, mean, cov)
@@ -245,8 +247,9 @@ def _once(
     """Take in the measurements of a step, linearised at a point, where that is not `shown`."""
     fresh = point.first is None  # no measurement has moved the belief from the point yet
     again = None if weighing is None else weighing.again
-    for sensor in chain.sensors:
+    for k, sensor in enumerate(chain.sensors):
         fresh = fresh and sensor.bounds is None
+        apart = Apart(w, point) if k and found.squares else None
         with w.each_sighting(sensor, at) as row:
             rows = rows_of(w, sensor, at, row)
             sighting = shown.get(sensor) or Sighting.of(w, sensor, row, point, again, rows)
@@ -256,10 +259,34 @@ def _once(
             elif sensor.weighs:
                 weighed, settled = weighed_alone(w, sensor, row, sighting, point)
                 found.settle(settled)
-            read(w, sensor, row, sighting, found, point, weighed, weighing, fresh=fresh)
+            read(w, sensor, row, sighting, found, point, weighed, weighing, apart, fresh=fresh)
+        if found.squares:
+            found.squares[k].set(found.counts.nis if apart is None else apart.square)
         fresh = False
     if point.anchor is not None:
         found.hold(point.anchor)
+
+
+class Apart:
+    """The sightings of one sensor taken in without those of others, for their NIS by itself."""
+
+    def __init__(self, w: Writer, point: Point) -> None:
+        self._moments, self._point = w.matrices.carried(point.mean, point.cov), point
+        self._square = w.code.varying(0.0)
+
+    @property
+    def square(self) -> Number:
+        """The normalised innovation squared of the sightings so far."""
+        return self._square.get()
+
+    def take(self, w: Writer, sighting: Sighting, noise: AnyMatrix, rejected: Number) -> None:
+        """Take in a sighting of this noise, unless it is rejected."""
+        mean, cov, matrix = self._moments.mean, self._moments.cov, sighting.matrix
+        residual = sighting.left - matrix @ (mean - self._point.at)
+        after = step.update(mean, cov, matrix, residual, noise)
+        chosen = w.matrices.chosen
+        self._moments.set(chosen(rejected, mean, after.mean), chosen(rejected, cov, after.cov))
+        self._square.set(self.square + where(rejected, 0.0, after.square))
 
 
 def read(
@@ -271,12 +298,13 @@ def read(
     point: Point,
     weighed: Weighed | None = None,
     weighing: Weighing | None = None,
+    apart: Apart | None = None,
     *,
     fresh: bool = False,
 ) -> None:
     """Take in a sighting, as it was `weighed` if its noise is robust, in a turn of a `weighing`.
 
-    `fresh` says that no other of its step is taken in yet.
+    `fresh` says that no other of its step is taken in yet; `apart` takes in those of its sensor.
     """
     line, noise = sighting.line, sighting.noise
     surplus_of: Callable[[], Any] = float
@@ -315,6 +343,8 @@ def read(
         sure = line.sure & (after.share > NEARLY_SINGULAR) & sharp
         found.take(after.mean, after.cov, density, sure)
         found.count(after.square, sighting.count, 0.0, 0.0)
+        if apart is not None:
+            apart.take(w, sighting, noise, w.code.constant(False))
         return
     square, share = after.square, after.share
     if not fresh:
@@ -335,3 +365,5 @@ def read(
         rejected.number(),
         where(sighting.count > 0.0, 1.0, 0.0),
     )
+    if apart is not None:
+        apart.take(w, sighting, noise, rejected)

@@ -32,6 +32,9 @@ class Forward:
         Means and deviations by step, and weights, of an anchor; empty if there is none.
     asked : Array or None
         For what a sweep waits whose functions are called, (`ASKED`,): see `told.WHAT`.
+    squares : tuple of Array
+        The normalised innovation squared of each sensor, by itself, at each step; empty if they are
+        not kept.
     """
 
     size: int
@@ -47,6 +50,7 @@ class Forward:
     controlled: bool = False
     anchor: tuple[Array, ...] = ()
     asked: Array | None = None
+    squares: tuple[Array, ...] = ()
 
     @property
     def alone(self) -> Sensor | None:

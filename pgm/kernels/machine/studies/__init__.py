@@ -1,0 +1,1 @@
+"""Simulation studies in machine code: errors of beliefs, and their sums over runs."""
