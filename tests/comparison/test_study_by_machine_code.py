@@ -193,3 +193,14 @@ def test_a_study_has_the_figures_of_numpy(runs):
             for each in ("value", "error", "by_step", "error_by_step"):
                 one, two = getattr(statistic, each), getattr(plain, each)
                 assert_allclose(one, two, rtol=1e-10, atol=1e-11)
+
+
+def test_parts_of_the_runs_join_their_nis():
+    from concurrent.futures import ThreadPoolExecutor
+
+    evidence = studying.drawn_runs(robot(), INPUTS, T, 40, 1).sample(0).evidence
+    graph = pgm.compile(robot(), T, compiled=Squared())
+    with ThreadPoolExecutor(2) as workers:
+        for schedule in (pgm.Smoothing(iterations=2, tolerance=0.0), pgm.Smoothing()):
+            found = pgm.infer(graph, evidence, schedule=schedule, executor=workers)
+            assert_squares(found, found)

@@ -185,8 +185,8 @@ def _along_runs(kind: type[Any], parts: Sequence[Any]) -> Any:
     """One result of all runs, from the results of the parts, which are all of the type `kind`.
 
     Arrays are concatenated along their second axis, which is of runs. Named tuples and dataclasses
-    are joined field by field; of bools and floats the least is taken. If a part's result is None,
-    so is that of all.
+    are joined field by field, and tuples of arrays one by one, which are empty if those of a part
+    are; of bools and floats the least is taken. If a part's result is None, so is that of all.
     """
     if any(part is None for part in parts):
         return None
@@ -194,6 +194,9 @@ def _along_runs(kind: type[Any], parts: Sequence[Any]) -> Any:
         return min(parts)
     if issubclass(kind, np.ndarray):
         return np.concatenate(parts, axis=1)
+    if kind is tuple:
+        each = zip(*parts, strict=True) if all(parts) else ()
+        return tuple(np.concatenate(arrays, axis=1) for arrays in each)
     found = {}
     for name in getattr(kind, "_fields", None) or [field.name for field in fields(kind)]:
         values = _each(parts, name)
