@@ -165,6 +165,6 @@ class Verdict(Shown, Immutable, NoArray):
 
 
 def _span(values: Any) -> str:
-    """Values in words: one, or the least to the largest."""
-    low, high = (number(float(end), 3) for end in (np.min(values), np.max(values)))
+    """Values in words: one, or the least to the largest, but for those that are not known."""
+    low, high = (number(float(end(values)), 3) for end in (np.nanmin, np.nanmax))
     return low if low == high else f"{low} to {high}"

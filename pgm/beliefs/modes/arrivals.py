@@ -78,13 +78,32 @@ def by_start(parts: Sequence[Part], lead: tuple[int, ...], each: Sequence[Any]) 
     return found
 
 
-def arrived(infer: Callable[[Integers], Any], starts: Integers) -> list[Part]:
+class Arrived(NamedTuple):
+    """The outcomes from starts, the starts that failed in some run, and the first error of these.
+
+    The error is None if it was none of the package's own.
+    """
+
+    parts: list[Part]
+    failed: Integers
+    refused: PgmError | None
+
+    @property
+    def some(self) -> list[Part]:
+        """The outcomes; the error is raised if there are none."""
+        if not self.parts:
+            raise self.refused or ModelError("nothing has arrived from any start")
+        return self.parts
+
+
+def arrived(infer: Callable[[Integers], Any], starts: Integers) -> Arrived:
     """The outcomes from all starts, of which `infer` takes some by number.
 
-    A start that fails in some run is left out of all.
+    Where it fails the halves are tried by themselves.
     """
     left = [starts]
     found: list[Part] = []
+    failed: list[int] = []
     refused: PgmError | None = None
     while left:
         some = left.pop()
@@ -95,11 +114,11 @@ def arrived(infer: Callable[[Integers], Any], starts: Integers) -> list[Part]:
                 refused = refused or error
             if some.size > 1:
                 left += [some[: some.size // 2], some[some.size // 2 :]]
+            else:
+                failed.append(int(some[0]))
             continue
         found.append(Part(some, outcome))
-    if not found:
-        raise refused or ModelError("nothing has arrived from any start")
-    return found
+    return Arrived(found, np.array(failed, dtype=np.intp), refused)
 
 
 def chosen(
@@ -155,7 +174,7 @@ def _record(parts: Sequence[Part], runs: int) -> Array:
     each = [
         part.outcome.status.residuals.reshape(-1, len(part.starts), runs) for part in whole_runs
     ]
-    longest = max(map(len, each))
+    longest = max(map(len, each), default=0)
     whole = [
         np.pad(own, ((0, longest - len(own)), (0, 0), (0, 0)), "edge") for own in each if len(own)
     ]

@@ -12,7 +12,6 @@ from pgm.beliefs.modes import arrivals
 from pgm.beliefs.modes.arrivals import spread_rule
 from pgm.beliefs.modes.laws import Laws, Target
 from pgm.beliefs.modes.outcome import Found, ModesOutcome, Part
-from pgm.errors import PgmError
 from pgm.factors.scope import Scope
 from pgm.kernels.arrays import Array, Integers
 from pgm.schedules.damping import Damping
@@ -96,18 +95,28 @@ class Search(ABC):
     def arrived(self, starts: int, before: int = 0) -> list[Part]:
         """The beliefs that points of the prior lead to: so many, less a number `before` of them.
 
-        They are numbered from 1.
+        They are numbered from 1. One that fails in some run goes on in the others, unless runs are
+        together.
         """
         begun = self._begun(starts)
 
         def infer(some: Integers) -> Any:
             return self._inferred(some.size, {v: own[some - 1] for v, own in begun.items()})
 
-        return arrivals.arrived(infer, np.arange(before, starts) + 1)
+        found = arrivals.arrived(infer, np.arange(before, starts) + 1)
+        if found.failed.size and self.runs > 1 and not self.together:
+            axes = 1 + len(self.lead)
+            means = {
+                v: own.reshape(starts, self.runs, *own.shape[axes:]) for v, own in begun.items()
+            }
+            runs = np.tile(np.arange(self.runs), found.failed.size)
+            pairs = self._in_pairs(np.repeat(found.failed, self.runs), runs, means, 1)
+            found = found._replace(parts=[*found.parts, *pairs])
+        return found.some
 
     def unled(self) -> list[Part]:
         """The beliefs to which a schedule without a start leads, start 0."""
-        return arrivals.arrived(lambda some: self._inferred(some.size, None), np.arange(1))
+        return arrivals.arrived(lambda some: self._inferred(some.size, None), np.arange(1)).some
 
     def resumed(self, parts: Sequence[Part]) -> list[Part]:
         """The beliefs of starts that had not settled, which go on from where they stopped.
@@ -120,26 +129,33 @@ class Search(ABC):
             mean = means[variable] = arrivals.by_start(parts, self.lead, each)
             known = known & np.isfinite(mean).all(axis=tuple(range(2, mean.ndim)))
         left = known & ~arrivals.heights(parts, self.lead).settled
-        if self.together:
-            starts = np.flatnonzero(left.any(axis=1) & known.all(axis=1))
-        else:
+        if not self.together:
             starts, runs = np.nonzero(left)
+            return self._in_pairs(starts, runs, means, 0)
 
         def infer(some: Integers) -> Any:
-            if self.together:
-                start = {v: mean[starts[some]] for v, mean in means.items()}
-                shape = some.size, *self.lead
-                start = {v: own.reshape(*shape, *own.shape[2:]) for v, own in start.items()}
-                return self._inferred(some.size, start)
-            start = {v: mean[starts[some], runs[some]][None] for v, mean in means.items()}
+            shape = some.size, *self.lead
+            start = {v: mean[some].reshape(*shape, *mean.shape[2:]) for v, mean in means.items()}
+            return self._inferred(some.size, start)
+
+        starts = np.flatnonzero(left.any(axis=1) & known.all(axis=1))
+        return arrivals.arrived(infer, starts).parts if starts.size else []
+
+    def _in_pairs(
+        self, starts: Integers, runs: Integers, means: Mapping[Variable, Array], first: int
+    ) -> list[Part]:
+        """The beliefs of starts each of one run, (P,) and (P,), but of those that fail.
+
+        `means`, (S, runs, ...), are those of the starts from number `first` on.
+        """
+
+        def infer(some: Integers) -> Any:
+            start = {v: mean[starts[some] - first, runs[some]][None] for v, mean in means.items()}
             return self._of(runs[some])._inferred(1, start)
 
-        try:
-            found = arrivals.arrived(infer, np.arange(starts.size)) if starts.size else []
-        except PgmError:  # no start can go on
+        if not starts.size:
             return []
-        if self.together:
-            return [part._replace(starts=starts[part.starts]) for part in found]
+        found = arrivals.arrived(infer, np.arange(starts.size)).parts
         return [Part(starts[own], outcome, runs[own]) for own, outcome, _ in found]
 
     def chosen(self, parts: Sequence[Part], count: int) -> Found:

@@ -115,6 +115,13 @@ class Answer(ByRun):
     pareto_k: Array
     recombined: Mask
 
+    @classmethod
+    def nothing(cls, laws: Laws) -> Answer:
+        """The laws, of which no draws say anything."""
+        runs = laws.weights.shape[1]
+        none, unknown, no = np.zeros(runs, np.intp), np.full(runs, np.nan), np.full(runs, False)
+        return cls(laws, unknown, unknown, none, no, no, none, np.zeros(runs), unknown, no)
+
     @property
     def rank(self) -> Array:
         """How much can be said of each run: whether it is vouched for, then by what draws."""
@@ -295,15 +302,13 @@ def _recombined(
     if effort < sum(PASSES) or (search.together and search.runs > most):
         return sought, answer
 
-    def ask(some: Integers) -> Answer | None:
-        laws = sought.laws.of(some)
-        found = recombined(search.of(some).target(laws), laws, rng)
-        return None if found is None else _of_recombined(found)
-
-    other = _in_parts(runs, most, ask)
-    if other is None:
-        return sought, answer
-    old = answer.some(runs)
+    old = other = answer.some(runs)
+    for part in _parts(runs.size, most):
+        laws = sought.laws.of(runs[part])
+        found = recombined(search.of(runs[part]).target(laws), laws, rng)
+        if found is None:
+            return sought, answer
+        other = other.put(part, _of_recombined(found))
     off = apart(search.of(runs).target(other.laws), other.laws, old.laws)
     refuted = other.sound & (off > old.within + 2.0 * other.within)
     places = np.searchsorted(runs, left)
@@ -330,29 +335,34 @@ def _with(answer: Answer, runs: Integers, other: Answer, preferred: Mask) -> Ans
 
 @quiet()
 def weigh(search: Search, laws: Laws, effort: int, rng: np.random.Generator) -> Answer:
-    """The answers of all runs: draws of the modes, and more where they do not vouch for it."""
+    """The answers of all runs: draws of the modes, and more where they do not vouch for it.
+
+    A run whose draws are refused has its modes, of which nothing is said; the error is raised if
+    there is no other run.
+    """
     size = laws.first.shape[-1] + laws.mean.shape[1] * laws.mean.shape[-1]
     most = search.runs if search.together else max(1, ROOM // (effort * max(size, 1)))
-    every = np.arange(search.runs)
-    found = _in_parts(
-        every, most, lambda runs: _weighed(search.of(runs), laws.of(runs), effort, rng)
-    )
-    assert found is not None
-    return found
-
-
-def _in_parts(runs: Integers, most: int, ask: Callable[[Integers], Answer | None]) -> Answer | None:
-    """The answers of runs, of so many at once at the most; None if there are none of the first."""
-    parts = [np.arange(first, min(first + most, runs.size)) for first in range(0, runs.size, most)]
-    found = ask(runs[parts[0]])
-    if found is None or len(parts) == 1:
-        return found
-    whole = found.some(np.zeros(runs.size, dtype=np.intp)).put(parts[0], found)
-    for part in parts[1:]:
-        other = ask(runs[part])
-        assert other is not None
-        whole = whole.put(part, other)
+    parts, whole = _parts(search.runs, most), Answer.nothing(laws)
+    refused: PgmError | None = None
+    answered = False
+    while parts:
+        runs = parts.pop(0)
+        try:
+            found = _weighed(search.of(runs), laws.of(runs), effort, rng)
+        except PgmError as error:
+            refused = refused or error
+            if runs.size > 1 and not search.together:
+                parts = [*np.array_split(runs, 2), *parts]
+            continue
+        whole, answered = whole.put(runs, found), True
+    if refused is not None and not answered:
+        raise refused
     return whole
+
+
+def _parts(runs: int, most: int) -> list[Integers]:
+    """The numbers of so many runs in parts."""
+    return [np.arange(first, min(first + most, runs)) for first in range(0, runs, most)]
 
 
 def _weighed(search: Search, laws: Laws, effort: int, rng: np.random.Generator) -> Answer:

@@ -197,6 +197,51 @@ def test_runs_are_judged_each_by_itself_in_parts_of_any_size(monkeypatch):
     assert near.max() < 0.3
 
 
+def test_a_run_whose_draws_are_refused_leaves_the_others_theirs(monkeypatch):
+    weighed = climbing._weighed
+
+    def refusing(search, laws, *asked):
+        if (np.abs(laws.mean) > 4.0).any():
+            raise pgm.NumericalError("no draw has a density", run=0)
+        return weighed(search, laws, *asked)
+
+    monkeypatch.setattr(climbing, "_weighed", refusing)
+    monkeypatch.setattr(
+        climbing, "_recombined", lambda search, sought, answer, *asked: (sought, answer)
+    )
+    seen = np.array([[[1.0]], [[4.0]], [[36.0]], [[2.0]]])
+    found = pgm.estimate(squares, {z: seen}, steps=1)
+    assert found.verdict.vouched.tolist() == [True, True, False, True]
+    assert np.isnan(found.verdict.within[2])
+    assert found.verdict.draws[2] == 0
+    assert "too few draws count (1)" in found.verdict.headline
+    assert np.abs(found[x].components.mean[2, -1]).max() == pytest.approx(6.0, abs=0.3)
+    alone = pgm.estimate(squares, {z: seen[2]}, steps=1)
+    assert alone.verdict.reason == "nothing is weighed: no draw has a density"
+
+
+def test_a_start_that_fails_in_one_run_goes_on_in_the_others():
+    """Of ln(x + u), which has no value at one start in six where u = −1."""
+    u = pgm.Variable("u")
+
+    def read(x, u):
+        if (x + u <= 0.0).any():
+            raise ValueError("no logarithm")
+        return np.log(x + u)
+
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(x, 2.0, 1.0)],
+        [pgm.LinearGaussianCPD(x, {x.previous: 1.0}, cov=0.01)],
+        [pgm.NonlinearGaussianCPD(y, (x, u), read, cov=0.1)],
+    )
+    shift = np.array([10.0, -1.0, 10.0])[:, None, None]
+    found = pgm.estimate(model, {u: shift, y: np.log(2.0 + shift)}, steps=1)
+    starts = found.verdict.starts.tolist()
+    assert starts[0] == starts[2] == 33
+    assert starts[1] < 33
+    assert found.verdict.vouched[[0, 2]].all()
+
+
 @pytest.mark.parametrize("shape", [(3,), (3, 1)])
 def test_runs_of_a_model_are_answered_each_by_itself(shape):
     """Where CPDs differ by run, of which some need more starts or draws than others."""
