@@ -69,7 +69,7 @@ def estimate(
        density is tried, of a chain of up to 6 components a step, all with noise, by draws of each
        step alone, 256 and 512, any of which may follow any of the step before. So a chain has a
        belief that is ambiguous at many steps, each apart from the others. It is the answer where
-       more can be said of it, or where it refutes the one before.
+       more can be said of it, or where it refutes the one before, and is vouched for within .05.
 
     The result says in ``posterior.verdict`` whether it is vouched for, within how much, and what it
     took; so does ``print(posterior)``. Nothing is vouched for if starts do not agree on the modes,

@@ -24,7 +24,7 @@ class Verdict(Shown, Immutable, NoArray):
     ----------
     vouched : ndarray of bool
         Whether the answer can be vouched for: starts agree on the modes, enough draws count, and
-        the answer is `within` a tenth of a nat.
+        the answer is `within` a tenth of a nat, half of this if it is of `recombined` trajectories.
     within : ndarray
         A bound [nats] on the divergence of the worst marginal from the exact one, which holds with
         a probability of 95 %, but for modes that nothing has found, of up to 1 % of the mass. NaN

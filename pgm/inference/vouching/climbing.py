@@ -36,8 +36,9 @@ HELD, HALF = (25, 1e-3, 0.3), 8
 # Draws of the first round; of a chain of more steps than LONG of the first and only one, and only
 # the first search is made.
 FIRST, FEW, LONG = 1000, 200, 1000
-# An answer is vouched for within so many nats.
-WITHIN = 0.1
+# An answer is vouched for within so many nats; one by recombined trajectories within half, since
+# two passes that are near each other by chance may both be further from the truth.
+WITHIN, HALF_WITHIN = 0.1, 0.05
 # Numbers of all draws that are held at once.
 ROOM = 2**24
 
@@ -320,7 +321,7 @@ def _of_recombined(found: Recombined) -> Answer:
     """The answers by recombined trajectories, whose moments are vouched for."""
     usable = (found.effective > ENOUGH) & (found.pareto_k < 1.0)
     sound = usable & (found.pareto_k < HEAVY)
-    of = np.where(sound & (found.within < WITHIN), 2, 0)
+    of = np.where(sound & (found.within < HALF_WITHIN), 2, 0)
     draws = np.full(of.shape, sum(PASSES))
     rest = draws, found.effective, found.pareto_k, np.full(of.shape, True)
     return Answer(found.laws, found.log_evidence, found.within, of, sound, usable, *rest)
