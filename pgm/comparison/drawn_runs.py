@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pgm.cpds.conditional import ConditionalGaussian
-from pgm.cpds.robust import Cauchy, Huber, StudentT, TruncatedLeastSquares
+from pgm.cpds.losses import Cauchy, Huber, StudentT, TruncatedLeastSquares
 from pgm.display import titled
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import Evidence, Sightings, bind, sightings

@@ -5,11 +5,12 @@ from pgm.cpds.causal_independence import CausalIndependence
 from pgm.cpds.conditional import ConditionalGaussian, Noise, noise
 from pgm.cpds.derivatives import Derivatives
 from pgm.cpds.gaussian import AffineCPD, GaussianCPD, LinearGaussianCPD, NonlinearGaussianCPD
+from pgm.cpds.losses import Cauchy, Huber, StudentT, TruncatedLeastSquares
 from pgm.cpds.mixture import MixtureCPD
 from pgm.cpds.noisy_max import NoisyMax, NoisyOr
 from pgm.cpds.repeated import plate
 from pgm.cpds.residual import NonlinearGaussianFactor
-from pgm.cpds.robust import Cauchy, Huber, RobustNoise, StudentT, TruncatedLeastSquares
+from pgm.cpds.robust import RobustNoise
 from pgm.cpds.sampled import SampledCPD
 from pgm.cpds.structured import Kronecker, shifts
 from pgm.cpds.switching import SwitchingCPD

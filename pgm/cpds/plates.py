@@ -16,7 +16,8 @@ from typing import Any
 from pgm.cpds.by_run import ByRunCPD
 from pgm.cpds.conditional import ConditionalGaussian, Noise
 from pgm.cpds.gaussian import AffineCPD, NonlinearGaussianCPD
-from pgm.cpds.robust import LOSSES, RobustNoise
+from pgm.cpds.losses import LOSSES
+from pgm.cpds.robust import RobustNoise
 from pgm.linearisers.lineariser import by_values
 from pgm.variables import Variable
 
