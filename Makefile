@@ -9,7 +9,7 @@ export OPENBLAS_NUM_THREADS := 1
 # What one process has compiled serves the next.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo report test test-slow lint docs notebooks bench bench-quick clean
+.PHONY: demo report test test-slow lint docs notebooks bench bench-quick gpu-check clean
 
 demo: $(VENV)/.demo
 	$(PY) -m experiments localisation
@@ -44,6 +44,9 @@ bench: $(VENV)/.bench
 
 bench-quick: $(VENV)/.bench
 	$(PY) -m benchmarks --quick
+
+gpu-check: $(VENV)/.test
+	$(PY) -m benchmarks.gpu_check
 
 clean:
 	rm -rf $(VENV) results build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -144,9 +144,10 @@ def study(
     long = repays(drawn.steps, min(drawn.block, drawn.runs), len(drawn.blocks)) and find_spec(
         "llvmlite"
     )
-    choice = as_choice(compiled, "pgm.study(...)")
+    choice = as_choice(compiled, "pgm.study(...)", card=True)
     if choice or (choice is None and long):
-        choice = Squared(choice.threads if isinstance(choice, Compiled) else 1)
+        given = choice if isinstance(choice, Compiled) else Compiled()
+        choice = Squared(given.threads, given.device)
     graph = compile(model, drawn.steps, compiled=choice)
     family = family_of(model)
     for method in chosen.values():

@@ -297,7 +297,7 @@ def _dynamic(model: DynamicBayesianNetwork, steps: Any, method: Any, compiled: A
         error=GraphError,
     )
     by_step.require_last(model._changing, int(steps), GraphError)
-    choice = as_choice(compiled, "pgm.compile(...)")
+    choice = as_choice(compiled, "pgm.compile(...)", card=True)
     if choice and model.discrete:
         raise without_machine_code("tables", model)
     if method is None:

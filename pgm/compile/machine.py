@@ -13,7 +13,7 @@ from pgm.arguments import public
 from pgm.boundary import is_number, is_whole
 from pgm.cpds import CPD, AffineCPD, ConditionalGaussian, NonlinearGaussianCPD
 from pgm.display import InCode, Told, titled
-from pgm.errors import GraphError, ModelError, PgmError
+from pgm.errors import ExecutorError, GraphError, ModelError, PgmError
 from pgm.kernels import roots
 from pgm.linearisers import (
     Cubature,
@@ -30,17 +30,27 @@ from pgm.resources import optional
 @public
 @dataclass(frozen=True)
 class Compiled(InCode):
-    """Sweeps along a chain in machine code, the runs shared by threads.
+    """Sweeps along a chain in machine code, the runs shared by threads, or on a card.
+
+    On a card each run is a thread, in float64. Evidence is copied there with each sweep, and
+    beliefs back. What a card cannot do, and what a sweep leaves, is done as without one: functions
+    that are called back, iterated smoothers' Gauss–Newton steps, mixtures, twice the digits. It has
+    not been run on a card yet: its code is tested by an interpreter, and assembled.
 
     Parameters
     ----------
     threads : int
-        Threads, each with runs of its own.
+        Threads of the processor, each with runs of its own.
+    device : str, optional
+        ``"cuda"`` for the first card of NVIDIA's, of compute capability 7.5 or later, by the extra
+        ``sepset[gpu]``; of `compile`, `filter`, `smooth` and `study`, for dynamic networks.
 
     Raises
     ------
     ModelError
-        If that is no whole number from 1 on.
+        If `threads` is no whole number from 1 on, or `device` is another one. Calls that are given
+        it raise an ImportError without the extra, and an ExecutorError without a card or with too
+        old a driver, or where the card's memory does not suffice.
 
     Examples
     --------
@@ -49,8 +59,17 @@ class Compiled(InCode):
     """
 
     threads: int = 1
+    device: str | None = None
+
+    def __repr__(self) -> str:
+        device = "" if self.device is None else f", device={self.device!r}"
+        return f"Compiled(threads={self.threads}{device})"
 
     def __post_init__(self) -> None:
+        if self.device is not None and self.device != CUDA:
+            raise ModelError(
+                f"Compiled(device={self.device!r}): {CUDA!r} is known, or None for the processor"
+            )
         if not is_whole(self.threads) or self.threads < 1:
             raise ModelError(
                 f"Compiled(threads={self.threads!r}): threads must be a whole number from 1 on"
@@ -76,21 +95,52 @@ CONTROL = "Levenberg–Marquardt (damping=) judges the windows of a lag"
 GROUPED = "its sightings are grouped, and gated, weighed or linearised again"
 LONG = "step control, and windows of a lag, are compiled for slices of few components"
 COMPILED = "compiled"
+# The only device beside the processor.
+CUDA = "cuda"
 # Before the reason why machine code calls a function rather than having it itself.
 CALLED = "called back: "
 # None leaves it to the size of the work.
 Choice = bool | Compiled | None
 
 
-def as_choice(compiled: Any, what: str) -> Choice:
-    """A choice of machine code, for which there has to be llvmlite."""
+def as_choice(compiled: Any, what: str, *, card: bool = False) -> Choice:
+    """A choice of machine code, for which there has to be llvmlite; `card` says if one may be due.
+
+    A card that is asked for has to be there.
+    """
     if not isinstance(compiled, bool | Compiled | None):
         raise ModelError(
             f"{what}: compiled={compiled!r}; True, False or a pgm.Compiled(...) was due"
         )
     if compiled:
         optional("llvmlite", f"{what.removesuffix(')')}, compiled=True)", "llvmlite")
+    if is_for_card(compiled):
+        if not card:
+            raise ModelError(
+                f"{what}: compiled={compiled!r}: a card sweeps the runs of a dynamic network, by "
+                "filter, smooth, study or compile; leave out device="
+            )
+        _require_card(f"{what.removesuffix(')')}, compiled={compiled!r})")
     return compiled
+
+
+def is_for_card(choice: Choice) -> bool:
+    """Whether a choice asks for a card."""
+    return isinstance(choice, Compiled) and choice.device is not None
+
+
+def _require_card(what: str) -> None:
+    """Refuse a card that is not there, or for which something is missing."""
+    optional("cuda.bindings.driver", what, "sepset[gpu]")
+    from pgm.kernels.machine.emitter.card import Card, libdevice
+    from pgm.kernels.machine.emitter.driver import device
+
+    try:
+        libdevice()
+        Card(device().capability)
+    except (ImportError, OSError, ValueError) as error:
+        kind = ImportError if isinstance(error, ImportError) else ExecutorError
+        raise kind(f"{what}: {error}") from error
 
 
 # Why compiled= is refused, and the remedy, of a network of tables, and of what goes in rounds.

@@ -7,10 +7,11 @@ form keeps how the owners of arrays are asked for them, and asks those of the pl
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from pgm.beliefs.moments.compiled.called import Calls
 from pgm.beliefs.moments.compiled.table import Get, Integers64, Record, Table, readable
@@ -34,10 +35,10 @@ class Named(NamedTuple):
 
 
 class Filled(NamedTuple):
-    """The numbers of a table for one sweep, and the arrays that they point to, which they keep."""
+    """The numbers of a table for one sweep, and the arrays by the places of their addresses."""
 
     numbers: Integers64
-    kept: Sequence[object]
+    arrays: Mapping[int, npt.NDArray[Any]]
 
 
 class Form(NamedTuple):
@@ -51,16 +52,16 @@ class Form(NamedTuple):
 
         It begins with the numbers `first`.
         """
-        numbers, kept = [*first, *self.numbers[len(first) :]], []
+        numbers, arrays = [*first, *self.numbers[len(first) :]], {}
         for place, owner, get, lies_, copied in self.named:
             array = get(owners[owner])
             if lies_ is not None and lies_ != lies(array):
                 return None
             if copied:
                 array = readable(array)
-            kept.append(array)
+            arrays[place] = array
             numbers[place] = address(array)
-        return Filled(np.array(numbers, dtype=np.int64), kept)
+        return Filled(np.array(numbers, dtype=np.int64), arrays)
 
 
 class NamedTable(Table):
@@ -105,7 +106,7 @@ class NamedTable(Table):
 
     def filled(self, *first: int) -> Filled:
         """The table of the arrays that were told of, which begins with the numbers `first`."""
-        return Filled(np.array([*first, *self.numbers[len(first) :]], dtype=np.int64), self._kept)
+        return Filled(np.array([*first, *self.numbers[len(first) :]], dtype=np.int64), self.arrays)
 
     def _note(self, named: Named) -> None:
         self._named.append(named)

@@ -8,7 +8,7 @@ import numpy as np
 
 from pgm.beliefs.moments.compiled.rows import motion_of, needed, places
 from pgm.beliefs.moments.compiled.sensors import sensor_of
-from pgm.beliefs.moments.compiled.sweep import FAR, lanes_of, run
+from pgm.beliefs.moments.compiled.sweep import FAR, lanes_of, made, run
 from pgm.beliefs.moments.compiled.table import Table
 from pgm.beliefs.moments.compiled.uncompiled import Uncompiled, require_affine_prior, unknown
 from pgm.beliefs.moments.steps import cost
@@ -94,8 +94,8 @@ class _Bound:
     def _run(self, chain: told.Linearised, at: Point) -> bool:
         for mine, its in zip(self._point, (at.mean, at.cov, at.joint), strict=False):
             mine[...] = its
-        sweep = sweeps.made(chain, self._table.lanes)
-        left = run(self._plan, sweep, self._table.whole, ())[sweeps.LEFT] != 0.0
+        sweep, table = made(self._plan, chain), self._table
+        left = run(self._plan, sweep, table.whole, table.arrays, ())[sweeps.LEFT] != 0.0
         if left.any():
             self._plan.account.leave(FAR, int(left.sum()))
         return not left.any()

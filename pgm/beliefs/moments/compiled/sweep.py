@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextvars import copy_context
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
@@ -10,8 +10,10 @@ from operator import attrgetter, itemgetter
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from pgm.beliefs.moments.compiled.called import Calls, Failed
+from pgm.beliefs.moments.compiled.card import OnCard
 from pgm.beliefs.moments.compiled.gates import decided, undecided
 from pgm.beliefs.moments.compiled.groups import Group, groups_of
 from pgm.beliefs.moments.compiled.judged import judge
@@ -27,7 +29,7 @@ from pgm.beliefs.moments.steps.gate import Asked
 from pgm.beliefs.moments.steps.open_sensor import OpenSensor
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.sensor import Sensor
-from pgm.compile.machine import LONG, Compiled, Squared
+from pgm.compile.machine import LONG, Compiled, Squared, is_for_card
 from pgm.kernels.arrays import Array, Mask, address, vacant
 from pgm.kernels.machine.sweeps import chain as sweeps
 from pgm.kernels.machine.sweeps import told
@@ -400,10 +402,11 @@ def _run(
     # Arrays of one plan may lie in several ways, as those of iterations do.
     known = before.get((key, lanes), ())
     filled: Filled | None = None
-    for made, form in known:
+    sweep: sweeps.Sweep | OnCard
+    for its, form in known:
         filled = form.filled(owners, *first)
         if filled is not None:
-            sweep = made
+            sweep = its
             break
     if filled is None:
         table = NamedTable(plan, lanes, owners, record, calls)
@@ -412,26 +415,44 @@ def _run(
         if calls is not None and calls.each:  # which are of this sweep alone
             sweep = _asking(chain, lanes, calls)
         else:
-            sweep = sweeps.made(chain, lanes)
+            sweep = made(plan, chain)
             if len(before) >= _TOLD:
                 before.clear()
             before[key, lanes] = (sweep, table.form), *known[: _WAYS - 1]
-    return run(plan, sweep, filled.numbers, out)
+    return run(plan, sweep, *filled, out)
 
 
 def lanes_of(plan: ChainPlan) -> int:
-    """How many runs of a plan are swept together."""
-    return sweeps.LANES if plan.runs >= sweeps.LANES else 1
+    """How many runs of a plan are swept together, by a thread."""
+    return 1 if plan.runs < sweeps.LANES or is_for_card(plan.layout.compiled) else sweeps.LANES
 
 
-def run(plan: ChainPlan, sweep: sweeps.Sweep, numbers: Integers64, out: Sequence[Array]) -> Array:
+def made(plan: ChainPlan, chain: sweeps.Chain) -> sweeps.Sweep | OnCard:
+    """The sweep of a chain of a plan, for the processor, or a card."""
+    if is_for_card(plan.layout.compiled):
+        return OnCard(chain)
+    return sweeps.made(chain, lanes_of(plan))
+
+
+def run(
+    plan: ChainPlan,
+    sweep: sweeps.Sweep | OnCard,
+    numbers: Integers64,
+    arrays: Mapping[int, npt.NDArray[Any]],
+    out: Sequence[Array],
+) -> Array:
     """Run a sweep of a table of numbers on all runs of a plan; returns what it tells of each.
 
-    The result is (`chain.TOLD`, runs). `out` are the arrays that it fills.
+    The result is (`chain.TOLD`, runs). The numbers have the addresses of `arrays`, by their places;
+    `out` are those among them that it fills.
     """
     choice, lanes = plan.layout.compiled, lanes_of(plan)
     ended = np.zeros((sweeps.TOLD, plan.runs))
     numbers[told.ENDED] = address(ended)
+    if isinstance(sweep, OnCard):
+        sweep(numbers, {**arrays, told.ENDED: ended}, plan.runs)
+        plan.account.on_card = True
+        return ended
     threads = choice.threads if isinstance(choice, Compiled) else 1
     threads = max(min(threads, plan.runs // lanes), 1)
 

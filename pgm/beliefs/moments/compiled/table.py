@@ -24,7 +24,9 @@ Get = Callable[[Any], Any]
 
 
 class Table:
-    """A table that is filled, and the arrays that it tells of, which stay in memory as it does.
+    """A table that is filled, and the `arrays` that it tells of, which stay in memory as it does.
+
+    These are by the places of their addresses.
 
     `lanes` is how many runs are swept together, `record` the arrays that no CPD and no sensor owns;
     `calls` are the functions that are called, None where none may be.
@@ -35,11 +37,11 @@ class Table:
         self.numbers = [0] * told.FIRST
         self.numbers[told.LAST], self.numbers[told.RUNS] = plan.steps, plan.runs
         self.record: Record = {}
-        self._kept: list[object] = []
+        self.arrays: dict[int, npt.NDArray[Any]] = {}
 
     def put(self, place: int, array: npt.NDArray[Any]) -> None:
         """Put the address of an array into the table."""
-        self._kept.append(array)
+        self.arrays[place] = array
         self.numbers[place] = address(array)
 
     def at(self, array: npt.NDArray[Any]) -> int:

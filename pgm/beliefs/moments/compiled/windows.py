@@ -17,6 +17,7 @@ from pgm.beliefs.moments.compiled.sweep import (
     count,
     is_used,
     lanes_of,
+    made,
     run,
     settings,
     stretches,
@@ -91,7 +92,7 @@ def slide(plan: ChainPlan, schedule: FixedLag, room: Room) -> Swept | None:
         point=tuple(windowed(lag + 1, *own) for own in owns),
         joint=windowed(lag + 1, pair, pair) if joint else None,
     )
-    ended = run(plan, sweeps.made(chain, table.lanes), table.whole, ())
+    ended = run(plan, made(plan, chain), table.whole, table.arrays, ())
     decided(plan, table.record)
     left = stretches(ended[sweeps.LEFT] != 0.0)
     count(plan, left, FAR)

@@ -14,7 +14,8 @@ class Account:
     `due` says whether machine code was asked for, or would have repaid its loading; else `rest` is
     why not. `compiled` counts the sweeps that it made; `left` has the reasons why NumPy made
     others, and in how many runs at the most, or zero for all. `called` has the CPDs whose functions
-    machine code has called, and why it does not have them itself.
+    machine code has called, and why it does not have them itself. `on_card` says whether a card
+    made some.
     """
 
     due: bool = False
@@ -22,6 +23,7 @@ class Account:
     compiled: int = 0
     left: dict[str, int] = field(default_factory=dict)
     called: dict[str, str] = field(default_factory=dict)
+    on_card: bool = False
 
     def leave(self, why: str, runs: int = 0) -> None:
         """Note that a sweep, or some of its runs, are left to NumPy."""
@@ -35,7 +37,8 @@ class Account:
         """The account in words, of so many runs."""
         if not self.due:
             return f"by NumPy: {self.rest}" if self.rest else ""
-        called = "".join(f", {name} {CALLED}{why}" for name, why in self.called.items())
+        card = ", on a card" if self.on_card else ""
+        called = card + "".join(f", {name} {CALLED}{why}" for name, why in self.called.items())
         if not self.left:
             return f"compiled{called}" if self.compiled else ""
         told = "; ".join(

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Any
 
 from pgm.kernels.machine.emitter.card import Card, printed, thread
+from pgm.kernels.machine.emitter.driver import Device
 from pgm.kernels.machine.emitter.kinds import ADDRESS, WHOLE
 from pgm.kernels.machine.emitter.module import Module
 from pgm.kernels.machine.matrices.in_memory.frame import Frame
@@ -15,8 +17,8 @@ from pgm.kernels.machine.sweeps.extent import is_long
 from pgm.kernels.machine.sweeps.told import Forward
 from pgm.kernels.machine.sweeps.writer import Writer
 
-# The name of the kernel: ``pgm_sweep(table, first, last)``.
-SWEEP = "sweep"
+# The name of the kernel, ``pgm_sweep(table, first, last)``, and the kinds of its arguments.
+SWEEP, KINDS = "sweep", (ADDRESS, WHOLE, WHOLE)
 
 
 @lru_cache(maxsize=128)
@@ -31,7 +33,7 @@ def kernel(chain: Chain, capability: tuple[int, int], loops: bool | None = None)
     if isinstance(chain, Forward) and chain.asked is not None:
         raise ValueError("a card cannot call the functions of a program: they have to be traced")
     module = Module(target=Card(capability))
-    code = module.function(SWEEP, (ADDRESS, WHOLE, WHOLE))
+    code = module.function(SWEEP, KINDS)
     table, first, last = code.arguments
     frame = Frame.of_function(code)
     looped = is_long(chain, 1) if loops is None else loops
@@ -41,3 +43,10 @@ def kernel(chain: Chain, capability: tuple[int, int], loops: bool | None = None)
         swept(w, chain)
     frame.settle()
     return printed(module, [SWEEP], 1 if looped else 2)
+
+
+@lru_cache(maxsize=128)
+def loaded(chain: Chain, device: Device) -> Any:
+    """The sweep of a chain on a card, ready to be launched there; see `kernel`."""
+    with device.current():
+        return device.kernel(kernel(chain, device.capability), SWEEP)

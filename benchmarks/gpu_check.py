@@ -1,0 +1,161 @@
+"""`make gpu-check`: what NVIDIA's card of this machine finds, beside the processor, and how fast.
+
+Without a card it says so, and stops. Else it filters and smooths drawn models on both, whose
+answers must agree; then a million robots over 200 steps, whose sweep is timed alone, with its
+numbers on the card, and as a whole call. This has not been run on a card yet.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from itertools import cycle, islice, product
+from time import perf_counter
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+
+import pgm
+from benchmarks.work import robots
+from pgm.kernels.machine.emitter.driver import device
+
+CARD = pgm.Compiled(device="cuda")
+MODELS, RUNS, STEPS = 200, 10**6, 200
+# Deviations by which answers may differ, and seconds of a million robots' sweep.
+AGREES, DUE = 1e-10, 0.02
+RULES = pgm.Taylor(), pgm.Unscented(), pgm.Cubature()
+SCHEDULES: tuple[pgm.Filtering | pgm.FixedLag | pgm.Smoothing, ...] = (
+    pgm.Filtering(),
+    pgm.Smoothing(),
+    pgm.Filtering(gate=0.95),
+    pgm.FixedLag(3),
+)
+Model = tuple[pgm.DynamicBayesianNetwork, Mapping[pgm.Variable, Any]]
+
+
+def drawn(seed: int) -> Model:
+    """A model of one to four components, its functions drawn, and evidence of a few runs."""
+    rng = np.random.default_rng(seed)
+    n, d, steps, runs = (int(rng.integers(*ends)) for ends in ((1, 5), (1, 4), (3, 30), (1, 8)))
+    x = pgm.Variable("x", components=tuple(f"x{k}" for k in range(n)))
+    z = pgm.Variable("z", components=tuple(f"z{k}" for k in range(d)))
+    move, turn = (rng.normal(size=(n, n)) / np.sqrt(n) for _ in range(2))
+    see, bend = (rng.normal(size=(d, n)) for _ in range(2))
+
+    def moved(x: Any) -> Any:
+        return 0.8 * x @ move.T + 0.2 * np.sin(x @ turn.T) + 0.1 * np.exp(-x * x)
+
+    def seen(x: Any) -> Any:
+        return (
+            x @ see.T
+            + 0.3 * np.arctan2(x @ bend.T, 2.0)
+            + 0.1 * np.log1p(np.hypot(x[..., :1], 1.0))
+        )
+
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(x, rng.normal(size=n), np.diag(rng.uniform(0.1, 1.0, n)))],
+        [pgm.NonlinearGaussianCPD(x, (x.previous,), moved, cov=np.diag(rng.uniform(0.01, 0.2, n)))],
+        [pgm.NonlinearGaussianCPD(z, (x,), seen, cov=np.diag(rng.uniform(0.05, 0.5, d)))],
+    )
+    return model, model.sample(steps=steps, runs=runs, rng=rng).evidence
+
+
+def apart(one: Any, other: Any, model: pgm.DynamicBayesianNetwork) -> float:
+    """By how many deviations the answers of two calls differ at most."""
+    worst = float(np.abs(one.log_evidence - other.log_evidence).max())
+    for variable in model.states:
+        ours, theirs = one[variable], other[variable]
+        unit = theirs.std
+        means = np.abs(ours.mean - theirs.mean) / unit
+        covs = np.abs(ours.cov - theirs.cov) / (unit[..., :, None] * unit[..., None, :])
+        worst = max(worst, float(means.max()), float(covs.max()))
+    return worst
+
+
+def agreement(count: int) -> bool:
+    """Whether the card's answers are the processor's, of so many drawn models."""
+    worst, ways = 0.0, islice(cycle(product(SCHEDULES, RULES)), count)
+    for seed, (schedule, rule) in enumerate(ways):
+        model, evidence = drawn(seed)
+        steps = next(iter(evidence.values())).shape[-2]
+        card, processor = (
+            pgm.infer(
+                pgm.compile(model, steps, compiled=choice),
+                evidence,
+                schedule=schedule,
+                lineariser=rule,
+            )
+            for choice in (CARD, True)
+        )
+        off = apart(card, processor, model)
+        if not off <= AGREES:
+            _say(f"model {seed}, {schedule!r}, {rule!r}: {off:.1e} deviations apart")
+        worst = max(worst, off)
+    _say(f"{count} drawn models: at most {worst:.1e} deviations apart; {AGREES:.0e} are allowed")
+    return worst <= AGREES
+
+
+@contextmanager
+def timed_launches() -> Iterator[list[float]]:
+    """Seconds of each launch on the card, from its numbers being there to its end."""
+    seconds, own = list[float](), device()
+    launch = own.launch
+
+    def timed(*given: Any) -> None:
+        began = perf_counter()
+        launch(*given)
+        seconds.append(perf_counter() - began)
+
+    with patch.object(own, "launch", timed):
+        yield seconds
+
+
+def speed(runs: int, steps: int) -> bool:
+    """Whether a filter's sweep over so many robots takes no longer than is due."""
+    work = robots.draw(runs, steps)
+    evidence, calls = work.evidence(), list[float]()
+    with timed_launches() as sweeps:
+        for _ in range(3):
+            calls.append(_seconds(lambda: pgm.filter(work.network, evidence, compiled=CARD)))
+    due = DUE * max(runs * steps / (RUNS * STEPS), 0.05)
+    _say(
+        f"{runs:,} robots over {steps} steps: {1e3 * min(sweeps):.2f} ms on the card "
+        f"({1e3 * due:.2f} ms are due); a whole call {min(calls):.2f} s, the first {calls[0]:.2f} s"
+    )
+    return min(sweeps) <= due
+
+
+def _seconds(call: Callable[[], object]) -> float:
+    began = perf_counter()
+    call()
+    return perf_counter() - began
+
+
+def _say(words: str) -> None:
+    sys.stdout.write(f"{words}\n")
+    sys.stdout.flush()
+
+
+def main(given: Sequence[str] | None = None) -> int:
+    """Check agreement and speed; the result is 1 where something does not hold."""
+    words = argparse.ArgumentParser(description=__doc__)
+    words.add_argument("--models", type=int, default=MODELS)
+    words.add_argument("--runs", type=int, default=RUNS)
+    words.add_argument("--steps", type=int, default=STEPS)
+    asked = words.parse_args(given)
+    model, _ = drawn(0)
+    try:
+        pgm.compile(model, 1, compiled=CARD)
+    except (ImportError, pgm.ExecutorError) as error:
+        _say(f"no card: {error}")
+        return 0
+    _say(f"{device().name}, compute capability {'.'.join(map(str, device().capability))}")
+    agrees = agreement(asked.models)
+    return 0 if speed(asked.runs, asked.steps) and agrees else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

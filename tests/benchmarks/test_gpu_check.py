@@ -1,0 +1,59 @@
+"""The check on a card, without one, and with a fake one."""
+
+import pytest
+
+from benchmarks import gpu_check
+from pgm.kernels.machine.emitter import driver as drivers
+from pgm.kernels.machine.sweeps import card
+from tests.card import needs_libdevice
+from tests.fake_driver import Driver, install
+
+needs_libdevice()
+
+
+@pytest.fixture(autouse=True)
+def forget():
+    """No card of one test is that of another."""
+    for cached in (drivers.device, card.loaded):
+        cached.cache_clear()
+    yield
+    for cached in (drivers.device, card.loaded):
+        cached.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("driver", "words"),
+    [(None, "pip install 'sepset[gpu]'"), (Driver(cards=0), "this machine has no card")],
+)
+def test_without_a_card_it_says_so_and_stops(driver, words, monkeypatch, capsys):
+    install(monkeypatch, driver)
+    assert gpu_check.main([]) == 0
+    told = capsys.readouterr().out
+    assert told.startswith("no card: ")
+    assert words in told
+    assert len(told.splitlines()) == 1
+
+
+def test_with_a_card_answers_and_times_are_told(monkeypatch, capsys):
+    driver = install(monkeypatch, Driver())
+    monkeypatch.setattr(gpu_check, "DUE", 1e9)
+    assert gpu_check.main(["--models", "4", "--runs", "3", "--steps", "4"]) == 0
+    told = capsys.readouterr().out
+    assert "an interpreter, compute capability 8.0" in told
+    assert "4 drawn models: at most" in told
+    assert "3 robots over 4 steps:" in told
+    assert len(driver.launched) > 7
+
+
+def test_answers_that_differ_are_told(monkeypatch, capsys):
+    install(monkeypatch, Driver())
+    monkeypatch.setattr(gpu_check, "AGREES", -1.0)
+    monkeypatch.setattr(gpu_check, "DUE", 1e9)
+    assert gpu_check.main(["--models", "1", "--runs", "1", "--steps", "2"]) == 1
+    assert "model 0, " in capsys.readouterr().out
+
+
+def test_a_sweep_that_is_slow_is_told(monkeypatch):
+    install(monkeypatch, Driver())
+    monkeypatch.setattr(gpu_check, "DUE", 0.0)
+    assert gpu_check.main(["--models", "1", "--runs", "1", "--steps", "2"]) == 1
