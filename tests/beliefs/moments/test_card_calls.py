@@ -110,7 +110,7 @@ def test_a_study(driver):
     options["methods"] = {"EKF": pgm.Taylor()}
     one, other = (pgm.study(fresh(model), compiled=c, **options) for c in (CARD, False))
     assert one["EKF"].nees.value == pytest.approx(other["EKF"].nees.value, rel=1e-12)
-    assert one["EKF"].nis["z"].value == pytest.approx(other["EKF"].nis["z"].value, rel=1e-12)
+    assert one["EKF"].nis[SIGHT.z].value == pytest.approx(other["EKF"].nis[SIGHT.z].value, rel=1e-12)
     assert driver.launched
 
 
