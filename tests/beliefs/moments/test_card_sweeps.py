@@ -117,7 +117,7 @@ CHAINS = {
 
 @pytest.mark.parametrize(
     ("name", "capability"),
-    slow_after(13, [(name, each) for name in CHAINS for each in CAPABILITIES]),
+    slow_after(12, [(name, each) for name in CHAINS for each in CAPABILITIES]),
 )
 def test_sweeps_assemble(name, capability, tmp_path, monkeypatch):
     of, rule, loops = CHAINS[name]
