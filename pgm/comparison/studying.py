@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from functools import reduce
+from functools import partial, reduce
 from importlib.util import find_spec
+from os import PathLike
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,13 +13,16 @@ import numpy as np
 from pgm.arguments import public
 from pgm.beliefs.moments.compiled.sweep import repays
 from pgm.boundary import as_mapping, is_whole
+from pgm.comparison.blocks import worked
 from pgm.comparison.comparing import as_states
 from pgm.comparison.drawn_runs import DrawnRuns, drawn_runs, of_runs
 from pgm.comparison.entries import OverTime, class_name, named
+from pgm.comparison.fingerprint import fingerprint
 from pgm.comparison.judged_runs import judged_runs, tally_of
+from pgm.comparison.kept_sums import KeptSums
 from pgm.comparison.row import FAILURES
 from pgm.comparison.study_result import Statistic, Study, StudyRow
-from pgm.comparison.sums import NONE, Sums, joined
+from pgm.comparison.sums import NONE, Sums
 from pgm.comparison.tally import Tally
 from pgm.compile import DynamicGraph, compile
 from pgm.compile.machine import Choice, Compiled, Squared, as_choice
@@ -28,16 +32,18 @@ from pgm.display import titled
 from pgm.errors import ModelError
 from pgm.evidence import Evidence
 from pgm.factors import Gaussian
+from pgm.factors.scope import listed
 from pgm.inference import Filtering, Posterior
 from pgm.inference.engine import send
 from pgm.inference.families import family_of
 from pgm.kernels.arrays import Array
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork, Sample
-from pgm.progress import Progress, counted, reporting
+from pgm.progress import Progress, reporting
 from pgm.schedules.argument_checks import require_lineariser
 from pgm.schedules.options import Call, require_over_time
 from pgm.variables import Variable
+from pgm.workers.workers import Workers
 
 # A right belief leaves out the truth once in a million, by this region.
 _SURE = 1.0 - 1e-6
@@ -56,6 +62,8 @@ def study(
     steps: int | None = None,
     confidence: float = 0.95,
     compiled: Choice = None,
+    executor: Any = None,
+    file: str | PathLike[str] | None = None,
     progress: Progress = False,
 ) -> Study:
     r"""Judge methods on many runs of a model: draw, filter or smooth, and reduce to statistics.
@@ -97,8 +105,18 @@ def study(
     compiled : bool or Compiled, optional
         Whether methods run in machine code, as for `filter`; if not given, where all blocks
         together are long enough for that to be quicker.
+    executor : concurrent.futures.Executor, optional
+        As for `infer`: a process pool, a thread pool, a Dask client's ``get_executor()``, an MPI
+        pool. Its workers do the blocks, whose sums are joined in their order here, so that all
+        digits are those of one process. Functions of the model stand in modules that other
+        processes can import.
+    file : str or path-like, optional
+        Where the sums of the blocks that are done are kept, like ``"study.npz"``. A study that was
+        killed goes on from there when it is asked for again, with the digits of one that was not;
+        so does a study of more runs. The first block is done again, to see that nothing of its
+        digits has changed.
     progress : bool or callable
-        As for `infer`: of the blocks.
+        As for `infer`: of the blocks that are not in the file.
 
     Returns
     -------
@@ -115,6 +133,11 @@ def study(
     LinearisationError, NumericalError
         If a draw of the model has no finite value, or a method fails in all runs of the first
         block.
+    FileError
+        If the file is damaged, of another study or of more runs, if its first block has other
+        figures now, or if it cannot be written.
+    ExecutorError
+        If a worker dies.
 
     References
     ----------
@@ -141,10 +164,17 @@ def study(
     judged = as_states(model, states, None)
     _require_shared_points(model, chosen)
     # The code is made once, for all blocks.
-    long = repays(drawn.steps, min(drawn.block, drawn.runs), len(drawn.blocks)) and find_spec(
-        "llvmlite"
+    long = bool(
+        repays(drawn.steps, min(drawn.block, drawn.runs), len(drawn.blocks))
+        and find_spec("llvmlite")
     )
     choice = as_choice(compiled, "pgm.study(...)", card=True)
+    report, workers, kept = reporting(progress), Workers(executor), None
+    if file is not None:
+        told = _described(drawn, chosen, judged, float(level), choice)
+        kept = KeptSums(file, told, (*judged, *model.sensors), machine_code=long)
+        kept.require_at_most(drawn.runs, drawn.block)
+        long = kept.machine_code
     if choice or (choice is None and long):
         given = choice if isinstance(choice, Compiled) else Compiled()
         choice = Squared(given.threads, given.device)
@@ -153,10 +183,37 @@ def study(
     for method in chosen.values():
         require_over_time(method.call, graph, family)
     asked = _Asked(graph, judged, float(level))
-    with reporting(progress):
-        blocks = counted(drawn.blocks, "blocks")
-        sums = joined(of_block(drawn, first, chosen, asked) for first in blocks)
+    work = partial(of_block, drawn, methods=chosen, asked=asked)
+    named = (*model.cpds, *(method.lineariser for method in chosen.values()))
+    with report:
+        sums = worked(work, drawn, workers, kept, named)
     return Study(_rows(sums, chosen, asked), drawn, float(level))
+
+
+def _described(
+    drawn: DrawnRuns,
+    methods: Mapping[str, _Method],
+    states: tuple[Variable, ...],
+    confidence: float,
+    compiled: Choice,
+) -> dict[str, str]:
+    """The arguments of a study by name, all but the number of runs, for its file."""
+    model = drawn.model
+    parts = (model.prior, model.transition, model.observation)
+    return {
+        "seed": str(drawn.seed),
+        "steps": str(drawn.steps),
+        "states": listed(states),
+        "confidence": str(confidence),
+        "compiled": str(compiled if compiled is None else bool(compiled)),
+        "model": f"{titled(model)} [{fingerprint(parts)}]",
+        "evidence": f"of {listed(drawn.inputs)} [{fingerprint(drawn.inputs)}]",
+        "block": str(drawn.block),
+    } | {
+        f"method {name}": f"{class_name(rule)}, {class_name(schedule)} "
+        f"[{fingerprint((rule, schedule))}]"
+        for name, (rule, schedule) in methods.items()
+    }
 
 
 def of_block(

@@ -9,6 +9,7 @@ from scipy.stats import chi2
 
 import pgm
 from pgm.comparison import drawn_runs, studying
+from pgm.comparison.sums import joined
 from pgm.errors import EvidenceError, LinearisationError, ModelError
 from pgm.examples import squares, still, walk, x, z
 
@@ -92,7 +93,7 @@ def test_blocks_in_any_order_give_the_same_digits(monkeypatch):
     asked = studying._Asked(pgm.compile(ROBOT, T), (p,), 0.95)
     blocks = {k: studying.of_block(drawn, k, methods, asked) for k in reversed(drawn.blocks)}
     assert len(blocks) == 4
-    rows = studying._rows(studying.joined(blocks[k] for k in drawn.blocks), methods, asked)
+    rows = studying._rows(joined(blocks[k] for k in drawn.blocks), methods, asked)
     for row, other in zip(found.rows, rows, strict=True):
         for name, statistic in row._statistics().items():
             its = other._statistics()[name]
