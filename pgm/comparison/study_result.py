@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar
 
@@ -298,6 +300,44 @@ class Study(Shown, Immutable):
             for figures in row._figures(step)
         ]
         return pandas.DataFrame.from_records(records)
+
+    def report(self, path: str | PathLike[str]) -> Path:
+        """Write one page on the study, for a browser.
+
+        On top it says in a line each, with a mark, what its sections find: runs that diverged,
+        failed or did not settle, with their numbers; RMSE and bias of each state; whether its
+        beliefs are right about their errors, by NEES and coverage; NIS of each sensor. Sections
+        have a table of all methods, and charts over time in bands of 1.96 standard errors. A
+        figure is marked where it differs from its right value by more than is due to chance in one
+        study of a hundred. The page asks nothing of a network.
+
+        Parameters
+        ----------
+        path : str or path-like
+            The file's path, like ``"study.html"``; an old one is replaced.
+
+        Returns
+        -------
+        Path
+            The file's path.
+
+        Raises
+        ------
+        OSError
+            If the file cannot be written.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from pgm.examples import walk
+        >>> found = pgm.study(walk, steps=5, runs=100, methods={"KF": pgm.Taylor()}, seed=1)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     found.report(f"{folder}/study.html").name
+        'study.html'
+        """
+        from pgm.viewer.study_report import report  # here, since few calls need pages
+
+        return report(self, path)
 
     @property
     def _title(self) -> str:

@@ -28,6 +28,7 @@ REPORTING = (
     "plot",
     "trajectory",
     "controls",
+    "charts",
     "report",
 )
 

@@ -1,4 +1,4 @@
-// The report of a posterior: what each kind of evidence says of it, its curves, and the path.
+// The report of a posterior or a study: what each kind of evidence says of it, curves, and the path.
 
 const STATES = { right: ["✓", "right"], look: ["!", "look here"], unknown: ["–", "not known"] };
 const WIDE = { width: 720, height: 230, left: 52, right: 12, top: 12, bottom: 34 };
@@ -36,10 +36,11 @@ function drawPath(box, tools, source) {
   });
 }
 
-function drawnSection({ title, state, told, words, tables, curves }, id, numbers) {
+function drawnSection({ title, state, told, words, tables, curves, charts = [] }, id, numbers) {
   const lines = words.map((text) => el("p", {}, text));
   return el("section", { id }, el("h2", {}, mark(state), title), el("p", { class: "told" }, told), ...lines,
-    ...tables.map(drawnSheet), ...curves.map((curve) => drawnCurve(curve, numbers)));
+    ...tables.map(drawnSheet), ...curves.map((curve) => drawnCurve(curve, numbers)),
+    el("div", { class: "charts" }, ...charts.map((chart) => drawnChart(chart, numbers))));
 }
 
 function drawnSheet({ heads, rows }) {
