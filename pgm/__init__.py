@@ -224,8 +224,14 @@ def _reports() -> Callable[..., Any]:
     return report
 
 
+def _surveys() -> Callable[..., Any]:
+    from pgm.viewer.study_report import report
+
+    return report
+
+
 # Networks and posteriors are shown by modules of layers above theirs, loaded when a notebook asks.
-_hand_in(pictures=_pictures, pages=_pages, reports=_reports)
+_hand_in(pictures=_pictures, pages=_pages, reports=_reports, surveys=_surveys)
 
 
 if not TYPE_CHECKING:  # to type checkers it would say that every name exists

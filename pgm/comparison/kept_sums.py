@@ -184,6 +184,7 @@ def _members(sums: Mapping[str, Sums], variables: tuple[Variable, ...]) -> Membe
         found[f"{place}/runs"] = np.array([each.runs, each.unsettled])
         found[f"{place}/diverged"] = each.diverged
         found[f"{place}/failed"] = each.failed
+        found[f"{place}/doubtful"] = each.doubtful
         for variable, (nees, run) in each.worst.items():
             found[f"{place}/worst/{variables.index(variable)}"] = np.array([nees, run])
         for (statistic, variable), tally in each.tallies.items():
@@ -217,5 +218,6 @@ def _of_members(
             own["failed"],
             unsettled,
             worst,
+            own["doubtful"],
         )
     return found

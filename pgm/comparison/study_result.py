@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
 from types import MappingProxyType
@@ -11,10 +11,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from pgm.beliefs.own.family import BeliefFamily
 from pgm.boundary import is_whole
 from pgm.comparison.drawn_runs import DrawnRuns
 from pgm.comparison.table import shown
 from pgm.display import Listing, NoArray, Shown, Summary, count, few, number
+from pgm.display.notebook import Surveyed
 from pgm.errors import ModelError
 from pgm.factors.scope import labels, listed
 from pgm.immutable import Immutable
@@ -103,6 +105,21 @@ class StudyRow(Shown):
     worst : int or None
         The number of the run with the largest NEES at any step; None where no run has any, as of a
         state whose covariances are all singular.
+    belief : BeliefFamily or None
+        The family of beliefs, of a method that has one in place of a lineariser.
+    kl : Statistic or None
+        KL divergence from the oracle's belief, in nats, where the study has an oracle; both are
+        Gaussians of the same moments. Of draws its bias is subtracted.
+    kl_error : float
+        The part of ``kl.error`` that is the oracle's Monte Carlo error: zero of an oracle without
+        draws, NaN where it tells none.
+    kl_error_by_step : ndarray
+        (T+1,): that of each step.
+    doubtful : ndarray of int
+        The numbers of the runs whose oracle is not to be trusted, as it has few effective draws, or
+        failed; where it failed `kl` has no value.
+    weak : str
+        Why the oracle is too weak for `kl`, in words; empty where it is not.
 
     Examples
     --------
@@ -127,6 +144,12 @@ class StudyRow(Shown):
     failed: Integers
     unsettled: int
     worst: int | None
+    belief: BeliefFamily[Any] | None = None
+    kl: Statistic | None = None
+    kl_error: float = np.nan
+    kl_error_by_step: Array = field(default_factory=lambda: np.full(0, np.nan))
+    doubtful: Integers = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    weak: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "nis", MappingProxyType(dict(self.nis)))
@@ -148,11 +171,15 @@ class StudyRow(Shown):
         ]
         if self.unsettled:
             parts.append(f"iterations had not settled in {count(self.unsettled, 'run')}")
+        if self.kl is not None and not np.isnan(self.kl_error):
+            parts.append(f"KL is known to ± {self.kl_error:.2g} by the oracle's draws")
+        if self.weak:
+            parts.append(f"the oracle is too weak: {self.weak}")
         return Summary(self._title, parts)
 
     def _statistics(self) -> dict[str, Statistic]:
         found = {"RMSE": self.rmse, "bias": self.bias, "NEES": self.nees}
-        found |= {"coverage": self.coverage}
+        found |= {"coverage": self.coverage} | ({"KL": self.kl} if self.kl is not None else {})
         return found | {f"NIS {z.name}": statistic for z, statistic in self.nis.items()}
 
     def _figures(self, step: int | None = None) -> Iterable[tuple[str, float, float, float]]:
@@ -177,7 +204,7 @@ class StudyRow(Shown):
         self.__post_init__()
 
 
-class Study(Shown, Immutable):
+class Study(Shown, Immutable, Surveyed):
     """Methods beside each other over many drawn runs; its text is a table.
 
     ``found["EKF"]`` is the row of a method, of the only state; ``found["EKF", x]`` that of one of
@@ -335,9 +362,7 @@ class Study(Shown, Immutable):
         ...     found.report(f"{folder}/study.html").name
         'study.html'
         """
-        from pgm.viewer.study_report import report  # here, since few calls need pages
-
-        return report(self, path)
+        return self._report(path)
 
     @property
     def _title(self) -> str:
@@ -355,19 +380,28 @@ class Study(Shown, Immutable):
             if any(found):
                 cells.append([what, "", *map(str, found)])
         kept = [None if k is None else cells[k] for k in few(len(cells))]
-        told = f"right: what a right belief has; regions of confidence {number(self.confidence)}"
-        return Summary(self._title, [Listing(["", "right", *methods], kept), told])
+        told = [f"right: what a right belief has; regions of confidence {number(self.confidence)}"]
+        told += [
+            f"KL of {row.method}, {row.state.name}: the oracle is too weak: {row.weak}"
+            for row in self.rows
+            if row.weak
+        ]
+        return Summary(self._title, [Listing(["", "right", *methods], kept), *told])
 
     def _lines(self, state: Variable) -> Iterable[list[str]]:
-        """The statistics of a state, each with the values of all methods."""
+        """The statistics of a state, each with the values of all methods that have it."""
         of = f" of {state.name}" if len(self.states) > 1 else ""
-        rows = [row._figures() for row in self.rows if row.state == state]
-        for (name, value, error, right), *others in zip(*rows, strict=True):
-            if name.startswith("NIS"):
-                if state != self.states[0]:  # of a sensor, told once
-                    continue
-            else:
-                name += of
-            each = [(value, error), *((its, error_) for _, its, error_, _ in others)]
+        rows = [
+            {name: figures for name, *figures in row._figures()}
+            for row in self.rows
+            if row.state == state
+        ]
+        names = dict.fromkeys(name for row in rows for name in row)
+        for name in sorted(names, key=lambda name: name.startswith("NIS")):
+            sensors = name.startswith("NIS")
+            if sensors and state != self.states[0]:  # of a sensor, told once
+                continue
+            right = next(row[name][2] for row in rows if name in row)
             first = "" if np.isnan(right) else number(right)
-            yield [name, first, *(shown(*pair) for pair in each)]
+            cells = (shown(*row.get(name, [np.nan])[:2]) for row in rows)
+            yield [name if sensors else name + of, first, *cells]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial, reduce
 from importlib.util import find_spec
 from os import PathLike
@@ -12,17 +12,21 @@ import numpy as np
 
 from pgm.arguments import public
 from pgm.beliefs.moments.compiled.sweep import repays
+from pgm.beliefs.own.family import BeliefFamily
 from pgm.boundary import as_mapping, is_whole
 from pgm.comparison.blocks import worked
 from pgm.comparison.comparing import as_states
 from pgm.comparison.drawn_runs import DrawnRuns, drawn_runs, of_runs
-from pgm.comparison.entries import OverTime, class_name, named
+from pgm.comparison.entries import class_name
 from pgm.comparison.fingerprint import fingerprint
 from pgm.comparison.judged_runs import judged_runs, tally_of
 from pgm.comparison.kept_sums import KeptSums
 from pgm.comparison.row import FAILURES
-from pgm.comparison.study_result import Statistic, Study, StudyRow
-from pgm.comparison.sums import NONE, Sums
+from pgm.comparison.study_methods import Method, OfFamily, methods_of, seeded
+from pgm.comparison.study_oracle import References, StudyOracle, judged, oracle_of
+from pgm.comparison.study_result import Study
+from pgm.comparison.study_rows import rows_of
+from pgm.comparison.sums import NONE, Sums, far
 from pgm.comparison.tally import Tally
 from pgm.compile import DynamicGraph, compile
 from pgm.compile.machine import Choice, Compiled, Squared, as_choice
@@ -33,21 +37,19 @@ from pgm.errors import ModelError
 from pgm.evidence import Evidence
 from pgm.factors import Gaussian
 from pgm.factors.scope import listed
-from pgm.inference import Filtering, Posterior
+from pgm.inference import Posterior
 from pgm.inference.engine import send
 from pgm.inference.families import family_of
-from pgm.kernels.arrays import Array
-from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork, Sample
 from pgm.progress import Progress, reporting
-from pgm.schedules.argument_checks import require_lineariser
-from pgm.schedules.options import Call, require_over_time
+from pgm.schedules.options import require_over_time
 from pgm.variables import Variable
 from pgm.workers.workers import Workers
 
 # A right belief leaves out the truth once in a million, by this region.
 _SURE = 1.0 - 1e-6
-_EXAMPLE = 'methods={"EKF": pgm.Taylor(), "RTS": (pgm.Taylor(), pgm.Smoothing())}'
+# The most runs of a block where a family of beliefs has each by itself.
+_FEW = 32
 
 
 @public
@@ -61,6 +63,8 @@ def study(
     states: Iterable[Variable] | None = None,
     steps: int | None = None,
     confidence: float = 0.95,
+    oracle: BeliefFamily[Any] | None = None,
+    repeats: int = 8,
     compiled: Choice = None,
     executor: Any = None,
     file: str | PathLike[str] | None = None,
@@ -93,7 +97,9 @@ def study(
     runs : int
     methods : mapping of str to method
         By name, a lineariser, which filters; a schedule, `Filtering`, `FixedLag` or `Smoothing`,
-        which has `Taylor`; or a pair of both, ``(pgm.Unscented(), pgm.Smoothing())``.
+        which has `Taylor`; or a pair of both, ``(pgm.Unscented(), pgm.Smoothing())``. In place of a
+        lineariser may stand a family of beliefs, ``pgm.Particles(2000, seed=1)``, judged by means
+        and covariances. It has each run by itself, run k with its seed plus k.
     seed : int
         A whole number from 0.
     states : collection of Variable, optional
@@ -102,6 +108,13 @@ def study(
         T, where no plain array of the evidence tells.
     confidence : float
         Of the regions whose coverage is counted.
+    oracle : BeliefFamily, optional
+        `Grid`, `Particles` or another family, run on each run with seeds that no method has. Rows
+        then have the KL divergence from its beliefs, of Gaussians of the same moments, with the
+        oracle's own Monte Carlo error, and are marked where it is too weak. It takes long: judge a
+        few hundred runs, which are the first of any longer study.
+    repeats : int
+        How often an oracle whose draws have a seed is run on each run, 4 or more.
     compiled : bool or Compiled, optional
         Whether methods run in machine code, as for `filter`; if not given, where all blocks
         together are long enough for that to be quicker.
@@ -159,40 +172,48 @@ def study(
     level = check_confidence(confidence)
     if level.ndim:
         raise ModelError(f"confidence= is one probability, not {confidence!r}")
-    chosen = _methods(methods)
+    chosen = methods_of(methods, model)
     drawn = drawn_runs(model, as_mapping(evidence, "evidence"), steps, int(runs), int(seed))
-    judged = as_states(model, states, None)
-    _require_shared_points(model, chosen)
+    judged_states = as_states(model, states, None)
+    if oracle is not None or any(method.belief for method in chosen.values()):
+        drawn = drawn._replace(block=min(drawn.block, _FEW))
     # The code is made once, for all blocks.
     long = bool(
         repays(drawn.steps, min(drawn.block, drawn.runs), len(drawn.blocks))
         and find_spec("llvmlite")
     )
+    plain = compile(model, drawn.steps)
+    kinds = tuple(dict.fromkeys(method.schedule.kind for method in chosen.values()))
+    judge = None if oracle is None else oracle_of(oracle, repeats, plain, judged_states, kinds)
     choice = as_choice(compiled, "pgm.study(...)", card=True)
     report, workers, kept = reporting(progress), Workers(executor), None
     if file is not None:
-        told = _described(drawn, chosen, judged, float(level), choice)
-        kept = KeptSums(file, told, (*judged, *model.sensors), machine_code=long)
+        told = _described(drawn, chosen, judge, judged_states, float(level), choice)
+        kept = KeptSums(file, told, (*judged_states, *model.sensors), machine_code=long)
         kept.require_at_most(drawn.runs, drawn.block)
         long = kept.machine_code
     if choice or (choice is None and long):
         given = choice if isinstance(choice, Compiled) else Compiled()
         choice = Squared(given.threads, given.device)
     graph = compile(model, drawn.steps, compiled=choice)
-    family = family_of(model)
     for method in chosen.values():
-        require_over_time(method.call, graph, family)
-    asked = _Asked(graph, judged, float(level))
+        if method.belief is None:
+            require_over_time(method.call, graph, family_of(model))
+        else:
+            require_over_time(method.call, plain, method.belief)
+    asked = _Asked(graph, plain, judged_states, float(level), judge)
     work = partial(of_block, drawn, methods=chosen, asked=asked)
-    named = (*model.cpds, *(method.lineariser for method in chosen.values()))
+    parts = (part for method in chosen.values() for part in method)
+    named = (*model.cpds, *parts, oracle)
     with report:
         sums = worked(work, drawn, workers, kept, named)
-    return Study(_rows(sums, chosen, asked), drawn, float(level))
+    return Study(rows_of(sums, chosen, judged_states, float(level)), drawn, float(level))
 
 
 def _described(
     drawn: DrawnRuns,
-    methods: Mapping[str, _Method],
+    methods: Mapping[str, Method],
+    oracle: StudyOracle | None,
     states: tuple[Variable, ...],
     confidence: float,
     compiled: Choice,
@@ -206,69 +227,111 @@ def _described(
         "states": listed(states),
         "confidence": str(confidence),
         "compiled": str(compiled if compiled is None else bool(compiled)),
+        "device": str(getattr(compiled, "device", None)),
         "model": f"{titled(model)} [{fingerprint(parts)}]",
         "evidence": f"of {listed(drawn.inputs)} [{fingerprint(drawn.inputs)}]",
         "block": str(drawn.block),
+        "oracle": "none"
+        if oracle is None
+        else f"{class_name(oracle.family)} × {oracle.repeats} [{fingerprint(oracle.family)}]",
     } | {
-        f"method {name}": f"{class_name(rule)}, {class_name(schedule)} "
-        f"[{fingerprint((rule, schedule))}]"
-        for name, (rule, schedule) in methods.items()
+        f"method {name}": f"{class_name(method.belief or method.lineariser)}, "
+        f"{class_name(method.schedule)} [{fingerprint(tuple(method))}]"
+        for name, method in methods.items()
     }
 
 
 def of_block(
-    drawn: DrawnRuns, first: int, methods: Mapping[str, _Method], asked: _Asked
+    drawn: DrawnRuns, first: int, methods: Mapping[str, Method], asked: _Asked
 ) -> dict[str, Sums]:
     """The sums of each method over the block that begins with run `first`."""
     sample = drawn.sample(first)
+    judges = asked.oracle.references(sample, first) if asked.oracle else None
     found: dict[str, Sums] = {}
     for name, method in methods.items():
-        found[name] = reduce(Sums.joined, _of_method(method, sample, first, asked))
+        found[name] = reduce(Sums.joined, _of_method(method, sample, first, asked, judges))
         if not found[name].runs and not first:  # whose error tells more than a table without it
             alone = of_runs(sample, slice(1))
-            _reduced(send(asked.graph, alone.evidence, method.call), alone, 0, asked)
+            _reduced(_inferred(method, alone, 0, asked), alone, 0, asked)
     return found
 
 
-class _Method(NamedTuple):
-    """A lineariser under a schedule."""
-
-    lineariser: Lineariser
-    schedule: OverTime
-
-    @property
-    def call(self) -> Call:
-        """The options of its inference."""
-        return Call(self.schedule, self.lineariser)
-
-
 class _Asked(NamedTuple):
-    """The graph that methods run on, the states that are judged, and the regions' confidence."""
+    """The subject of a study.
+
+    graph: For methods of linearisers.
+    plain: For families of beliefs, which have no use for machine code.
+    states: Those that are judged.
+    confidence: Of the regions whose coverage is counted.
+    oracle: None without one.
+    """
 
     graph: DynamicGraph
+    plain: DynamicGraph
     states: tuple[Variable, ...]
     confidence: float
+    oracle: StudyOracle | None = None
 
 
-def _of_method(method: _Method, sample: Sample, first: int, asked: _Asked) -> Iterator[Sums]:
+def _of_method(
+    method: Method,
+    sample: Sample,
+    first: int,
+    asked: _Asked,
+    judges: Sequence[References] | None,
+) -> Iterator[Sums]:
     """The sums of a method over a block whose first run has this number.
 
-    Where some run fails the halves of the block are tried by themselves, down to single runs.
+    Where some run fails the halves of the block are tried by themselves, down to single runs. A
+    family of beliefs has each run by itself, with a seed of its own.
+
+    judges: The oracle's beliefs of each run.
     """
     count = len(sample[asked.states[0]])
-    try:
-        posterior = send(asked.graph, sample.evidence, method.call)
-        sums = _reduced(posterior, sample, first, asked)
-        if method.schedule.iterations > 1 and method.schedule.tolerance > 0.0:
-            sums = sums._replace(unsettled=int((~posterior.status.converged).sum()))
-        yield sums
-    except FAILURES:
-        if count == 1:
-            yield Sums.of_failed(first)
+    if count == 1 or method.belief is None:
+        try:
+            posterior = _inferred(method, sample, first, asked)
+            with far():
+                sums = _reduced(posterior, sample, first, asked)
+                if judges is not None:
+                    sums = _judged(sums, posterior, judges, method, first, asked)
+            if method.iterates:
+                sums = sums._replace(unsettled=int((~posterior.status.converged).sum()))
+            yield sums
             return
-        half = count // 2
-        yield from _of_method(method, of_runs(sample, slice(half)), first, asked)
-        yield from _of_method(method, of_runs(sample, slice(half, None)), first + half, asked)
+        except FAILURES:
+            if count == 1:
+                yield Sums.of_failed(first)
+                return
+    half = count // 2
+    for part, start in ((slice(half), first), (slice(half, None), first + half)):
+        own = judges and judges[part]
+        yield from _of_method(method, of_runs(sample, part), start, asked, own)
+
+
+def _inferred(method: Method, sample: Sample, first: int, asked: _Asked) -> Any:
+    """The posterior of a method, whose marginals are Gaussian."""
+    if method.belief is None:
+        return send(asked.graph, sample.evidence, method.call)
+    family = seeded(method.belief, first)
+    return OfFamily(send(asked.plain, sample.evidence, method.call, family))
+
+
+def _judged(
+    sums: Sums,
+    posterior: Any,
+    judges: Sequence[References],
+    method: Method,
+    first: int,
+    asked: _Asked,
+) -> Sums:
+    """The sums with the KL of the runs from the oracle's beliefs."""
+    tallies, doubtful = dict(sums.tallies), set[int]()
+    for state in asked.states:
+        found, places = judged(posterior[state], judges, method.schedule.kind, state)
+        tallies |= {(name, state): tally for name, tally in found.items()}
+        doubtful |= {first + int(place) for place in places}
+    return sums._replace(tallies=tallies, doubtful=np.array(sorted(doubtful), dtype=np.intp))
 
 
 def _reduced(posterior: Posterior[Gaussian], sample: Sample, first: int, asked: _Asked) -> Sums:
@@ -289,94 +352,6 @@ def _reduced(posterior: Posterior[Gaussian], sample: Sample, first: int, asked: 
     return Sums(tallies, len(lost), first + np.flatnonzero(lost), NONE, 0, worst)
 
 
-def _rows(
-    sums: Mapping[str, Sums], methods: Mapping[str, _Method], asked: _Asked
-) -> Iterator[StudyRow]:
-    for name, (lineariser, schedule) in methods.items():
-        tallies, runs, diverged, failed, unsettled, worst = sums[name]
-        for each in (diverged, failed):
-            each.flags.writeable = False
-        nis = {
-            z: _statistic(tally, float(tallies["dof", z].over_all()[0]))
-            for (what, z), tally in tallies.items()
-            if what == "nis"
-        }
-        for state in asked.states:
-            yield StudyRow(
-                name,
-                lineariser,
-                schedule,
-                state,
-                schedule.kind,
-                runs,
-                _root(_statistic(tallies["square", state])),
-                _statistic(tallies["error", state], 0.0),
-                _statistic(tallies["nees", state], float(state.dimension)),
-                _statistic(tallies["held", state], asked.confidence),
-                nis,
-                diverged,
-                failed,
-                unsettled,
-                worst[state][1] if worst[state][0] > -np.inf else None,
-            )
-
-
-def _statistic(tally: Tally, expected: float = np.nan) -> Statistic:
-    value, error = map(np.asarray, tally.over_all())
-    by_step, error_by_step = tally.by_step()
-    for each in (value, error, by_step, error_by_step):
-        each.flags.writeable = False
-    return Statistic(value, error, by_step, error_by_step, expected)
-
-
-def _root(squares: Statistic) -> Statistic:
-    """The root of mean squares, with its errors to first order."""
-
-    def root(square: Array, error: Array) -> tuple[Array, Array]:
-        value = np.asarray(np.sqrt(square))
-        return value, np.divide(error, 2.0 * value, out=np.array(error), where=value > 0.0)
-
-    return Statistic(
-        *root(squares.value, squares.error), *root(squares.by_step, squares.error_by_step)
-    )
-
-
 def _require_whole(name: str, value: Any, least: int) -> None:
     if not is_whole(value) or value < least:
         raise ModelError(f"{name} = {value!r}; a whole number, {least} or more, was due")
-
-
-def _methods(methods: Any) -> dict[str, _Method]:
-    if not isinstance(methods, Mapping):
-        raise ModelError(f"methods= maps names to methods, as in {_EXAMPLE}; found {methods!r}")
-    return {
-        name: _method(name, each)
-        for name, each in named(methods, "methods", _EXAMPLE, class_name).items()
-    }
-
-
-def _method(name: str, given: Any) -> _Method:
-    """A method from a lineariser, a schedule, or a pair of both."""
-    parts = given if isinstance(given, tuple) else (given,)
-    schedules = [part for part in parts if isinstance(part, OverTime)]
-    rules = [part for part in parts if not isinstance(part, OverTime)]
-    if not parts or len(schedules) > 1 or len(rules) > 1 or not all(map(callable, rules)):
-        raise ModelError(
-            f"methods= has {name!r}, which is {titled(given)}; a method is a lineariser, a "
-            f"schedule over time, or a pair of both, as in {_EXAMPLE}"
-        )
-    for rule in rules:
-        require_lineariser(rule)
-    return _Method(*(rules or [TAYLOR]), *(schedules or [Filtering()]))
-
-
-def _require_shared_points(model: DynamicBayesianNetwork, methods: Mapping[str, _Method]) -> None:
-    """Refuse rules that draw points of their own for each run of a call, as blocks are calls."""
-    rules: list[Any] = [method.lineariser for method in methods.values()]
-    rules += [getattr(cpd, "lineariser", None) for cpd in model.cpds]
-    for rule in rules:
-        if getattr(rule, "fresh_per_run", False):
-            raise ModelError(
-                f"{titled(rule)} draws anew for each run of a call, and would repeat its draws in "
-                "each block of a study; leave fresh_per_run out"
-            )

@@ -15,6 +15,14 @@ from pgm.variables import Variable
 NONE: Integers = np.zeros(0, dtype=np.intp)
 
 
+def far() -> np.errstate:
+    """Let figures be infinite within this block.
+
+    A cloud of draws that has collapsed is off by so many deviations that their square overflows.
+    """
+    return np.errstate(over="ignore", invalid="ignore")
+
+
 class Sums(NamedTuple):
     """The statistics of a method over some runs.
 
@@ -23,6 +31,7 @@ class Sums(NamedTuple):
     unsettled: How many runs did not settle.
     worst: By state, the largest NEES of any step, and the number of its run; −∞ where no run has
         any, and empty where all failed.
+    doubtful: Numbers of runs whose oracle is not to be trusted.
     """
 
     tallies: Mapping[tuple[str, Variable], Tally]
@@ -31,6 +40,7 @@ class Sums(NamedTuple):
     failed: Integers
     unsettled: int
     worst: Mapping[Variable, tuple[float, int]]
+    doubtful: Integers = NONE
 
     @classmethod
     def of_failed(cls, run: int) -> Sums:
@@ -40,8 +50,9 @@ class Sums(NamedTuple):
     def joined(self, other: Sums) -> Sums:
         """The statistics over these runs and the next."""
         tallies = dict(self.tallies)
-        for key, tally in other.tallies.items():
-            tallies[key] = tallies[key].joined(tally) if key in tallies else tally
+        with far():
+            for key, tally in other.tallies.items():
+                tallies[key] = tallies[key].joined(tally) if key in tallies else tally
         return Sums(
             tallies,
             self.runs + other.runs,
@@ -52,6 +63,7 @@ class Sums(NamedTuple):
                 state: max(self.worst.get(state, each), each, key=itemgetter(0))
                 for state, each in (other.worst or self.worst).items()
             },
+            np.concatenate([self.doubtful, other.doubtful]),
         )
 
 

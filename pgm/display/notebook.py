@@ -10,8 +10,8 @@ from typing import Any
 
 from pgm.display.shown import Shown
 
-# Loads a function from a value to markup; networks and graphs, and posteriors, have one each. That
-# of reports takes a path and more.
+# Loads a function from a value to markup; networks and graphs, and posteriors, have one each. Those
+# of reports take a path and more.
 Loader = Callable[[], Callable[..., Any]]
 _loaders: dict[type, Loader] = {}
 
@@ -45,9 +45,19 @@ class Judged(Viewed):
         return written
 
 
-def hand_in(*, pictures: Loader, pages: Loader, reports: Loader) -> None:
-    """Take the loaders of functions that draw `Drawn`, or write `Viewed` and `Judged` values."""
-    _loaders.update({Drawn: pictures, Viewed: pages, Judged: reports})
+class Surveyed:
+    """A result over many runs, which writes a report on them."""
+
+    __slots__ = ()
+
+    def _report(self, *asked: Any) -> Path:
+        written: Path = _loaders[Surveyed]()(self, *asked)
+        return written
+
+
+def hand_in(*, pictures: Loader, pages: Loader, reports: Loader, surveys: Loader) -> None:
+    """Take the loaders of functions that draw or write values, by the classes of this module."""
+    _loaders.update({Drawn: pictures, Viewed: pages, Judged: reports, Surveyed: surveys})
 
 
 def picture(value: Drawn) -> str:

@@ -210,6 +210,7 @@ def _consistency(study: Study, state: Variable, draw: _Drawing) -> Part:
     charts = [
         draw.chart(f"NEES of {state.name}", _of(rows, "nees")),
         draw.chart(f"Coverage of {state.name}", _of(rows, "coverage")),
+        *([draw.chart(f"KL [nats] of {state.name}", _of(rows, "kl"))] if rows[0].kl else []),
     ]
     # Of the few runs that are far off NEES has large errors, and coverage small ones.
     bold, shy = (
@@ -223,8 +224,11 @@ def _consistency(study: Study, state: Variable, draw: _Drawing) -> Part:
     words = [
         "NEES is the squared error in units of the belief's own covariance. Above its right value "
         "the belief claims to know more than it does; below, less. Coverage is the share of truths "
-        "in its regions. With many runs a difference may "
-        "be beyond chance and still too small to matter: look at its size."
+        "in its regions. With many runs a difference may be beyond chance and still too small to "
+        "matter: look at its size."
+    ]
+    words += [
+        f"KL of {row.method}: the oracle is too weak: {row.weak}." for row in rows if row.weak
     ]
     told = "; ".join(
         f"{what}: {', '.join(found)}"

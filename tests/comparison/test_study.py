@@ -9,6 +9,8 @@ from scipy.stats import chi2
 
 import pgm
 from pgm.comparison import drawn_runs, studying
+from pgm.comparison.study_methods import methods_of
+from pgm.comparison.study_rows import rows_of
 from pgm.comparison.sums import joined
 from pgm.errors import EvidenceError, LinearisationError, ModelError
 from pgm.examples import squares, still, walk, x, z
@@ -89,11 +91,12 @@ def test_a_run_is_the_same_in_a_longer_study_and_in_smaller_blocks(study, monkey
 def test_blocks_in_any_order_give_the_same_digits(monkeypatch):
     monkeypatch.setattr(drawn_runs, "MOST", 8)
     found = robots(30)
-    drawn, methods = found._drawn, studying._methods(METHODS)
-    asked = studying._Asked(pgm.compile(ROBOT, T), (p,), 0.95)
+    drawn, methods = found._drawn, methods_of(METHODS, ROBOT)
+    graph = pgm.compile(ROBOT, T)
+    asked = studying._Asked(graph, graph, (p,), 0.95)
     blocks = {k: studying.of_block(drawn, k, methods, asked) for k in reversed(drawn.blocks)}
     assert len(blocks) == 4
-    rows = studying._rows(joined(blocks[k] for k in drawn.blocks), methods, asked)
+    rows = rows_of(joined(blocks[k] for k in drawn.blocks), methods, (p,), 0.95)
     for row, other in zip(found.rows, rows, strict=True):
         for name, statistic in row._statistics().items():
             its = other._statistics()[name]

@@ -6,6 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import pgm
 from pgm.comparison import judged_runs, studying
+from pgm.comparison.study_methods import Method
 from pgm.comparison.tally import Tally
 from pgm.compile.machine import Squared
 from pgm.inference.engine import send
@@ -63,7 +64,7 @@ ALONE = {variable: INPUTS[variable] for variable in (u, z)}
 def solved(model, inputs, schedule, rule, runs, choice):
     evidence = studying.drawn_runs(model, inputs, T, runs, 1).sample(0).evidence
     graph = pgm.compile(model, T, compiled=choice)
-    return send(graph, evidence, studying._Method(rule, schedule).call)
+    return send(graph, evidence, Method(rule, schedule).call)
 
 
 def assert_squares(posterior, of):

@@ -17,7 +17,7 @@ from pgm.plot.drawing.colours import INK, look_of
 from pgm.variables import Variable
 
 T = TypeVar("T")
-_STATISTICS = ("rmse", "bias", "nees", "coverage", "nis")
+_STATISTICS = ("rmse", "bias", "nees", "coverage", "nis", "kl")
 # Standard errors to either side, within which 95 % of estimates are.
 _WITHIN = 1.96
 
@@ -43,8 +43,8 @@ def study(
     found : Study
         The result of `pgm.study`.
     statistic : str
-        ``"rmse"`` or ``"bias"``, of one component; ``"nees"``; ``"coverage"``; or ``"nis"``, of one
-        sensor.
+        ``"rmse"`` or ``"bias"``, of one component; ``"nees"``; ``"coverage"``; ``"nis"``, of one
+        sensor; or ``"kl"``, of a study with an oracle.
     state : Variable, optional
         The state judged, if there are several.
     component : str, optional
@@ -86,14 +86,20 @@ def study(
                 f"{argument}={given!r} is of statistic={' or '.join(map(repr, of))}, and "
                 f"{statistic!r} is drawn: leave it out"
             )
-    name, place = statistic.upper() if statistic in ("rmse", "nees", "nis") else statistic, None
+    name, place = (
+        statistic.upper() if statistic in ("rmse", "nees", "nis", "kl") else statistic,
+        None,
+    )
     if statistic in ("rmse", "bias"):
         known = labels((state,))
         component = _one("component", component, known)
         name, place = f"{name} of {component}", known.index(component)
     if statistic == "nis":
-        sensor = _one("sensor", sensor, tuple(rows[0].nis))
+        sensor = _one("sensor", sensor, tuple(dict.fromkeys(z for row in rows for z in row.nis)))
+        rows = [row for row in rows if sensor in row.nis]
         name = f"{name} of {sensor.name}"
+    if statistic == "kl" and rows[0].kl is None:
+        raise ModelError("the study has no oracle, and no KL; pgm.study(..., oracle=) gives it one")
     across, axis = along(np.arange(found.steps + 1), times)
     ax = given_or_new(ax)
     for row in rows:

@@ -56,7 +56,7 @@ def test_steps_without_readings_are_left_out(found):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"statistic": "kl"}, "statistic= is one of"),
+        ({"statistic": "anees"}, "statistic= is one of"),
         ({"state": x}, r"has states p; name one, state=..., not x"),
         ({"statistic": "rmse"}, r"has components 'east', 'north'; name one"),
         ({"statistic": "nis", "sensor": x}, "has sensors q"),
