@@ -9,6 +9,7 @@ from experiments import (
     belief_propagation,
     calibration,
     cluster_graph,
+    comparison_at_scale,
     differential_drive,
     freiburg,
     global_localisation,
@@ -56,6 +57,7 @@ THEMES: dict[str, dict[str, ModuleType]] = {
     "Linearisers": {
         "linearisers": linearisers,
         "nonlinear_measurement": nonlinear_measurement,
+        "comparison_at_scale": comparison_at_scale,
         "learning": learning,
     },
     "Maps": {

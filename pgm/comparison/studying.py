@@ -125,9 +125,9 @@ def study(
         processes can import.
     file : str or path-like, optional
         Where the sums of the blocks that are done are kept, like ``"study.npz"``. A study that was
-        killed goes on from there when it is asked for again, with the digits of one that was not;
-        so does a study of more runs. The first block is done again, to see that nothing of its
-        digits has changed.
+        killed goes on from there when it is asked for again, with the digits of one that was not.
+        So does a study of more runs, by NumPy or machine code as it was begun. The first block is
+        done again, to see that none of its digits has changed.
     progress : bool or callable
         As for `infer`: of the blocks that are not in the file.
 
