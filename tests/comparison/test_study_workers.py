@@ -315,7 +315,7 @@ def test_methods_of_any_name_are_kept(tmp_path):
 
 def test_fingerprints_tell_numbers_and_code_but_no_lines():
     def of(code):
-        names = {"np": np, "move": move}
+        names = {"np": np, "move": move, "__name__": "drives"}
         exec(code, names)
         return fingerprint(names["f"])
 
@@ -331,6 +331,9 @@ def test_fingerprints_tell_numbers_and_code_but_no_lines():
     assert of(within) != of(within.replace("1.0", "2.0"))
     again = "def f(x):\n    return f(x - 1) if x > 0 else 0"
     assert of(again) == of(again)
+    called = "class F:\n    def __call__(self, x):\n        return x + 1.0\nf = F()"
+    assert of(called) == of(called)
+    assert of(called) != of(called.replace("1.0", "2.0"))
     values = [np.zeros(2), np.zeros(2, dtype=np.float32), np.zeros((2, 1)), [0.0, 0.0], 0.0, None]
     values += [{"a": 1}, {"a": 2}, {1, 2}, pgm.Unscented(), pgm.Unscented(alpha=0.5), walk.prior]
     assert len({fingerprint(each) for each in values}) == len(values)
