@@ -205,7 +205,8 @@ def _consistency(study: Study, state: Variable, draw: _Drawing) -> Part:
     rows = _rows(study, state)
     table = [
         _line("NEES", [row.nees for row in rows]),
-        _line("coverage", [r.coverage for r in rows]),
+        _line("coverage", [row.coverage for row in rows]),
+        *([_line("KL [nats]", [row.kl for row in rows])] if rows[0].kl else []),
     ]
     charts = [
         draw.chart(f"NEES of {state.name}", _of(rows, "nees")),

@@ -98,6 +98,28 @@ def test_a_state_without_covariance_is_not_judged(tmp_path):
     assert data_of(written(one, tmp_path))["sections"]
 
 
+@pytest.mark.filterwarnings("ignore::pgm.errors.ParticleWarning")
+def test_kl_from_an_oracle_has_a_line_a_chart_and_its_marks(tmp_path):
+    given = {"steps": 2, "runs": 6, "seed": 1, "repeats": 4}
+    methods = {"KF": pgm.Filtering(), "PF": pgm.Particles(200, seed=1)}
+    study = pgm.study(walk, methods=methods, oracle=pgm.Particles(30, seed=2), **given)
+    page = written(study, tmp_path)
+    section = sections_of(page)["Consistency of x"]
+    line = section["tables"][0]["rows"][-1]
+    kl = study["KF"].kl
+    assert line[:2] == ["KL [nats]", ""]
+    assert line[2].replace("−", "-") == f"{kl.value:.4g} ± {kl.error:.2g}"
+    chart = section["charts"][-1]
+    np.testing.assert_allclose(column(page, chart["series"][0]["values"]), kl.by_step, rtol=1e-8)
+    told = [row.weak for row in study.rows if row.weak]
+    assert told
+    for why in told:
+        assert any(why in words for words in section["words"])
+    # A particle filter has no innovations.
+    nis = sections_of(page)["Predicted readings"]["tables"][0]["rows"][0]
+    assert nis[3] == "—"
+
+
 def test_a_page_asks_for_nothing(calm, tmp_path):
     page = written(calm, tmp_path)
     assert not re.search(r"https?:", page.replace("http://www.w3.org/2000/svg", ""))
