@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -14,6 +15,7 @@ from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import Evidence, Sightings, bind, sightings
 from pgm.factors.scope import listed
 from pgm.networks import DynamicBayesianNetwork, Sample
+from pgm.networks.compiled_draws import drawn_compiled
 from pgm.networks.counted import CountedDraws
 from pgm.networks.sampling import draw_steps
 from pgm.variables import Variable
@@ -36,6 +38,7 @@ class DrawnRuns(NamedTuple):
     runs: int
     seed: int
     block: int
+    compiled: bool = False
 
     @property
     def blocks(self) -> range:
@@ -45,8 +48,10 @@ class DrawnRuns(NamedTuple):
     def sample(self, first: int) -> Sample:
         """The block that begins with a run."""
         count = min(self.block, self.runs - first)
-        draws = CountedDraws(self.seed, first, count)
-        return draw_steps(self.model, self.inputs, self.steps, count, draws.at)
+        compiled = self.compiled and find_spec("llvmlite") is not None
+        draws = CountedDraws(self.seed, first, count, compiled=compiled)
+        by = drawn_compiled if draws.compiled else None
+        return draw_steps(self.model, self.inputs, self.steps, count, draws.at, by)
 
     def run(self, number: int) -> Sample:
         """One run, without an axis of runs.

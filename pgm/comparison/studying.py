@@ -42,6 +42,7 @@ from pgm.inference.engine import send
 from pgm.inference.families import family_of
 from pgm.networks import DynamicBayesianNetwork, Sample
 from pgm.progress import Progress, reporting
+from pgm.resources import retain
 from pgm.schedules.options import require_over_time
 from pgm.variables import Variable
 from pgm.workers.workers import Workers
@@ -196,6 +197,7 @@ def study(
         given = choice if isinstance(choice, Compiled) else Compiled()
         choice = Squared(given.threads, given.device)
     graph = compile(model, drawn.steps, compiled=choice)
+    drawn = drawn._replace(compiled=bool(choice))
     for method in chosen.values():
         if method.belief is None:
             require_over_time(method.call, graph, family_of(model))
@@ -245,6 +247,7 @@ def of_block(
     drawn: DrawnRuns, first: int, methods: Mapping[str, Method], asked: _Asked
 ) -> dict[str, Sums]:
     """The sums of each method over the block that begins with run `first`."""
+    retain()
     sample = drawn.sample(first)
     judges = asked.oracle.references(sample, first) if asked.oracle else None
     found: dict[str, Sums] = {}

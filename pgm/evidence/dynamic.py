@@ -191,6 +191,10 @@ def by_row(array: npt.NDArray[Kind], lead: tuple[int, ...], threads: int = 1) ->
         rows = array[:, None].copy()
         rows.setflags(write=False)  # in an eighth of the time of `flags`
         return rows
+    if array.shape[:-2] == lead and len(lead) == 1 and array.transpose(1, 2, 0).flags.c_contiguous:
+        rows = array.transpose(1, 2, 0).copy().transpose(0, 2, 1)  # it lies as it is to lie
+        rows.flags.writeable = False
+        return rows
     source = flat(array, lead, 2)
     memory = np.empty((*source.shape[1:], len(source)), source.dtype)
     size = max(_PART // memory[..., 0].size, 256) if memory.size else 1

@@ -94,7 +94,7 @@ def taken_readings(
     """
     if array.size < APIECE and is_finite(array):
         return None
-    finite = np.empty(array.shape, dtype=bool)
+    finite = np.empty_like(array, dtype=bool)  # in memory as the array is
 
     def look(first: int, last: int) -> None:
         np.isfinite(array[first:last], finite[first:last])

@@ -19,12 +19,20 @@ from pgm.errors import ModelError
 from pgm.kernels import philox
 from pgm.kernels.arrays import Array, Integers
 
+# As many runs as machine code works on together.
+_FEW = 8
+
 
 class CountedDraws:
-    """The draws of runs `first`, `first` + 1, ... of a seed, as a `Generator` for each row."""
+    """The draws of runs `first`, `first` + 1, ... of a seed, as a `Generator` for each row.
 
-    def __init__(self, seed: int, first: int, runs: int) -> None:
+    Machine code, if it is asked for by `compiled`, gives the same words, and normal numbers that
+    are the same to rounding.
+    """
+
+    def __init__(self, seed: int, first: int, runs: int, *, compiled: bool = False) -> None:
         self.source, self.first, self.runs = philox.Philox(seed), first, runs
+        self.compiled = compiled and runs >= _FEW
 
     def at(self, variable: int, rows: int | Integers) -> Stream:
         """The draws of a CPD's child at one step, or at the rows (m,) of a sensor."""
@@ -42,13 +50,10 @@ class Stream:
 
     def random(self, size: tuple[int, ...]) -> Array:
         """Uniform numbers in (0, 1)."""
+        count = self._count(size)
+        if self.draws.compiled:
+            return self._compiled(size, count, normal=False)
         lead = (*self.rows.shape, self.draws.runs)
-        if size[: len(lead)] != lead:
-            raise ModelError(
-                f"draws of shape {size} are asked for, where those of {lead} rows and runs are "
-                "counted: a noise of one's own draws one number, or one vector, for each"
-            )
-        count = math.prod(size[len(lead) :])
         blocks = -(-count // philox.BLOCK)
         words = [
             self.draws.source.words(
@@ -61,8 +66,28 @@ class Stream:
         each = np.reshape(words, (*lead, blocks * philox.BLOCK))[..., :count]
         return philox.uniforms(each).reshape(size)
 
+    def _count(self, size: tuple[int, ...]) -> int:
+        """How many numbers are asked for, of each row and run."""
+        lead = (*self.rows.shape, self.draws.runs)
+        if size[: len(lead)] != lead:
+            raise ModelError(
+                f"draws of shape {size} are asked for, where those of {lead} rows and runs are "
+                "counted: a noise of one's own draws one number, or one vector, for each"
+            )
+        return math.prod(size[len(lead) :])
+
+    def _compiled(self, size: tuple[int, ...], count: int, *, normal: bool) -> Array:
+        from pgm.kernels.machine.studies import draws  # here, as llvmlite may not be installed
+
+        own, request = self.draws, self.requests
+        self.requests += 1
+        which = own.first, own.runs, self.rows.reshape(-1), self.variable, request, count
+        return draws.numbers(own.source, *which, normal=normal).reshape(size)
+
     def standard_normal(self, size: tuple[int, ...]) -> Array:
         """Standard normal numbers."""
+        if self.draws.compiled:
+            return self._compiled(size, self._count(size), normal=True)
         return philox.normals(self.random(size))
 
     def chisquare(self, df: float, size: tuple[int, ...]) -> Array:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import zip_longest
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -15,7 +15,15 @@ from pgm.boundary import as_tuple, is_whole
 from pgm.cpds.base import Known, Values
 from pgm.display import Listing, NoArray, Shown, Summary, vector
 from pgm.errors import EvidenceError, ModelError
-from pgm.evidence import Evidence, Reading, Sightings, bind, bind_values, sightings
+from pgm.evidence import (
+    BoundEvidence,
+    Evidence,
+    Reading,
+    Sightings,
+    bind,
+    bind_values,
+    sightings,
+)
 from pgm.evidence.rows import no_evidence_for
 from pgm.factors.scope import listed, unknown_name
 from pgm.immutable import Immutable
@@ -145,32 +153,83 @@ def value(variable: Variable, values: Values) -> str:
     return vector(values)
 
 
+class Drawn(NamedTuple):
+    """Values of hidden variables at steps 0..T, (T+1, runs, d), and of readings, (M, runs, d).
+
+    Readings are in the order of the evidence, and axes of runs are flattened.
+    """
+
+    path: Mapping[Variable, Values]
+    readings: Mapping[Variable, Values]
+
+
+# What draws a model's variables, given evidence of its inputs, from a source.
+Drawer = Callable[["DynamicBayesianNetwork", BoundEvidence, Source], Drawn]
+
+
 def draw_steps(
     model: DynamicBayesianNetwork,
     inputs: Evidence,
     steps: int | None,
     runs: int | tuple[int, ...],
     source: Source,
+    by: Drawer | None = None,
 ) -> Sample:
     """Draw states forward in time, then the measurements.
 
     `source` gives what the CPD of a child draws by, a generator: by the child's place among the
     model's variables, and the step; of a sensor by the places (m,) of its readings in the evidence.
+    `by` draws them; `drawn_by_arrays` does without.
     """
     hidden = (*model.states, *model.controls)
     width = sum(variable.dimension or 1 for variable in hidden)
     shape = _as_shape("runs", as_tuple(runs) or runs, model.lead)
     _require_memory(shape, 1, width)
     bound = bind(model.transition, model.observation, inputs, steps, shape, drawing=True)
-    count = bound.runs
     _require_memory(bound.lead, bound.steps + 1, width)
-    place = {variable: k for k, variable in enumerate(model.variables)}
-    path = {v: _unfilled(v, (bound.steps + 1, count)) for v in hidden}
+    path, readings = (by or drawn_by_arrays)(model, bound, source)
+    evidence: dict[Variable, Any] = dict(inputs)
+    values = {v: _unflat(v, path[v], bound.lead) for v in model.states}
+    values |= {v: _unflat(v, path[v][1:], bound.lead) for v in model.controls}
+    for child, rows in readings.items():
+        values[child] = _unflat(child, rows, bound.lead)
+        asked = inputs.get(child)
+        evidence[child] = (
+            sightings(values[child], asked.step, asked.given)
+            if isinstance(asked, Sightings)
+            else values[child]
+        )
+    return Sample(MappingProxyType(values), MappingProxyType(evidence))
+
+
+def places_of(model: DynamicBayesianNetwork) -> dict[Variable, int]:
+    """The place of each variable, by which a source knows it."""
+    return {variable: k for k, variable in enumerate(model.variables)}
+
+
+def prior_drawn(
+    model: DynamicBayesianNetwork,
+    bound: BoundEvidence,
+    source: Source,
+    path: Mapping[Variable, Values],
+) -> None:
+    """Draw states at step 0 into the path; controls have none there."""
+    place, count = places_of(model), bound.runs
+    for variable in model.controls:
+        path[variable][0] = _unfilled(variable, (count,))
     for cpd in model.prior:
         now = {v: path[v][0] for v in cpd.given}
         path[cpd.child][0] = cpd._draw(
             Known(now, bound.lead, (count,), 0), source(place[cpd.child], 0)
         )
+
+
+def drawn_by_arrays(model: DynamicBayesianNetwork, bound: BoundEvidence, source: Source) -> Drawn:
+    """Draw all runs together, step by step; of readings all of a sensor at once."""
+    count, place = bound.runs, places_of(model)
+    hidden = (*model.states, *model.controls)
+    path = {v: _unfilled(v, (bound.steps + 1, count)) for v in hidden}
+    prior_drawn(model, bound, source, path)
     for step in range(1, bound.steps + 1):
         for cpd, known in zip(model.transition, bound.transition, strict=True):
             values = {v: _states(v, rows[step - 1]) for v, rows in known.items()}
@@ -179,20 +238,12 @@ def draw_steps(
                     values[parent] = path[parent.template][step - parent.lag]
             given = Known(values, bound.lead, (count,), step)
             path[cpd.child][step] = cpd._draw(given, source(place[cpd.child], step))
-    evidence: dict[Variable, Any] = dict(inputs)
-    values = {v: _unflat(v, path[v], bound.lead) for v in model.states}
-    values |= {v: _unflat(v, path[v][1:], bound.lead) for v in model.controls}
+    readings = {}
     for reading in bound.readings:
         child = reading.cpd.child
         rows = _draw_reading(reading, path, count, bound.lead, source(place[child], reading.order))
-        values[child] = _unflat(child, rows[np.argsort(reading.order)], bound.lead)
-        asked = inputs.get(child)
-        evidence[child] = (
-            sightings(values[child], asked.step, asked.given)
-            if isinstance(asked, Sightings)
-            else values[child]
-        )
-    return Sample(MappingProxyType(values), MappingProxyType(evidence))
+        readings[child] = rows[np.argsort(reading.order)]
+    return Drawn(path, readings)
 
 
 def _require_memory(runs: tuple[int, ...], steps: int, width: int) -> None:

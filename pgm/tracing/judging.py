@@ -125,9 +125,15 @@ class Answers:
                 self._look_back()
         return value, slope
 
-    def sample(self, count: int) -> Integers:
-        """The numbers of the points of a call that are looked at: all, or some of very many."""
-        return np.arange(self.every // 2, count, self.every)
+    def sample(self, count: int, thinned: int = 1) -> Integers:
+        """The numbers of the points of a call that are looked at: all, or some of very many.
+
+        Of a call that is `thinned` they are numbers among those points, one of so many, that stay.
+        """
+        if thinned == 1:
+            return np.arange(self.every // 2, count, self.every)
+        most = min(count * thinned // self.every, count)
+        return (2 * np.arange(most) + 1) * count // (2 * max(most, 1))
 
     def judge(self, arguments: Sequence[Array], std: Array | None) -> None:
         """Judge the trace at points (k, width) of each argument, where machine code evaluated it.

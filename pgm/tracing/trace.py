@@ -121,7 +121,8 @@ class Tracer:
         # Whether a call has found it right; how often it failed since, and calls to leave out.
         self._proven, self._failures, self._waits = False, 0, 0
         self._stale, self._calls = False, 0
-        self._slopes: tuple[Program, tuple[float, ...], Slopes] | None = None
+        # By what they are derivatives of: draws are judged by values alone, inference by slopes.
+        self._slopes: dict[tuple[Any, ...], Slopes] = {}
         # What the function read when it was traced, if a call has asked for that.
         self._reads: Reads | None = None
 
@@ -194,11 +195,13 @@ class Tracer:
 
     def slopes(self, program: Program, variances: tuple[float, ...]) -> Slopes:
         """The derivatives of a program of the trace, with the least variances of noise, (d,)."""
-        if self._slopes is None or self._slopes[:2] != (program, variances):
+        key = program.columns, variances
+        found = self._slopes.get(key)
+        if found is None or found.program is not program:
             noise = np.sqrt(variances)
-            made = Slopes(self.function, program, self.angles[: len(noise)], noise)
-            self._slopes = program, variances, made
-        return self._slopes[2]
+            found = Slopes(self.function, program, self.angles[: len(noise)], noise)
+            self._slopes[key] = found
+        return found
 
     def traced(self) -> Program | str:
         """The trace as the function is now, or the reason for none."""
@@ -207,7 +210,7 @@ class Tracer:
         return str(self.reason) if self.trace is None else self.trace
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_proven": False, "_calls": 0, "_slopes": None, "_reads": None}
+        return self.__dict__ | {"_proven": False, "_calls": 0, "_slopes": {}, "_reads": None}
 
     def _fail(self, reason: str) -> None:
         self.trace, self.reason, self._proven, self._reads = None, reason, False, None

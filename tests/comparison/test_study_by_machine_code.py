@@ -1,17 +1,24 @@
 """Studies in machine code against NumPy's kernels: NIS of sweeps, errors and sums over runs."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import pgm
-from pgm.comparison import judged_runs, studying
-from pgm.comparison.study_methods import Method
+from pgm.beliefs.moments.compiled import judged as judging
+from pgm.beliefs.moments.compiled import sweep
+from pgm.comparison import drawn_runs, judged_runs, studying
+from pgm.comparison.study_methods import Method, methods_of
+from pgm.comparison.sums import joined
 from pgm.comparison.tally import Tally
 from pgm.compile.machine import Squared
 from pgm.inference.engine import send
 
 pytest.importorskip("llvmlite")
+
+from pgm.kernels.machine.sweeps import chain as sweeps
 
 T = 9
 x = pgm.Variable("x", components=("east", "north", "heading"), angles=("heading",))
@@ -62,7 +69,8 @@ ALONE = {variable: INPUTS[variable] for variable in (u, z)}
 
 
 def solved(model, inputs, schedule, rule, runs, choice):
-    evidence = studying.drawn_runs(model, inputs, T, runs, 1).sample(0).evidence
+    drawn = studying.drawn_runs(model, inputs, T, runs, 1)._replace(block=runs)
+    evidence = drawn.sample(0).evidence
     graph = pgm.compile(model, T, compiled=choice)
     return send(graph, evidence, Method(rule, schedule).call)
 
@@ -205,3 +213,58 @@ def test_parts_of_the_runs_join_their_nis():
         for schedule in (pgm.Smoothing(iterations=2, tolerance=0.0), pgm.Smoothing()):
             found = pgm.infer(graph, evidence, schedule=schedule, executor=workers)
             assert_squares(found, found)
+
+
+@pytest.mark.parametrize("schedule", [pgm.Filtering(), pgm.Filtering(iterations=2)], ids=str)
+@pytest.mark.parametrize("runs", [1200, 1205])
+def test_traces_are_judged_at_predicted_beliefs_of_some_runs(runs, schedule, monkeypatch):
+    """Of very many points some are looked at; predicted beliefs of other runs are not written."""
+    seen = {}
+
+    def judged(plan, known, predicted, done, *, again, thinned):
+        points = [
+            belief.mean for _, belief in judging.evaluated(plan, known, predicted, None, thinned)
+        ]
+        seen[sweep.THINNED] = predicted, thinned, points
+        judging.judge(plan, known, predicted, done, again=again, thinned=thinned)
+
+    monkeypatch.setattr(sweep, "judge", judged)
+    inputs = {z: pgm.sightings(step=np.arange(T), given={m: MAP}), u: INPUTS[u]}
+    for thinned in (8, 10**6):
+        monkeypatch.setattr(sweep, "THINNED", thinned)
+        model = robot(several=False)
+        smooth = model.replace(
+            observation=[pgm.NonlinearGaussianCPD(z, (x, m), lambda x, m: x[..., :2] * m, cov=9.0)]
+        )
+        solved(smooth, inputs, schedule, pgm.Taylor(), runs, Squared())
+    (some, one, points), (every, other, _) = seen[8], seen[10**6]
+    assert (one, other) == (8, 1)
+    kept = sweeps.kept_runs(runs, 8)
+    assert_array_equal(kept[:16], [*range(8), *range(64, 72)])
+    assert kept[-1] < runs
+    for part, whole in zip(some, every, strict=True):
+        assert part.shape[1] == len(kept)
+        assert_array_equal(part, whole[:, kept])
+    known = {tuple(row) for row in every[0].reshape(-1, 3)}
+    assert len(points[-1]) > 900
+    assert all(tuple(point) in known for point in points[-1])
+
+
+def test_threads_that_share_blocks_give_the_same_digits(monkeypatch):
+    from concurrent.futures import ThreadPoolExecutor
+
+    monkeypatch.setattr(drawn_runs, "MOST", 16)
+    found = pgm.study(
+        robot(), INPUTS, runs=100, methods={"UKF": pgm.Unscented()}, seed=4, compiled=True
+    )
+    methods = methods_of({"UKF": pgm.Unscented()}, robot())
+    graph = pgm.compile(robot(), T, compiled=Squared())
+    asked = studying._Asked(graph, graph, (x,), 0.95)
+    with ThreadPoolExecutor(3) as pool:
+        work = partial(studying.of_block, found._drawn, methods=methods, asked=asked)
+        sums = joined(pool.map(work, found._drawn.blocks))
+    alone = joined(map(work, found._drawn.blocks))
+    for key, tally in sums["UKF"].tallies.items():
+        for one, two in zip(tally, alone["UKF"].tallies[key], strict=True):
+            assert_array_equal(one, two)
+    assert_array_equal(sums["UKF"].tallies["nees", x].by_step()[0], found["UKF"].nees.by_step)

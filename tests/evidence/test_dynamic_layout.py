@@ -5,11 +5,13 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 import pgm
 from models import networks
 from models.networks import landmark, sighting, velocity
 from pgm.evidence import bind
+from pgm.evidence.dynamic import by_row
 
 MODEL = networks.range_bearing(0.1)
 RNG = np.random.default_rng(0)
@@ -94,3 +96,15 @@ def test_sightings_are_not_changed_afterwards():
     assert dict(pgm.sightings([[1.0]]).given) == {}
     with pytest.raises(pgm.EvidenceError, match="given maps parents"):
         pgm.sightings([[1.0]], given=[mark])
+
+
+def test_rows_that_lie_by_runs_are_laid_out_alike():
+    values = np.random.default_rng(1).normal(size=(6, 4, 2))
+    lying = np.asfortranarray(values.transpose(1, 2, 0).copy().transpose(2, 0, 1))
+    by_runs = values.transpose(1, 2, 0).copy().transpose(2, 0, 1)
+    for given in (values, lying, by_runs):
+        rows = by_row(given, (6,))
+        assert_array_equal(rows, values.swapaxes(0, 1))
+        assert rows.strides[1] == rows.itemsize
+        assert not rows.flags.writeable
+        assert not np.shares_memory(rows, given)

@@ -1,5 +1,5 @@
 """Machine code by LLVM: `emitter` writes it, `matrices` has those that it is written with.
 
 `sweeps` are along chains, `newton` has the Gauss–Newton steps of chains, and `studies` the
-statistics of simulated runs.
+draws and the statistics of simulated runs.
 """

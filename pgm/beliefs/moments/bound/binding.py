@@ -12,7 +12,7 @@ from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
 from pgm.beliefs.moments.passes.forward import Filtered
 from pgm.beliefs.moments.steps.plan import Blank
 from pgm.compile import BalancedGraph, DynamicGraph
-from pgm.compile.machine import is_for_card
+from pgm.compile.machine import Squared, is_for_card
 from pgm.evidence import BoundEvidence
 from pgm.linearisers import Lineariser
 from pgm.schedules.damping import LevenbergMarquardt
@@ -84,8 +84,8 @@ def _bindable(
     """The schedule of a call that may be bound; None of others."""
     if evidence.runs > _RUNS or isinstance(graph, BalancedGraph):
         return None
-    if is_for_card(graph.layout.compiled):
-        return None
+    if is_for_card(graph.layout.compiled) or isinstance(graph.layout.compiled, Squared):
+        return None  # sweeps that keep more are not bound
     if schedule is None:
         return _ONCE
     if type(schedule) is FixedLag and not schedule.lag:

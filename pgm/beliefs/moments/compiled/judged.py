@@ -22,6 +22,7 @@ from pgm.kernels.arrays import (
     times_transposed,
     variances,
 )
+from pgm.kernels.machine.sweeps.chain import kept_runs
 from pgm.linearisation.family import Family
 from pgm.linearisers import Taylor
 from pgm.linearisers.regression import StatisticalRegression
@@ -32,18 +33,25 @@ Moments = Sequence[Array]
 
 
 def judge(
-    plan: ChainPlan, known: Moments, predicted: Moments, done: Mask, *, again: bool = False
+    plan: ChainPlan,
+    known: Moments,
+    predicted: Moments,
+    done: Mask,
+    *,
+    again: bool = False,
+    thinned: int = 1,
 ) -> None:
     """Judge the traces of a plan at the beliefs of its sweep, in runs that are done.
 
     A transition is evaluated at the belief `known` from the measurements of the step before, a
     sensor at the `predicted` one, or at that which is kept where its sightings are open, and
-    `again`, in an iterated update, at the one that is known.
+    `again`, in an iterated update, at the one that is known. Where `predicted` beliefs are thinned,
+    those of `kept_runs` alone, traces are judged at these runs.
     """
     runs = None if done.all() else np.flatnonzero(done)
     moments = [(known, predicted)] if not again else [(known, predicted), (None, known)]
     for each in moments:
-        for family, belief in evaluated(plan, *each, runs=runs):
+        for family, belief in evaluated(plan, *each, runs=runs, thinned=thinned):
             _judge(family, belief)
 
 
@@ -52,6 +60,7 @@ def evaluated(
     known: Moments | None,
     predicted: Moments,
     runs: Integers | None = None,
+    thinned: int = 1,
 ) -> Iterator[tuple[Family, Belief]]:
     """The families whose traces a sweep has evaluated, with the beliefs at which it did.
 
@@ -60,12 +69,12 @@ def evaluated(
     for link in plan.transition if known is not None and plan.steps else ():
         if link.family.compiled is not None:
             assert known is not None
-            at = _Points.of(link.family, plan.runs, runs)
+            at = _Points.of(link.family, plan.runs, runs, thinned)
             yield link.family, _Pair(plan.layout, link.parents, at, known, predicted)
     for sensor in plan.read:
         family = sensor.family
         if family.compiled is not None:
-            at = _Points.of(family, plan.runs, runs)
+            at = _Points.of(family, plan.runs, runs, thinned)
             # Those that are open are linearised first at beliefs that are kept.
             moments = predicted
             if known is not None and isinstance(sensor, OpenSensor):
@@ -88,30 +97,42 @@ def diagonal(std: Array) -> Array:
 class _Points(NamedTuple):
     """The points at which a family was evaluated: the row and the run of each.
 
-    All rows of all runs, if these are None.
+    All rows of all runs, if these are None. Arrays are of all `runs`, or of those that are kept of
+    `thinned` ones, among which a run has another place.
     """
 
     row: Integers | None
     run: Integers | None
+    runs: int
+    place: Integers | None = None
 
     @classmethod
-    def of(cls, family: Family, count: int, runs: Integers | None) -> _Points:
-        """The points of `runs`, None for all `count`, or, of very many points, some of them."""
+    def of(cls, family: Family, every: int, runs: Integers | None, thinned: int) -> _Points:
+        """The points of `runs`, None for `every` one, or, of very many points, some of them."""
         assert family.compiled is not None
+        if thinned > 1:
+            kept = kept_runs(every, thinned)
+            places = np.arange(len(kept))
+            if runs is not None:
+                places = places[np.isin(kept, runs)]
+            some = family.compiled.sample(family.step.size * len(places), thinned)
+            row, k = np.divmod(some, max(len(places), 1))
+            return cls(row, kept[places[k]], every, places[k])
         if runs is None and family.compiled.every == 1:
-            return cls(None, None)
-        count = count if runs is None else len(runs)
+            return cls(None, None, every)
+        count = every if runs is None else len(runs)
         row, run = np.divmod(family.compiled.sample(family.step.size * count), max(count, 1))
-        return cls(row, run if runs is None else runs[run])
+        return cls(row, run if runs is None else runs[run], every)
 
     def take(self, array: Array, step: Integers | slice) -> Array:
         """An array (T+1, runs, n, ...) at the points, (k, n, ...), of rows of these steps."""
         if self.row is None:
             rows = array[step]
             return rows.reshape(-1, *rows.shape[2:])
+        run = self.run if self.place is None or array.shape[1] == self.runs else self.place
         if isinstance(step, slice):
-            return array[step][self.row, self.run]
-        return array[step[self.row], self.run]
+            return array[step][self.row, run]
+        return array[step[self.row], run]
 
     def inputs(self, values: Array, shape: tuple[int, ...]) -> Array:
         """Values (rows or 1, runs or 1, d) at the points, (k, d), by rows and runs."""

@@ -50,6 +50,8 @@ CLOSE = f"two candidates are as likely or on the edge of a gate, {FAR}"
 _SINGULAR = "a covariance is singular on the way back"
 # Sweeps of so many forms of plans are kept by a network's layout.
 _TOLD = 64
+# One of so many packs of runs keeps beliefs that are looked at here and there alone.
+THINNED = 8
 # In so many ways the arrays of each lie.
 _WAYS = 4
 # The names in a record of the belief to begin with, of beliefs, and of densities.
@@ -175,8 +177,10 @@ def forward(
         if why is not None:
             raise Uncompiled(why)
         key = decisive(plan, stored=stored, keep=keep, gate=asked.gate)
-        if not predicted and any(f.compiled for f in plan.families):
-            predicted = tuple(np.empty_like(part) for part in known[:2])  # for the judge alone
+        thinned = 1
+        if not predicted and any(f.compiled for f in plan.families):  # for the judge alone
+            thinned = _thinned(plan)
+            predicted = _predicted(plan, thinned, known)
         iterated = not stored and is_iterated(plan, asked)
         record: Record = dict(zip(BEGIN, begun(plan, schedule, keep=keep), strict=True))
         record |= zip(KNOWN, known, strict=True)
@@ -195,7 +199,7 @@ def forward(
 
         def tell(table: NamedTable) -> told.Forward:
             cpds = {"stored": stored, "keep": keep, "controlled": control}
-            chain = told_ahead(plan, table, groups, **cpds, gate=asked.gate)
+            chain = told_ahead(plan, table, groups, **cpds, gate=asked.gate, thinned=thinned)
             if (control or chain.anchor) and is_long(chain, table.lanes):
                 raise Uncompiled(LONG)
             return chain
@@ -210,7 +214,7 @@ def forward(
         out = (*known, *predicted)
         # A step control asks for costs at many points: functions that are called are left to NumPy.
         rest = record, None if controlled else calls, asked.iterations
-        ended = _run(plan, (*key, control, *record), tell, owners, out, *rest)
+        ended = _run(plan, (*key, control, thinned, *record), tell, owners, out, *rest)
     except Uncompiled as error:
         plan.account.leave(str(error))
         return None
@@ -226,11 +230,33 @@ def forward(
     count(plan, left, CLOSE if any(isinstance(s, OpenSensor) for s in plan.read) else FAR)
     if schedule is not None:
         done = ended[sweeps.LEFT] == 0.0
-        judge(plan, known, predicted or known, done, again=asked.iterations > 1)
+        again = asked.iterations > 1
+        judge(plan, known, predicted or known, done, again=again, thinned=thinned)
     # Gates that have decided before are not told to sweeps with stored linearisations.
     judged = not (stored and any(sensor.gated is not None for sensor in plan.read))
     own = tuple(squares.values())
     return Swept.told(left, ended, residuals, linear=plan.linear, judged=judged, squares=own)
+
+
+def _thinned(plan: ChainPlan) -> int:
+    """One of how many packs of runs keeps predicted beliefs, at which traces are judged.
+
+    Where of so many points no more are looked at, the others need not be written.
+    """
+    choice, lanes = plan.layout.compiled, lanes_of(plan)
+    shared = isinstance(choice, Compiled) and choice.threads > 1
+    if shared or lanes != sweeps.LANES or plan.runs < lanes * THINNED:
+        return 1
+    every = (family.compiled.every for family in plan.families if family.compiled)
+    return THINNED if all(each >= THINNED for each in every) else 1
+
+
+def _predicted(plan: ChainPlan, thinned: int, known: tuple[Array, ...]) -> tuple[Array, ...]:
+    """Room for predicted beliefs, of all runs or of those that are kept."""
+    if thinned == 1:
+        return tuple(np.empty_like(part) for part in known[:2])
+    lead = plan.steps + 1, len(sweeps.kept_runs(plan.runs, thinned))
+    return tuple(vacant(lead, part.shape[2:]) for part in known[:2])
 
 
 def _squares(plan: ChainPlan) -> Record:
@@ -255,6 +281,7 @@ def told_ahead(
     keep: bool,
     gate: Asked | None,
     controlled: bool,
+    thinned: int = 1,
 ) -> told.Forward:
     """A forward sweep, told; see `forward`."""
     layout, record, calls = plan.layout, table.record, table.calls
@@ -288,6 +315,7 @@ def told_ahead(
         controlled=controlled,
         anchor=tuple(array(name) for name in _ANCHOR if name in record),
         asked=table.array(calls.asked.T[None]) if calls is not None and calls.each else None,
+        thinned=thinned,
         squares=tuple(array(_square(s)) for s in plan.read if _square(s) in record),
     )
 

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 # Instructions that leave a number as it is.
-_NOTHING = {("add", 0), ("sub", 0), ("mul", 1), ("udiv", 1)}
+_NOTHING = {("add", 0), ("sub", 0), ("mul", 1), ("udiv", 1), ("xor", 0)}
 
 
 class Whole:
@@ -46,6 +46,19 @@ class Whole:
     def __mod__(self, other: Whole | int) -> Whole:
         """The remainder of counts, none of them negative."""
         return self._with("urem", other)
+
+    def __xor__(self, other: Whole | int) -> Whole:
+        return self._with("xor", other)
+
+    def product(self, other: Whole | int) -> tuple[Whole, Whole]:
+        """The upper and the lower 64 bits of a product of words, numbers without a sign."""
+        value = self.code.value
+        texts = [each.text for each in (self, self.code.whole(other))]
+        a, b = (value(f"zext i64 {text} to i128") for text in texts)
+        whole = value(f"mul i128 {a}, {b}")
+        above = value(f"lshr i128 {whole}, 64")
+        high, low = (Whole(self.code, value(f"trunc i128 {k} to i64")) for k in (above, whole))
+        return high, low
 
     def __lt__(self, other: Whole | int) -> Number:
         return self._against("slt", other)

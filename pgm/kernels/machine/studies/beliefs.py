@@ -12,7 +12,7 @@ import numpy as np
 from pgm.kernels import step as steps_of
 from pgm.kernels.arrays import Array, address
 from pgm.kernels.machine.emitter.kinds import ADDRESS, FLOAT
-from pgm.kernels.machine.emitter.memory import Memory
+from pgm.kernels.machine.emitter.memory import Memory, Runs
 from pgm.kernels.machine.emitter.module import Module
 from pgm.kernels.machine.matrices.lines import Lines
 from pgm.kernels.machine.studies.sums import (
@@ -69,7 +69,7 @@ def _judged(angles: tuple[bool, ...], beside: tuple[bool, ...]) -> Callable[[int
     given, limit, lines, size = Given(code, code.arguments[0]), code.arguments[1], Lines(code), 0
     size = len(angles)
     steps, runs, width = given.whole(), given.whole(), given.whole()
-    means, covs, truths = (given.array(beside=each) for each in beside)
+    means, covs, truths = (given.array(Runs.BESIDE if each else Runs.APART) for each in beside)
     rows = Memory(code, given.address())
     row = Row(code, width, rows, [given.address() for _ in Moments._fields])
     largest, last = given.address(), given.address()

@@ -140,7 +140,7 @@ class Given:
     """The numbers that a call is given in memory, one after another: whole ones and addresses."""
 
     def __init__(self, code: Code, table: Address) -> None:
-        self._code, self._wholes = code, code.wholes(table)
+        self.code, self._wholes = code, code.wholes(table)
         self._addresses, self._next = code.addresses(table), 0
 
     def whole(self) -> Whole:
@@ -153,17 +153,14 @@ class Given:
         self._next += 1
         return self._addresses.load(self._next - 1)
 
-    def array(self, *, beside: bool) -> Callable[[Whole, Whole], Memory]:
-        """The next array, as `Cells` tell of it: its numbers by step, of the runs from one on.
-
-        `beside` says that runs lie next to each other.
-        """
+    def array(self, runs: Runs) -> Callable[[Whole, Whole], Memory]:
+        """The next array, as `Cells` tell of it: its numbers by step, of the runs from one on."""
         begin, across, down, cell = self.address(), self.whole(), self.whole(), self.whole()
-        runs = Runs.BESIDE if beside else Runs.APART
 
         def at(step: Whole, run: Whole) -> Memory:
-            place = begin + (step * down + run * across)
-            return Memory(self._code, place, step=cell, runs=runs, apart=across)
+            place = begin + step * down
+            place = place if runs is Runs.SAME else place + run * across
+            return Memory(self.code, place, step=cell, runs=runs, apart=across)
 
         return at
 
@@ -194,7 +191,7 @@ def _of_values(beside: bool) -> Callable[[int], None]:
     code = Module().function("sums", (ADDRESS,), lanes=LANES)
     given = Given(code, code.arguments[0])
     steps, runs, width = given.whole(), given.whole(), given.whole()
-    values = given.array(beside=beside)
+    values = given.array(Runs.BESIDE if beside else Runs.APART)
     rows = Memory(code, given.address())
     row = Row(code, width, rows, [given.address() for _ in Moments._fields])
     with code.loop(steps) as step:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from functools import lru_cache, partial
 from typing import Any
 
+import numpy as np
+
 from pgm.kernels import step
+from pgm.kernels.arrays import Integers
 from pgm.kernels.machine.emitter.kinds import ADDRESS, WHOLE
 from pgm.kernels.machine.emitter.module import Module
 from pgm.kernels.machine.emitter.wholes import Whole
@@ -24,6 +27,7 @@ from pgm.kernels.machine.sweeps.told import Backward, Forward, Linearised, Mixtu
 from pgm.kernels.machine.sweeps.watch import Watch
 from pgm.kernels.machine.sweeps.writer import Writer
 from pgm.kernels.numbers import where
+from pgm.kernels.step import AnyMatrix
 
 # Runs that are swept together, as the lanes of packs.
 LANES = 8
@@ -110,8 +114,8 @@ def forward(w: Writer, chain: Forward) -> None:
             sure.set(sure.get() & moved.sure)
             w.reach(at.number(), sure.get())
         mean, cov = belief.mean, belief.cov
-        for array, part in zip(chain.predicted, (mean, cov), strict=False):
-            w.keep(array, part, at)
+        if chain.predicted:
+            _keep_predicted(w, chain, at, mean, cov)
         found = (associated if is_open(chain) else taken)(w, chain, at, mean, cov)
         known, spread = found.moments.mean, found.moments.cov
         numbers = [abs(x) for vector in (mean, known) for x in w.matrices.beside(vector)]
@@ -134,6 +138,27 @@ def forward(w: Writer, chain: Forward) -> None:
     _tell(w, FAR, where(watch.far, 1.0, 0.0))
     _tell(w, MOVING, where(settled.get(), 0.0, 1.0))
     _tell(w, LOST, where(tests.lost, 1.0, 0.0))
+
+
+def _keep_predicted(w: Writer, chain: Forward, at: Whole, mean: AnyMatrix, cov: AnyMatrix) -> None:
+    """Keep a step's predicted belief, in one of so many packs of runs; see `kept_runs`."""
+    run = w.run
+    with (
+        w.code.when(run % (w.code.lanes * chain.thinned) == 0)
+        if chain.thinned > 1
+        else nullcontext()
+    ):
+        w.run = run // chain.thinned
+        for array, part in zip(chain.predicted, (mean, cov), strict=True):
+            w.keep(array, part, at)
+        w.run = run
+
+
+def kept_runs(runs: int, thinned: int) -> Integers:
+    """The runs whose predicted beliefs are kept by one of so many packs, in their order."""
+    first = np.arange(0, runs - LANES + 1, LANES * thinned)
+    found: Integers = (first[:, None] + np.arange(LANES)).ravel()
+    return found
 
 
 def _backward(w: Writer, chain: Backward) -> None:

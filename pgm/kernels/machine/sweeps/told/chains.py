@@ -32,6 +32,8 @@ class Forward:
         Means and deviations by step, and weights, of an anchor; empty if there is none.
     asked : Array or None
         For what a sweep waits whose functions are called, (`ASKED`,): see `told.WHAT`.
+    thinned : int
+        One of so many packs of runs keeps its predicted beliefs, beside those of the next such.
     squares : tuple of Array
         The normalised innovation squared of each sensor, by itself, at each step; empty if they are
         not kept.
@@ -50,6 +52,7 @@ class Forward:
     controlled: bool = False
     anchor: tuple[Array, ...] = ()
     asked: Array | None = None
+    thinned: int = 1
     squares: tuple[Array, ...] = ()
 
     @property

@@ -1,0 +1,199 @@
+"""Draws of many runs in machine code: the numbers of `sampling` to rounding, for chains of CPDs.
+
+Noise is drawn for all rows of a CPD at once, by counters (`counted`); states follow from step to
+step, and readings from the states, by the traces of the CPDs' functions. Traces are judged as those
+of inference are: the functions are called at some of the points that were drawn, and where one has
+another value all is drawn anew without machine code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from pgm.cpds.conditional import ConditionalGaussian, Noise
+from pgm.cpds.gaussian import LinearGaussianCPD, NonlinearGaussianCPD
+from pgm.evidence import BoundEvidence, Reading
+from pgm.evidence.rows import Rows
+from pgm.kernels.arrays import Array, Integers
+from pgm.networks.sampling import Drawn, Source, drawn_by_arrays, places_of, prior_drawn
+from pgm.tracing.judging import LARGE, Answers
+from pgm.tracing.program import Program
+from pgm.variables import Variable
+
+if TYPE_CHECKING:
+    from pgm.kernels.machine.studies.rows import Child
+    from pgm.networks.dynamic import DynamicBayesianNetwork
+
+# Operations of a CPD from which on its code is longer than it is worth.
+_MOST = 3000
+# About so many points of a CPD's draws are judged.
+_JUDGED = 1024
+
+
+def drawn_compiled(model: DynamicBayesianNetwork, bound: BoundEvidence, source: Source) -> Drawn:
+    """States at all steps, and readings, by machine code where that can draw all of them."""
+    try:
+        return _Draws(model, bound, source).drawn()
+    except _Left:
+        return drawn_by_arrays(model, bound, source)
+
+
+class _Left(Exception):
+    """A model that machine code cannot draw, or draws that were wrong."""
+
+
+class _Used(NamedTuple):
+    """A trace that was used: of which CPD, and at which values of its parents."""
+
+    cpd: NonlinearGaussianCPD
+    trace: Program
+    child: Child
+
+
+class _Draws:
+    def __init__(self, model: DynamicBayesianNetwork, bound: BoundEvidence, source: Source) -> None:
+        self.model, self.bound, self.source = model, bound, source
+        self.place, self.runs = places_of(model), bound.runs
+        self.used: list[_Used] = []
+
+    def drawn(self) -> Drawn:
+        """States at all steps, and readings."""
+        from pgm.kernels.machine.studies import rows, sums
+
+        if self.runs < sums.LANES:
+            raise _Left
+        hidden = (*self.model.states, *self.model.controls)
+        path = {v: self._room(self.bound.steps + 1, v.dimension) for v in hidden}
+        prior_drawn(self.model, self.bound, self.source, path)
+        ahead = np.arange(1, self.bound.steps + 1)
+        pairs = zip(self.model.transition, self.bound.transition, strict=True)
+        children = [
+            self._child(cpd, known, path, {v: ahead - v.lag for v in cpd.given}, ahead, None)
+            for cpd, known in (pairs if self.bound.steps else ())
+        ]
+        if children:
+            rows.draw(children, self.runs)
+        readings = {}
+        for reading in self.bound.readings:
+            found = self._room(reading.step.size, reading.cpd.child.dimension)
+            if reading.step.size:
+                rows.draw([self._read(reading, path, found)], self.runs)
+            readings[reading.cpd.child] = found
+        finite = (np.isfinite(each.sum()) for each in (*self._known(path), *readings.values()))
+        if not all(finite) or not all(map(_is_right, self.used)):
+            raise _Left
+        return Drawn(path, readings)
+
+    def _room(self, rows: int, size: int) -> Array:
+        return np.empty((rows, size, self.runs)).transpose(0, 2, 1)
+
+    def _known(self, path: Mapping[Variable, Array]) -> Iterator[Array]:
+        """The states at all steps, and controls from step 1 on."""
+        for variable, values in path.items():
+            yield values if variable in self.model.states else values[1:]
+
+    def _read(self, reading: Reading, path: Mapping[Variable, Array], out: Array) -> Child:
+        steps = dict.fromkeys(reading.cpd.given, reading.step)
+        return self._child(reading.cpd, reading.inputs, path, steps, reading.order, out)
+
+    def _child(
+        self,
+        cpd: Any,
+        inputs: Mapping[Variable, Rows],
+        path: Mapping[Variable, Array],
+        steps: Mapping[Variable, Integers],
+        order: Integers,
+        out: Array | None,
+    ) -> Child:
+        """A CPD's child at rows, whose noise has the counters `order`, where values are put.
+
+        Without `out` they are put into the path, at `steps` of which are the hidden parents.
+        """
+        from pgm.kernels.machine.studies.rows import Child, Placed
+
+        trace = _known_form(cpd)
+        count = len(order)
+        given = []
+        for parent in cpd.given:
+            values = inputs.get(parent)
+            if values is None:
+                given.append(Placed(path[parent.template], steps[parent]))
+            else:
+                given.append(Placed(values, np.arange(count) if len(values) > 1 else _zeros(count)))
+        child = Child(
+            None if trace is None else _function(trace),
+            given,
+            () if trace is not None else [cpd.matrices[parent] for parent in cpd.given],
+            np.zeros(0) if trace is not None else cpd.offset,
+            cpd._lower,
+            self._white(cpd, order),
+            Placed(path[cpd.child] if out is None else out, order),
+        )
+        if child.form.operations > _MOST:
+            raise _Left
+        if trace is not None:
+            self.used.append(_Used(cpd, trace, child))
+        return child
+
+    def _white(self, cpd: ConditionalGaussian, order: Integers) -> Array:
+        """The noise of all rows at unit scale, (rows, runs, d)."""
+        draws = self.source(self.place[cpd.child], order)
+        white: Array = draws.standard_normal((len(order), self.runs, cpd.child.dimension))
+        if cpd.noise is not None:
+            cpd.noise.require_proper(cpd.child.dimension, cpd)
+            white = cpd.noise.draw(white, draws)
+        return white
+
+
+def _zeros(count: int) -> Integers:
+    return np.zeros(count, dtype=np.intp)
+
+
+def _known_form(cpd: Any) -> Program | None:
+    """The trace of a CPD's function, None of an affine one; other CPDs are left."""
+    if isinstance(getattr(cpd, "cov", None), Noise) or getattr(cpd, "steps", None) is not None:
+        raise _Left
+    if type(cpd) is LinearGaussianCPD:
+        return None
+    if type(cpd) is not NonlinearGaussianCPD:
+        raise _Left
+    found = cpd._tracer.traced()
+    if isinstance(found, str):
+        raise _Left
+    return found
+
+
+def _function(trace: Program) -> Any:
+    from pgm.kernels.machine.emitter.functions import Function
+
+    columns = tuple((a, i) for a, width in enumerate(trace.widths) for i in range(width))
+    operations = tuple(trace.graph.operations)
+    return Function(operations, tuple(trace.value), (), (), columns)
+
+
+def _is_right(used: _Used) -> bool:
+    """Whether a CPD's function has the values of its trace, at all points or some of very many."""
+    cpd, trace, child = used
+    tracer = cpd._tracer
+    if tracer.trace is not trace:
+        return False
+    variances = cpd._template(cpd.given).variances
+    answers = Answers(tracer, (), (), variances)
+    rows, runs = child.white.shape[:2]
+    count = rows * runs
+    every = 1 if count < LARGE else count // _JUDGED
+    row, run = np.divmod(np.arange(every // 2, count, every), runs)
+    points = [
+        each.array[each.places[row], run if each.array.shape[1] > 1 else 0] for each in child.given
+    ]
+    answers.judge(points, None)
+    answers.close()
+    if answers.fault is not None:
+        tracer.doubt(trace, answers.fault, moved=answers.moved)
+        return False
+    if answers.used:
+        tracer.prove(trace)
+    return True
