@@ -38,7 +38,8 @@ def marked(
       than the KL itself of a single row;
     - the difference from another row is within 1.96 of its own errors, which are less than those of
       both rows, as both were judged by the same draws;
-    - another oracle is further from it, beyond 1.96 errors, than the row is.
+    - another oracle is as far from it as the row is, by 1.96 errors, and not by chance: one of both
+      is wrong.
 
     apart: By name of the other oracles, the KL of their beliefs from this one's.
     """
@@ -68,6 +69,6 @@ def _why(
                 return f"it is not told from {each.label}: {gap:.2g} ± {band:.2g} nats apart"
     for name, other in apart.items():
         error = 0.0 if np.isnan(other.error) else other.error
-        if other.kl - BAND * error > own.kl:
+        if other.kl + BAND * error >= own.kl and other.kl - BAND * error > SAME:
             return f"the oracle {name} is {other.kl:.2g} nats from this one"
     return ""

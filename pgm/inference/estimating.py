@@ -149,7 +149,7 @@ def estimate(
             sought, answer = climb(search, effort, generator)
             outcome = _outcome(search, sought, answer)
     except PgmError as error:
-        return posed.careful()._judged(Verdict.unknown(lead, f"nothing is weighed: {error}"))
+        return posed.unweighed()._judged(Verdict.unknown(lead, f"nothing is weighed: {error}"))
     return Posterior(outcome)._judged(_verdict(lead, sought, answer))
 
 
@@ -166,6 +166,13 @@ class Posed(NamedTuple):
     continuous: bool
     search: Callable[[], Search]
     careful: Callable[[], Posterior]
+
+    def unweighed(self) -> Posterior:
+        """The answer by Levenberg–Marquardt; by one linearisation where it cannot control steps."""
+        try:
+            return self.careful()
+        except PgmError:  # as of exact sensors
+            return self.plain
 
 
 def _over_time(model: DynamicBayesianNetwork, evidence: Evidence, steps: int | None) -> Posed:

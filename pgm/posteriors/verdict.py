@@ -27,11 +27,12 @@ class Verdict(Shown, Immutable, NoArray):
         the answer is `within` a tenth of a nat, half of this if it is of `recombined` trajectories.
     within : ndarray
         A bound [nats] on the divergence of the worst marginal from the exact one, which holds with
-        a probability of 95 %, but for modes that nothing has found, of up to 1 % of the mass. NaN
-        where nothing was found out.
+        a probability of 95 %, but for modes that nothing has found: of up to 1 % of the mass, and
+        more where a posterior has very many, or very narrow ones. NaN where nothing was found out.
     of : ndarray of str
-        What is within that bound: the ``"density"`` of each belief, the ``"moments"``, its mean and
-        covariance, or ``"exact"``; empty where it is not vouched for.
+        What is within that bound: the ``"density"`` of each belief, whose moments may be further
+        off where it has long tails, the ``"moments"``, its mean and covariance, or ``"exact"``;
+        empty where it is not vouched for.
     starts, settled, modes : ndarray of int
         How many iterations were started, how many of them settled, and at how many modes.
     agreed : ndarray of bool

@@ -257,3 +257,21 @@ def test_a_family_of_ones_own_is_run_with_other_seeds_where_it_can_be():
     plain = pgm.compare(examples.walk, given, rows=rows, oracle=EnsembleKalman(400))
     assert np.isnan(plain["exact"].kl_error)
     assert "the Monte Carlo error of KL from EnsembleKalman is not known" in repr(plain)
+
+
+def test_oracles_that_differ_are_both_marked():
+    """An audit that has missed a mode of 2 % of the mass, beside a grid."""
+    x = pgm.Variable("x")
+    walk = pgm.LinearGaussianCPD(x, {x.previous: 1.0}, cov=1.0)
+    read = pgm.NonlinearGaussianCPD(z, x, lambda x: x**2, cov=0.5)
+    model = pgm.DynamicBayesianNetwork([pgm.GaussianCPD(x, 2.0, 1.0)], [walk], [read])
+    evidence = {z: [[4.0], [9.0], [4.0]]}
+    iterated = pgm.smooth(model, evidence, iterations=10)
+    audit = pgm.audit(iterated, rng=0)
+    assert audit.trusted
+    oracles = {"audit": audit, "grid": pgm.Grid({"x": (-10.0, 10.0, 800)})}
+    rows = {"estimate": pgm.estimate(model, evidence), "iterated": iterated}
+    found = pgm.compare(model, evidence, rows=rows, oracle=oracles)
+    for name in rows:
+        assert "the oracle grid is" in found[name].by_oracle["audit"].weak
+    assert "the oracle audit is" in found["estimate"].by_oracle["grid"].weak

@@ -111,6 +111,12 @@ def corrected(pool: Pool, laws: Laws, weighed: Weighed) -> Laws:
     return _whole(laws, found)
 
 
+def uncorrected(pool: Pool, laws: Laws, weighed: Weighed) -> Laws:
+    """The laws whose moments are those that all draws estimate without control variates."""
+    shares = weighed.by_mode
+    return _whole(laws, _moments(pool.target, pool.values, laws, shares, np.zeros_like(shares)))
+
+
 def of_trajectories(target: Target, laws: Laws, values: Array) -> Laws:
     """The laws with the moments of draws of the posterior, (T+1, runs, S, m + n), of equal weights.
 

@@ -80,9 +80,9 @@ class ChainSearch(Search):
         several = graph.model.mixed or has_mixtures(graph.model.cpds)
         if several or any(reading.unknown is not None for reading in bound.readings):
             raise ModelError(
-                "starts= looks for modes of continuous variables, whose CPDs are nonlinear; "
-                "discrete variables, mixtures of CPDs and open sightings have hypotheses already: "
-                "leave starts out"
+                "modes are looked for of continuous variables, whose CPDs are nonlinear; discrete "
+                "variables, mixtures of CPDs and open sightings have hypotheses already, and need "
+                "no starts"
             )
         return cls(graph, bound, call)
 

@@ -116,6 +116,6 @@ class Target(Protocol):
 def without_density() -> NumericalError:
     """The error for a posterior that has no density."""
     return NumericalError(
-        "draws= weighs values of all hidden variables by their density, and these have none, as "
-        "where sensors without noise were read: leave draws out, or give the exact CPDs some noise"
+        "draws are weighed by the density of all hidden variables, and these have none, as where "
+        "sensors without noise were read: give the exact CPDs some noise, or ask for no draws"
     )

@@ -114,14 +114,15 @@ class NetworkSearch(Search):
         assert call.schedule is not None
         if not evidence and isinstance(graph.network, BayesianNetwork):
             raise EvidenceError(
-                "modes that evidence leaves are looked for, and there is none: give some, or leave "
-                "starts= out"
+                "modes that evidence leaves are looked for, and there is none: give some; without "
+                "any, beliefs are the network's own, which need no starts"
             )
         made = gaussian.linearised_factors(graph, evidence, call.schedule, call.lineariser)
         model, bound, level = made
         if not model.layout.hidden:
             raise EvidenceError(
-                "modes of hidden variables are looked for, and all are observed: leave starts= out"
+                "modes of hidden variables are looked for, and all are observed, which needs no "
+                "starts"
             )
         values = _repeated(bound, 1)
         return cls(graph, values, tuple(evidence), call, model, _base(model), level)

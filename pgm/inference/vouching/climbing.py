@@ -296,7 +296,7 @@ def _recombined(
 ) -> tuple[Sought, Answer]:
     """The answers with those of recombined trajectories where more can be said of these.
 
-    And where the others' moments are further from theirs than the errors of both allow: draws of
+    And where the others' moments are further from theirs than the bounds of both allow: draws of
     many steps that are of modes do not meet what is beside these.
     """
     most, runs = per_call(sought.laws), _asked(search, left)
@@ -311,7 +311,7 @@ def _recombined(
             return sought, answer
         other = other.put(part, _of_recombined(found))
     off = apart(search.of(runs).target(other.laws), other.laws, old.laws)
-    refuted = other.sound & (off > old.within + 2.0 * other.within)
+    refuted = other.sound & (off > old.within + other.within)
     places = np.searchsorted(runs, left)
     preferred = (other.rank > old.rank) | refuted
     return sought, _with(answer, left, other.some(places), preferred[places])

@@ -13,6 +13,8 @@ nat.
 The error of moments is estimated by the block jackknife of the plain weighed moments m, without
 control variates: J = (B − 1)/B Σ_b KL(m ‖ m₋ᵇ), with all but the b-th of B blocks in m₋ᵇ. That of
 controlled moments is smaller, and its own jackknife is not to be trusted where few draws weigh.
+There a control variate may be far off: where m is further from the controlled moments than from the
+exact ones, by its bound, the answer has m.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.beliefs.modes.adapted import corrected
+from pgm.beliefs.modes.adapted import corrected, uncorrected
 from pgm.beliefs.modes.laws import Laws, Scoped
 from pgm.beliefs.modes.pool import BLOCKS, Pool, Weighed
 from pgm.kernels import roots
@@ -77,13 +79,21 @@ def judge(pool: Pool, laws: Laws, before: list[Marginal] | None) -> Judged:
     scopes, angles = pool.target.scopes, pool.target.angles
     marginals = [marginal(better, scope, angles) for scope in scopes]
     off = np.zeros(weighed.effective.shape)
-    for k, (scope, own) in enumerate(zip(scopes, marginals, strict=True)):
+    wrong = np.full(off.shape, False)
+    for scope, own in zip(scopes, marginals, strict=True):
         size = own.mean.shape[-1]
         free = np.array(size * (size + 3) // 2)
-        likely = _jackknife(pool, weighed, scope, own) * square_within(SURE, free) / free
+        error, apart = _jackknife(pool, weighed, scope, own)
+        likely = error * square_within(SURE, free) / free
+        wrong |= ~(apart <= CAUTION * likely + FLOOR)
         off = np.maximum(off, likely)
-        if before is not None:
-            off = np.maximum(off, worst(own, before[k], angles[scope.places]))
+    if wrong.any():
+        runs = np.flatnonzero(wrong)
+        better = better.put(runs, uncorrected(pool, laws, weighed).of(runs))
+        marginals = [marginal(better, scope, angles) for scope in scopes]
+    if before is not None:
+        for scope, own, old in zip(scopes, marginals, before, strict=True):
+            off = np.maximum(off, worst(own, old, angles[scope.places]))
     return Judged(
         better,
         _density(pool, weighed),
@@ -133,8 +143,11 @@ def worst(own: Marginal, other: Marginal, angles: Mask) -> Array:
     return np.asarray(from_gaussian(roots.root(other.cov), off, own.cov).max(axis=0))
 
 
-def _jackknife(pool: Pool, weighed: Weighed, scope: Scoped, about: Marginal) -> Array:
-    """The largest block jackknife of a variable's plain moments at any step, (runs,)."""
+def _jackknife(pool: Pool, weighed: Weighed, scope: Scoped, about: Marginal) -> tuple[Array, Array]:
+    """The largest block jackknife of a variable's plain moments at any step, (runs,).
+
+    And the largest divergence of these from the moments `about`.
+    """
     angles = pool.target.angles[scope.places]
     values = pool.values[1:][..., scope.places]
     if not scope.first:
@@ -163,4 +176,6 @@ def _jackknife(pool: Pool, weighed: Weighed, scope: Scoped, about: Marginal) -> 
         roots.root(rest[1]), whole[0][:, :, None] - rest[0], whole[1][:, :, None]
     )
     found: Array = (BLOCKS - 1) / BLOCKS * divergence.sum(axis=-1)
-    return np.asarray(np.where(np.isfinite(found), found, np.inf).max(axis=0))
+    apart = from_gaussian(roots.root(about.cov), *whole)
+    error, off = (np.where(np.isfinite(each), each, np.inf) for each in (found, apart))
+    return np.asarray(error.max(axis=0)), np.asarray(off.max(axis=0))

@@ -197,7 +197,7 @@ def test_refusals():
     exact = pgm.LinearGaussianCPD(C, {A: 1.0}, cov=0.0)
     certain = pgm.BayesianNetwork([pgm.GaussianCPD(A, 0.0, 1.0), square, exact])
     draws = pgm.Gaussians(2, starts=4, draws=100)
-    refused(pgm.NumericalError, "draws= weighs", certain, {**seen, C: [0.9]}, draws)
+    refused(pgm.NumericalError, "draws are weighed", certain, {**seen, C: [0.9]}, draws)
     sort = pgm.Discrete("sort", states=("s", "t"))
     tables = pgm.BayesianNetwork([pgm.TableCPD(sort, table=[0.5, 0.5])])
     refused(pgm.ModelError, "network of tables is exact", tables, {})

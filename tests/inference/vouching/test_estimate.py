@@ -220,6 +220,31 @@ def test_a_run_whose_draws_are_refused_leaves_the_others_theirs(monkeypatch):
     assert alone.verdict.reason == "nothing is weighed: no draw has a density"
 
 
+def test_control_variates_that_lead_astray_are_not_used():
+    """Of x² read as −5: draws worth some two hundred, and a control whose slope is cut."""
+    read = pgm.NonlinearGaussianCPD(y, x, lambda x: x**2, cov=0.01)
+    model = pgm.BayesianNetwork([pgm.GaussianCPD(x, 0.0, 1.0), read])
+    grid = np.linspace(-1.0, 1.0, 200_001)
+    logs = -0.5 * grid**2 - 0.5 * (5.0 + grid**2) ** 2 / 0.01
+    weights = np.exp(logs - logs.max())
+    std = np.sqrt(weights @ grid**2 / weights.sum())
+    for effort in (3000, 8000):
+        found = pgm.estimate(model, {y: [-5.0]}, effort=effort)
+        assert found.verdict.vouched
+        assert found[x].std[0] == pytest.approx(std, rel=0.1)
+
+
+def test_a_posterior_without_density_has_its_answer_and_the_reason():
+    read = pgm.NonlinearGaussianCPD(y, x, lambda x: x**2, cov=0.0)
+    found = pgm.estimate(pgm.BayesianNetwork([pgm.GaussianCPD(x, 3.0, 1.0), read]), {y: [9.0]})
+    assert "nothing is weighed: " in found.verdict.reason
+    assert found[x].mean[0] == pytest.approx(3.0)
+    for evidence, told in (({}, "there is none"), ({x: [3.0], y: [9.0]}, "all are observed")):
+        reason = pgm.estimate(square, evidence).verdict.reason
+        assert told in reason
+        assert "starts=" not in reason
+
+
 def test_a_start_that_fails_in_one_run_goes_on_in_the_others():
     """Of ln(x + u), which has no value at one start in six where u = −1."""
     u = pgm.Variable("u")
