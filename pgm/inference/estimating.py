@@ -243,4 +243,6 @@ def _verdict(lead: tuple[int, ...], sought: Sought, answer: Answer) -> Verdict:
         effective=answer.effective,
         pareto_k=answer.pareto_k,
         recombined=answer.recombined,
+        tried_otherwise=sought.otherwise,
+        otherwise=answer.otherwise,
     )

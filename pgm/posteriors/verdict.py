@@ -47,6 +47,11 @@ class Verdict(Shown, Immutable, NoArray):
     recombined : ndarray of bool
         Whether draws are of each step alone, and the answer that of trajectories recombined from
         them. Then effective numbers and tails are those of the step at which the fewest count.
+    tried_otherwise : ndarray of int
+        How many of the starts were by another rule, which takes means of nonlinear functions over a
+        belief, not their slopes: it is tried where draws do not vouch for the modes.
+    otherwise : ndarray of bool
+        Whether the answer has the modes of that rule.
     reason : str
         Why no draws were weighed; empty where they were.
 
@@ -69,6 +74,8 @@ class Verdict(Shown, Immutable, NoArray):
     effective: Array
     pareto_k: Array
     recombined: Mask
+    tried_otherwise: Integers
+    otherwise: Mask
     reason: str
 
     def __init__(self, lead: tuple[int, ...], reason: str = "", **found: Any) -> None:
@@ -89,7 +96,8 @@ class Verdict(Shown, Immutable, NoArray):
     def _without_draws(
         cls, lead: tuple[int, ...], vouched: bool, within: float, of: str, reason: str = ""
     ) -> Verdict:
-        none = dict.fromkeys(("starts", "settled", "modes", "draws"), np.zeros(lead, np.intp))
+        counts = "starts", "settled", "modes", "draws", "tried_otherwise"
+        none = dict.fromkeys(counts, np.zeros(lead, np.intp))
         figures = dict.fromkeys(("effective", "pareto_k"), np.full(lead, np.nan))
         return cls(
             lead,
@@ -99,6 +107,7 @@ class Verdict(Shown, Immutable, NoArray):
             of=np.full(lead, of),
             agreed=np.full(lead, vouched),
             recombined=np.full(lead, False),
+            otherwise=np.full(lead, False),
             **none,
             **figures,
         )
@@ -140,11 +149,23 @@ class Verdict(Shown, Immutable, NoArray):
     @property
     def _source(self) -> str:
         """The draws that moments are of."""
-        count, runs = int(self.recombined.sum()), self.recombined.size
-        if not count:
+        if not self.recombined.any():
             return "the draws"
-        where = f" (in {count} of {runs} runs)" if count < runs else ""
-        return f"trajectories recombined from draws of each step{where}"
+        return f"trajectories recombined from draws of each step{_where(self.recombined)}"
+
+    @property
+    def _tried(self) -> str:
+        """The starts by another rule."""
+        tried = self.tried_otherwise
+        if not tried.any():
+            return ""
+        return f"; {tried.max()} of the starts by a rule that takes means{_where(tried > 0)}"
+
+    @property
+    def _rule(self) -> str:
+        """The rule of the modes that were chosen."""
+        other = self.otherwise
+        return f", by the rule that takes means{_where(other)}," if other.any() else ","
 
     @property
     def _title(self) -> str:
@@ -156,13 +177,21 @@ class Verdict(Shown, Immutable, NoArray):
         mixture = "one Gaussian" if self.modes.max() == 1 else f"{_span(self.modes)} Gaussians"
         lines = [
             f"tried: {_span(self.starts)} starts, {_span(self.settled)} of which settled, at "
-            f"{_span(self.modes)} mode{'s' * bool(self.modes.max() > 1)}",
-            f"chosen: {mixture}, with moments of {self._source} where these can be used",
+            f"{_span(self.modes)} mode{'s' * bool(self.modes.max() > 1)}{self._tried}",
+            f"chosen: {mixture}{self._rule} with moments of {self._source} where these can be used",
             f"judged by: {_span(self.draws)} draws, worth {_span(self.effective)}, of tail "
             f"{_span(self.pareto_k)} (to be below {HEAVY})",
-            f"cost: {_span(self.starts)} iterated answers in one batch, {_span(self.draws)} draws",
+            f"cost: {_span(self.starts)} iterated answers in "
+            f"{'two batches' if self.tried_otherwise.any() else 'one batch'}, "
+            f"{_span(self.draws)} draws",
         ]
         return Summary(self._title, lines)
+
+
+def _where(runs: Mask) -> str:
+    """In how many of all runs, where these are some, in words."""
+    count = int(runs.sum())
+    return f" (in {count} of {runs.size} runs)" if count < runs.size else ""
 
 
 def _span(values: Any) -> str:

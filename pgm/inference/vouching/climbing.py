@@ -81,12 +81,14 @@ class Sought(ByRun):
         A start is done where it settled, or stopped so far below the best mode, in nats, that what
         it gained of late would not bring it near.
     starts, settled: How many starts there were, and how many settled.
+    otherwise: How many of the starts were by another rule.
     """
 
     log_evidence: Array
     agreed: Mask
     starts: Integers
     settled: Integers
+    otherwise: Integers
 
     @property
     def modes(self) -> Integers:
@@ -104,6 +106,7 @@ class Answer(ByRun):
     sound: Whether enough draws count, and the tail of their weights allows estimates.
     usable: Whether the tail has a mean at least, so that estimates may serve if none is sound.
     recombined: Whether it is by trajectories recombined from draws of each step.
+    otherwise: Whether its modes are by another rule.
     """
 
     log_evidence: Array
@@ -115,13 +118,14 @@ class Answer(ByRun):
     effective: Array
     pareto_k: Array
     recombined: Mask
+    otherwise: Mask
 
     @classmethod
     def nothing(cls, laws: Laws) -> Answer:
         """The laws, of which no draws say anything."""
         runs = laws.weights.shape[1]
         none, unknown, no = np.zeros(runs, np.intp), np.full(runs, np.nan), np.full(runs, False)
-        return cls(laws, unknown, unknown, none, no, no, none, np.zeros(runs), unknown, no)
+        return cls(laws, unknown, unknown, none, no, no, none, np.zeros(runs), unknown, no, no)
 
     @property
     def rank(self) -> Array:
@@ -212,6 +216,7 @@ def _sought(search: Search, paths: Paths, asked: Integers) -> Sought:
         (unseen <= UNSEEN) & enough,
         starts,
         settled.sum(axis=0),
+        np.zeros_like(starts),
     )
 
 
@@ -278,10 +283,14 @@ def _otherwise(
     found = part.chosen([*part.unled(), *part.arrived(HALF)], MODES)
     other = weigh(part, part.laws(found), effort, rng).some(places)
     count = np.reshape(found.status.modes, -1)[places]
-    starts, settled = sought.starts.copy(), sought.settled.copy()
+    starts, settled, others = (
+        each.copy() for each in (sought.starts, sought.settled, sought.otherwise)
+    )
     starts[left] += HALF + 1
+    others[left] += HALF + 1
     settled[left] += np.reshape(found.status.arrived, -1)[places]
-    sought = replace(sought, starts=starts, settled=settled)
+    sought = replace(sought, starts=starts, settled=settled, otherwise=others)
+    other = replace(other, otherwise=np.full(left.size, True))
     preferred = (other.rank > answer.rank[left]) & (count >= sought.modes[left])
     return sought, _with(answer, left, other, preferred)
 
@@ -323,7 +332,8 @@ def _of_recombined(found: Recombined) -> Answer:
     sound = usable & (found.pareto_k < HEAVY)
     of = np.where(sound & (found.within < HALF_WITHIN), 2, 0)
     draws = np.full(of.shape, sum(PASSES))
-    rest = draws, found.effective, found.pareto_k, np.full(of.shape, True)
+    known = np.full(of.shape, True)
+    rest = draws, found.effective, found.pareto_k, known, ~known
     return Answer(found.laws, found.log_evidence, found.within, of, sound, usable, *rest)
 
 
@@ -420,7 +430,8 @@ def _answer(judged: Judged, pool: Pool) -> Answer:
     of = np.where(density, 1, np.where(moments, 2, 0))
     within = np.where(density, judged.density, judged.moments)
     count = np.full(of.shape, pool.count)
-    rest = judged.effective, judged.pareto_k, np.full(of.shape, False)
+    no = np.full(of.shape, False)
+    rest = judged.effective, judged.pareto_k, no, no
     laws = judged.laws
     lost = np.flatnonzero(~usable)
     if lost.size:  # estimates of no use leave the modes as they are

@@ -80,6 +80,19 @@ def test_another_rule_that_loses_a_mode_is_not_believed(monkeypatch):
     assert found[P.at(STEPS)].weights.min() > 0.1
 
 
+def test_the_verdict_names_the_other_rule_where_its_modes_were_chosen():
+    """Of a mirror drive whose draws do not vouch for the modes of slopes."""
+    found = pgm.estimate(MIRROR, drive(0))
+    verdict = found.verdict
+    assert verdict.tried_otherwise == 9
+    assert verdict.starts == 33 + 9
+    assert verdict.otherwise
+    told = " ".join(repr(verdict).split())
+    assert "9 of the starts by a rule that takes means" in told
+    assert "2 Gaussians, by the rule that takes means, with moments" in told
+    assert "42 iterated answers in two batches" in told
+
+
 @pytest.mark.slow
 def test_all_of_forty_mirror_drives():
     off, vouched = judged_drives(range(40))
