@@ -73,9 +73,10 @@ def estimate(
 
     The result says in ``posterior.verdict`` whether it is vouched for, within how much, and what it
     took; so does ``print(posterior)``. Nothing is vouched for if starts do not agree on the modes,
-    too few draws count, or their weights have a heavy tail: then it is the answer that was got, not
-    wrong for certain. Exact beliefs, of tables and of linear Gaussian models, are found as by
-    `smooth` and `infer`, and are vouched for.
+    settle at several points none of which the measurements fit, too few draws count, or their
+    weights have a heavy tail: then it is the answer that was got, not wrong for certain. Exact
+    beliefs, of tables and of linear Gaussian models, are found as by `smooth` and `infer`, and are
+    vouched for.
 
     It is of whole records. In a robot's loop `OnlineFilter` does not choose; there is no
     ``online=``.
@@ -229,7 +230,8 @@ def _outcome(search: Search, sought: Sought, answer: Answer) -> ModesOutcome:
 
 def _verdict(lead: tuple[int, ...], sought: Sought, answer: Answer) -> Verdict:
     """The verdict on the answers of all runs."""
-    vouched = sought.agreed & (answer.of > 0)
+    unlikely = answer.unlikely & sought.several
+    vouched = sought.agreed & (answer.of > 0) & ~unlikely
     return Verdict(
         lead,
         vouched=vouched,
@@ -245,4 +247,5 @@ def _verdict(lead: tuple[int, ...], sought: Sought, answer: Answer) -> Verdict:
         recombined=answer.recombined,
         tried_otherwise=sought.otherwise,
         otherwise=answer.otherwise,
+        unlikely=unlikely,
     )

@@ -52,6 +52,10 @@ class Verdict(Shown, Immutable, NoArray):
         belief, not their slopes: it is tried where draws do not vouch for the modes.
     otherwise : ndarray of bool
         Whether the answer has the modes of that rule.
+    unlikely : ndarray of bool
+        Whether starts settled at several points, however little their mass, and the measurements
+        fit none of these: all noises together are larger than the model has them once in a million.
+        There may be another mode, with nearly all of the mass; or the model is wrong.
     reason : str
         Why no draws were weighed; empty where they were.
 
@@ -76,6 +80,7 @@ class Verdict(Shown, Immutable, NoArray):
     recombined: Mask
     tried_otherwise: Integers
     otherwise: Mask
+    unlikely: Mask
     reason: str
 
     def __init__(self, lead: tuple[int, ...], reason: str = "", **found: Any) -> None:
@@ -108,6 +113,7 @@ class Verdict(Shown, Immutable, NoArray):
             agreed=np.full(lead, vouched),
             recombined=np.full(lead, False),
             otherwise=np.full(lead, False),
+            unlikely=np.full(lead, False),
             **none,
             **figures,
         )
@@ -136,6 +142,7 @@ class Verdict(Shown, Immutable, NoArray):
         reasons = []
         for name, mask in (
             ("starts do not agree on the modes", ~self.agreed),
+            ("measurements fit none of the modes", self.unlikely),
             ("too few draws count", ~(self.effective > ENOUGH)),
             ("the weights of draws have a heavy tail", ~(self.pareto_k < HEAVY)),
             ("the bound is too wide", np.ones_like(left)),

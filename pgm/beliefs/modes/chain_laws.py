@@ -17,7 +17,7 @@ from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
 from pgm.beliefs.moments.passes.backward import Beliefs, Reverse
 from pgm.beliefs.moments.passes.joints import joint_moments
 from pgm.beliefs.moments.steps.plan import ChainPlan
-from pgm.beliefs.moments.trajectories.density import has_exact
+from pgm.beliefs.moments.trajectories.density import Peak, has_exact
 from pgm.beliefs.moments.trajectories.law import ChainLaw
 from pgm.beliefs.moments.trajectories.model import ChainModel, Proposing, Weighed
 from pgm.beliefs.moments.trajectories.proposal import Path
@@ -65,6 +65,11 @@ class Trajectories:
         """The densities of the chain if all components have noise; see `Target`."""
         every = self.law.prior + self.law.transition
         return self._model if all(term.free().all() for _, term in every) else None
+
+    @property
+    def peak(self) -> Peak:
+        """The peak of the density."""
+        return self._model.peak
 
     def path(self, laws: Laws, k: int) -> Path:
         """The law of a mode, as it is drawn from."""

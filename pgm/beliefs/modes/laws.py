@@ -13,6 +13,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from pgm.beliefs.moments.trajectories.density import Peak
 from pgm.beliefs.moments.trajectories.model import ChainModel, Proposing, Weighed
 from pgm.beliefs.moments.trajectories.proposal import Path
 from pgm.errors import NumericalError
@@ -106,6 +107,11 @@ class Target(Protocol):
     @property
     def chain(self) -> ChainModel | None:
         """The densities of a chain whose components all have noise; None of any other model."""
+        ...
+
+    @property
+    def peak(self) -> Peak | None:
+        """The peak of the density; None where it does not tell whether measurements fit."""
         ...
 
     def draw(self, source: Proposing, shape: tuple[int, int]) -> Weighed:

@@ -23,7 +23,7 @@ from pgm.beliefs.modes.network_density import NetworkDensity
 from pgm.beliefs.modes.outcome import Found, NetworkModes
 from pgm.beliefs.modes.points import white_points
 from pgm.beliefs.modes.search import Search
-from pgm.beliefs.moments.trajectories.density import has_exact
+from pgm.beliefs.moments.trajectories.density import Peak, has_exact
 from pgm.beliefs.moments.trajectories.model import Proposing, Weighed
 from pgm.beliefs.moments.trajectories.proposal import Path, Proposal
 from pgm.clustergraph import ClusterGraph
@@ -194,7 +194,7 @@ class NetworkSearch(Search):
         density = self._density(near=False)
         places = np.flatnonzero(density.unturned(means[0]))
         turning = density.turning(places, means[..., places], stds[..., places])
-        return AllVariables(self.model, turning)
+        return AllVariables(self.model, turning, isinstance(self.graph.network, BayesianNetwork))
 
     def _density(self, *, near: bool) -> NetworkDensity:
         density = NetworkDensity.make(self.model, relative=False, near=near, level=self.level)
@@ -285,17 +285,22 @@ class AllVariables:
     before = 0
     chain = None
 
-    def __init__(self, model: Model, density: NetworkDensity) -> None:
+    def __init__(self, model: Model, density: NetworkDensity, directed: bool) -> None:
         every = zip(model.layout.groups, model.families, strict=True)
         if has_exact(family for group, family in every if group.observed):
             raise without_density()
-        self._density = density
+        self._density, self._directed = density, directed
         self._free = density.free((model.runs, model.layout.size))
         self.states: Index = slice(None)
         self.turned = np.zeros(model.layout.size, dtype=bool)
         self.angles = angle_mask(model.layout.hidden)
         places = model.layout.places.values()
         self.scopes = [Scoped(each, each, 0) for each in places]
+
+    @property
+    def peak(self) -> Peak | None:
+        """The peak of the density; None of a Markov network, whose measurements are of no law."""
+        return self._density.peak if self._directed else None
 
     def path(self, laws: Laws, k: int) -> Path:
         """The law of a mode, as it is drawn from."""

@@ -20,7 +20,7 @@ import numpy as np
 
 from pgm.beliefs.gaussian.model import Model
 from pgm.beliefs.modes.turns import Turns
-from pgm.beliefs.moments.trajectories.density import Afresh, Term
+from pgm.beliefs.moments.trajectories.density import Afresh, Peak, Term
 from pgm.beliefs.moments.trajectories.proposal import Proposal
 from pgm.factors.scope import angle_mask
 from pgm.kernels.arrays import Array, Integers, Mask
@@ -121,6 +121,15 @@ class NetworkDensity:
     def turning(self, places: Integers, centres: Array, widths: Array) -> NetworkDensity:
         """The density of one turn of angles at `places` (m,), as `Turns` has them."""
         return replace(self, turns=Turns(places, centres, widths) if places.size else None)
+
+    @property
+    def peak(self) -> Peak:
+        """The peak of the density."""
+        every = zip(self.model.layout.groups, self.terms, strict=True)
+        found = Peak.of(
+            self.model.runs, [term.peak(slice(0, len(group.cpds))) for group, term in every]
+        )
+        return found._replace(log_density=found.log_density + self.level)
 
     def free(self, shape: tuple[int, int]) -> Mask:
         """The mask of free components, (1, runs, n); `shape` is (runs, n)."""

@@ -82,6 +82,7 @@ class Sought(ByRun):
         it gained of late would not bring it near.
     starts, settled: How many starts there were, and how many settled.
     otherwise: How many of the starts were by another rule.
+    several: Whether they settled at several points, however little their mass.
     """
 
     log_evidence: Array
@@ -89,6 +90,7 @@ class Sought(ByRun):
     starts: Integers
     settled: Integers
     otherwise: Integers
+    several: Mask
 
     @property
     def modes(self) -> Integers:
@@ -107,6 +109,7 @@ class Answer(ByRun):
     usable: Whether the tail has a mean at least, so that estimates may serve if none is sound.
     recombined: Whether it is by trajectories recombined from draws of each step.
     otherwise: Whether its modes are by another rule.
+    unlikely: Whether noises are larger, by the draws, than they are once in a million.
     """
 
     log_evidence: Array
@@ -119,13 +122,15 @@ class Answer(ByRun):
     pareto_k: Array
     recombined: Mask
     otherwise: Mask
+    unlikely: Mask
 
     @classmethod
     def nothing(cls, laws: Laws) -> Answer:
         """The laws, of which no draws say anything."""
         runs = laws.weights.shape[1]
         none, unknown, no = np.zeros(runs, np.intp), np.full(runs, np.nan), np.full(runs, False)
-        return cls(laws, unknown, unknown, none, no, no, none, np.zeros(runs), unknown, no, no)
+        figures = np.zeros(runs), unknown, no, no, no
+        return cls(laws, unknown, unknown, none, no, no, none, *figures)
 
     @property
     def rank(self) -> Array:
@@ -217,6 +222,7 @@ def _sought(search: Search, paths: Paths, asked: Integers) -> Sought:
         starts,
         settled.sum(axis=0),
         np.zeros_like(starts),
+        (found.hits > 0).sum(axis=0) > 1,
     )
 
 
@@ -321,6 +327,7 @@ def _recombined(
         other = other.put(part, _of_recombined(found))
     off = apart(search.of(runs).target(other.laws), other.laws, old.laws)
     refuted = other.sound & (off > old.within + other.within)
+    other = replace(other, unlikely=old.unlikely)
     places = np.searchsorted(runs, left)
     preferred = (other.rank > old.rank) | refuted
     return sought, _with(answer, left, other.some(places), preferred[places])
@@ -333,7 +340,7 @@ def _of_recombined(found: Recombined) -> Answer:
     of = np.where(sound & (found.within < HALF_WITHIN), 2, 0)
     draws = np.full(of.shape, sum(PASSES))
     known = np.full(of.shape, True)
-    rest = draws, found.effective, found.pareto_k, known, ~known
+    rest = draws, found.effective, found.pareto_k, known, ~known, ~known
     return Answer(found.laws, found.log_evidence, found.within, of, sound, usable, *rest)
 
 
@@ -431,7 +438,7 @@ def _answer(judged: Judged, pool: Pool) -> Answer:
     within = np.where(density, judged.density, judged.moments)
     count = np.full(of.shape, pool.count)
     no = np.full(of.shape, False)
-    rest = judged.effective, judged.pareto_k, no, no
+    rest = judged.effective, judged.pareto_k, no, no, judged.unlikely
     laws = judged.laws
     lost = np.flatnonzero(~usable)
     if lost.size:  # estimates of no use leave the modes as they are

@@ -39,6 +39,8 @@ from pgm.posteriors.verdict import HEAVY
 CAUTION, FLOOR = 1.5, 0.001
 # The probability with which a bound holds, and the standard errors of it.
 SURE, ERRORS = 0.95, 2.0
+# The probability within which noises are larger than a model says.
+NEVER = 1.0 - 1e-6
 
 
 class Marginal(NamedTuple):
@@ -58,6 +60,7 @@ class Judged(NamedTuple):
     pareto_k: The shape of the tail of their weights.
     log_evidence: ln Ẑ.
     marginals: The moments of each variable under `laws`.
+    unlikely: Whether noises are larger, by the draws, than they are once in a million.
     """
 
     laws: Laws
@@ -67,6 +70,7 @@ class Judged(NamedTuple):
     pareto_k: Array
     log_evidence: Array
     marginals: list[Marginal]
+    unlikely: Mask
 
 
 def judge(pool: Pool, laws: Laws, before: list[Marginal] | None) -> Judged:
@@ -102,7 +106,19 @@ def judge(pool: Pool, laws: Laws, before: list[Marginal] | None) -> Judged:
         pareto_shape(weighed.log_weights),
         weighed.log_evidence,
         marginals,
+        _unlikely(pool, weighed),
     )
+
+
+def _unlikely(pool: Pool, weighed: Weighed) -> Mask:
+    """Whether all noises together are larger than they are once in a million, (runs,)."""
+    peak = pool.target.peak
+    if peak is None:
+        return np.full(weighed.effective.shape, False)
+    some = weighed.weights > 0.0
+    total = np.where(some, weighed.weights * np.where(some, pool.log_target, 0.0), 0.0).sum(axis=1)
+    square = 2.0 * (peak.log_density - total / weighed.weights.sum(axis=1))
+    return np.asarray(square > square_within(NEVER, peak.size))
 
 
 def _density(pool: Pool, weighed: Weighed) -> Array:

@@ -10,8 +10,8 @@ import pgm
 from experiments.nonlinear_measurement import cases, truth
 from pgm.beliefs.modes.chain import ChainSearch
 from pgm.examples import rainy, square, squares, walk, wet, x, y, z
-from pgm.inference.vouching import climbing
-from tests.beliefs.modes.test_modes_of_chains import MIRROR, STEPS, P, divergence, drive
+from pgm.inference.vouching import climbing, judging
+from tests.beliefs.modes.test_modes_of_chains import ASKED, MIRROR, STEPS, P, divergence, drive
 
 # The bound on the mean KL of the pose's moments from exact ones, by sensor [nats].
 MEAN = {"near": 0.006, "far": 0.002, "two_ranges": 0.015, "position": 0.015, "collinear": 0.05}
@@ -245,6 +245,56 @@ def test_control_variates_that_lead_astray_are_not_used():
         found = pgm.estimate(model, {y: [-5.0]}, effort=effort)
         assert found.verdict.vouched
         assert found[x].std[0] == pytest.approx(std, rel=0.1)
+
+
+@pytest.mark.parametrize("rng", [0, 10])
+def test_modes_that_measurements_do_not_fit_are_not_vouched_for(rng):
+    """A place by two heights of a terrain: of its many modes one start in thirty finds the best."""
+    q = pgm.Variable("q", components=("here", "there"))
+    drawn = np.random.default_rng(0)
+    waves, phases = drawn.uniform(0.3, 3.0, 5), drawn.uniform(0, 6, 5)
+
+    def terrain(x):
+        heights = [
+            sum(np.sin(k * at + p) / np.sqrt(k) for k, p in zip(waves, phases, strict=True))
+            for at in (x, x + 0.7)
+        ]
+        return np.concatenate(heights, -1)
+
+    place = drawn.normal(0.0, 3.0, (60, 1))
+    seen = (terrain(place) + drawn.normal(0.0, 0.1, (60, 2)))[2]
+    read = pgm.NonlinearGaussianCPD(q, x, terrain, cov=0.01)
+    model = pgm.BayesianNetwork([pgm.GaussianCPD(x, 0.0, 9.0), read])
+    found = pgm.estimate(model, {q: seen}, rng=rng)
+    right = abs(found[x].mean[0] - place[2, 0]) < 0.2
+    assert right == bool(found.verdict.vouched)
+    assert right != bool(found.verdict.unlikely)
+    assert right or "measurements fit none of the modes" in found.verdict.headline
+
+
+@pytest.mark.parametrize(
+    ("model", "size"), [(squares, 11), (square, 2), (MIRROR, 82)]
+)
+def test_noises_are_as_large_as_the_model_says(model, size, monkeypatch):
+    """Of what is drawn from the model, the square of all noises is χ²."""
+    squared = []
+
+    def spy(pool, weighed):
+        some = weighed.weights > 0.0
+        logs = np.where(some, weighed.weights * np.where(some, pool.log_target, 0.0), 0.0)
+        peak = pool.target.peak
+        assert (peak.size == size).all()
+        squared.append(2.0 * (peak.log_density - logs.sum(1) / weighed.weights.sum(1)))
+        return np.full(peak.size.shape, False)
+
+    monkeypatch.setattr(judging, "_unlikely", spy)
+    if model is square:
+        evidence = {y: square.sample(40, rng=1)[y]}
+    else:
+        asked = {"steps": 5} if model is squares else {"inputs": ASKED}
+        evidence = model.sample(runs=40, rng=1, **asked).evidence
+    pgm.estimate(model, evidence, effort=700)
+    assert squared[0].mean() == pytest.approx(size, abs=4.0 * np.sqrt(2.0 * size / 40))
 
 
 def test_a_posterior_without_density_has_its_answer_and_the_reason():

@@ -62,6 +62,25 @@ class Drawn(NamedTuple):
     lost: Mask
 
 
+class Peak(NamedTuple):
+    """The log-density at residuals of zero, and the number of components that have noise, (runs,).
+
+    Of draws of the posterior, with Gaussian noise, twice as much as their log-density is below is
+    χ² with so many degrees of freedom, if the measurements are of the model.
+    """
+
+    log_density: Array
+    size: Integers
+
+    @classmethod
+    def of(cls, runs: int, parts: Iterable[Peak]) -> Peak:
+        """The peak of a product."""
+        total, size = np.zeros(runs), np.zeros(runs, dtype=np.intp)
+        for part in parts:
+            total, size = total + part.log_density, size + part.size
+        return cls(total, size)
+
+
 @dataclass(frozen=True, eq=False)
 class Term:
     """The density of a CPD at draws of its parents and child.
@@ -241,21 +260,32 @@ class Term:
         reading = moved if self.family.exact else values
         angles = self.family.cpd.child.angle_mask & (not (self.family.exact and self.near))
         residual = self._read(rows, difference(reading[..., None, :], value, angles))
-        if self.family.cpd.noise is not None:
-            log_density = self._robust(self.family.cpd.noise, rows, residual)
-        else:
-            log_density = normal_density.log_density(
-                _at(self.own, rows), self._white(rows, residual)
-            )
+        log_density = self._of_reading(rows, residual)
+        if self.family.cpd.noise is None:
             log_density = self._relative(rows, parents, moved[..., None, :], log_density)
-        if self.taken is not None and not self.relative and self.family.cpd.noise is None:
+        log_density = np.where(lost, np.nan, log_density) if lost.any() else log_density
+        total: Array = log_density.sum(axis=0)
+        return total
+
+    def peak(self, rows: slice) -> Peak:
+        """The peak of the CPD's density in rows; for a sensor's that of its readings."""
+        count = rows.stop - rows.start
+        log_density = self._of_reading(rows, np.zeros((count, 1, 1, self.family.shape[2])))
+        size = (_at(self.free(), rows) & self._entering(rows)).sum(axis=-1)
+        size = np.broadcast_to(size, (count, size.shape[1]))
+        return Peak(log_density[..., 0].sum(axis=0), size.sum(axis=0))
+
+    def _of_reading(self, rows: slice, residual: Array) -> Array:
+        """The log-density (..., S) of residuals (..., S, d) of readings."""
+        if self.family.cpd.noise is not None:
+            return self._robust(self.family.cpd.noise, rows, residual)
+        log_density = normal_density.log_density(_at(self.own, rows), self._white(rows, residual))
+        if self.taken is not None and not self.relative:
             # One of infinite variance has the density (2π)^(−1/2), as beliefs of networks have it.
             proper: Mask = np.isfinite(np.diagonal(self.family.own_noise, axis1=-2, axis2=-1))
             missing = (_at(proper, rows) & ~self.taken[rows]).sum(axis=-1)
             log_density = log_density + 0.5 * LOG_2PI * missing[..., None]
-        log_density = np.where(lost, np.nan, log_density) if lost.any() else log_density
-        total: Array = log_density.sum(axis=0)
-        return total
+        return log_density
 
     def _robust(self, noise: RobustNoise, rows: slice, residual: Array) -> Array:
         """The log-density (..., S) of residuals (..., S, d) under robust noise.
@@ -285,6 +315,10 @@ class Term:
     def _read(self, rows: int | slice, residual: Array) -> Array:
         """The residuals (..., S, d), set to zero in components that do not enter."""
         return residual if self.taken is None else np.where(self._seen(rows), residual, 0.0)
+
+    def _entering(self, rows: int | slice) -> Mask | np.bool_:
+        """The mask of the components that enter in `rows`, (..., d); True if all do."""
+        return np.True_ if self.taken is None else self.taken[rows]
 
     def _seen(self, rows: int | slice) -> Mask | np.bool_:
         """The mask of the components that enter in `rows`, (..., 1, d); True if all do."""

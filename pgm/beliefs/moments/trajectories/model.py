@@ -14,7 +14,7 @@ import numpy as np
 
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.sensor import Sensor
-from pgm.beliefs.moments.trajectories.density import Afresh, Term
+from pgm.beliefs.moments.trajectories.density import Afresh, Peak, Term
 from pgm.beliefs.moments.trajectories.law import ChainLaw
 from pgm.kernels.arrays import Array
 
@@ -110,6 +110,15 @@ class ChainModel:
                 states = slices[..., places]
             total += self._weighed(source, first, values[first:last], strict=strict)
         return Weighed(total, values)
+
+    @property
+    def peak(self) -> Peak:
+        """The peak of the density of all trajectories."""
+        steps = slice(0, self.plan.steps)
+        parts = [term.peak(slice(0, 1)) for _, term in self.law.prior]
+        parts += [term.peak(steps) for _, term in self.law.transition]
+        parts += [term.peak(slice(0, len(sensor.values))) for sensor, term in self.sensors]
+        return Peak.of(self.plan.runs, parts)
 
     def make_children(self, step: int, vector: Array, afresh: Afresh | None) -> None:
         """Make the children of draws at a step in place, in pairs, or states at step 0.
