@@ -272,9 +272,7 @@ def test_modes_that_measurements_do_not_fit_are_not_vouched_for(rng):
     assert right or "measurements fit none of the modes" in found.verdict.headline
 
 
-@pytest.mark.parametrize(
-    ("model", "size"), [(squares, 11), (square, 2), (MIRROR, 82)]
-)
+@pytest.mark.parametrize(("model", "size"), [(squares, 11), (square, 2), (MIRROR, 82)])
 def test_noises_are_as_large_as_the_model_says(model, size, monkeypatch):
     """Of what is drawn from the model, the square of all noises is χ²."""
     squared = []
