@@ -67,7 +67,7 @@ class Device:
 
     @property
     def name(self) -> str:
-        """What the card is called."""
+        """The name of the card."""
         given: bytes = self._asked(self._driver.cuDeviceGetName(256, self._device))
         return given.split(b"\0")[0].decode()
 

@@ -71,7 +71,7 @@ class Child(NamedTuple):
 
     @property
     def numbers(self) -> list[Array | Cells]:
-        """What a call is given; see `_Row`."""
+        """The numbers of a call, in the order of `_Row`."""
         found: list[Array | Cells] = []
         for each in (*self.given, self._placed_white, self.out):
             cells = Cells.of(each.array.swapaxes(0, 1))
