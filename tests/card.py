@@ -6,9 +6,11 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from fake_driver import install
 from ptx import Program
 
 from pgm.kernels.machine.emitter import card as target
+from pgm.kernels.machine.emitter import driver as drivers
 from pgm.kernels.machine.sweeps import card
 from pgm.kernels.machine.sweeps import chain as sweeps
 
@@ -68,3 +70,15 @@ def on_a_card(monkeypatch, loops=None):
 
     monkeypatch.setattr(sweeps, "made", made)
     return launched
+
+
+def with_a(driver, monkeypatch):
+    """Have the machine's card be that of a driver, None for no driver; returns it."""
+    forget()
+    return install(monkeypatch, driver)
+
+
+def forget():
+    """Have the next call look for the machine's card."""
+    drivers.device.cache_clear()
+    card.loaded.cache_clear()

@@ -26,14 +26,34 @@ class Attribute(IntEnum):
     CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MINOR = 76
 
 
+class MemoryType(IntEnum):
+    CU_MEMORYTYPE_HOST = 1
+    CU_MEMORYTYPE_DEVICE = 2
+
+
+class Lying(SimpleNamespace):
+    """Lines of memory that are copied together, of NVIDIA's structure for that."""
+
+    NAMES = "MemoryType", "Host", "Device", "Pitch"
+
+    def __init__(self):
+        names = {end + name: 0 for end in ("src", "dst") for name in self.NAMES}
+        super().__init__(**names, WidthInBytes=0, Height=0)
+
+    def begin(self, end):
+        device = getattr(self, f"{end}MemoryType") == MemoryType.CU_MEMORYTYPE_DEVICE
+        return getattr(self, end + ("Device" if device else "Host")), device
+
+
 class Driver:
     """A driver, and its card: its capability, CUDA's version, and its memory in bytes."""
 
-    CUdevice_attribute = Attribute
+    CUdevice_attribute, CUmemorytype, CUDA_MEMCPY2D = Attribute, MemoryType, Lying
 
     def __init__(self, capability=(8, 0), version=13000, memory=2**30, cards=1):
         self.capability, self.version, self.memory, self.cards = capability, version, memory, cards
         self.contexts, self.taken, self.regions, self.launched = [], {}, [], []
+        self.peak = 0  # the most bytes that were taken
 
     def cuInit(self, flags):
         return (OK if self.cards else NO_DEVICE,)
@@ -75,6 +95,7 @@ class Driver:
         room = np.full(count + 256, 255, np.uint8)  # of which each float is NaN
         place = room.ctypes.data + -room.ctypes.data % 256
         self.taken[place] = room[place - room.ctypes.data :][:count]
+        self.peak = max(self.peak, sum(map(len, self.taken.values())))
         self._renew()
         return OK, place
 
@@ -90,6 +111,16 @@ class Driver:
 
     def cuMemcpyDtoH(self, address, place, count):
         return self._copied(address, place, place, count)
+
+    def cuMemcpy2DUnaligned(self, lying):
+        (source, _), (to, here) = lying.begin("src"), lying.begin("dst")
+        assert min(lying.srcPitch, lying.dstPitch) >= lying.WidthInBytes
+        for _ in range(lying.Height):
+            found = self._copied(to, source, to if here else source, lying.WidthInBytes)
+            if found != (OK,):
+                return found
+            source, to = source + lying.srcPitch, to + lying.dstPitch
+        return (OK,)
 
     def cuModuleLoadData(self, image):
         assert image.endswith(b"\0")

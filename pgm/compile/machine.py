@@ -33,9 +33,10 @@ class Compiled(InCode):
     """Sweeps along a chain in machine code, the runs shared by threads, or on a card.
 
     On a card each run is a thread, in float64. Evidence is copied there with each sweep, and
-    beliefs back. What a card cannot do, and what a sweep leaves, is done as without one: functions
-    that are called back, iterated smoothers' Gauss–Newton steps, mixtures, twice the digits. It has
-    not been run on a card yet: its code is tested by an interpreter, and assembled.
+    beliefs back, in parts of the runs where all do not fit into its memory. What a card cannot do,
+    and what a sweep leaves, is done as without one: functions that are called back, iterated
+    smoothers' Gauss–Newton steps, mixtures, twice the digits. It has not been run on a card yet:
+    its code is tested by an interpreter, and assembled.
 
     Parameters
     ----------
@@ -50,7 +51,7 @@ class Compiled(InCode):
     ModelError
         If `threads` is no whole number from 1 on, or `device` is another one. Calls that are given
         it raise an ImportError without the extra, and an ExecutorError without a card or with too
-        old a driver, or where the card's memory does not suffice.
+        old a driver, or where one run alone does not fit into the card's memory.
 
     Examples
     --------

@@ -3,22 +3,18 @@
 import pytest
 
 from benchmarks import gpu_check
-from pgm.kernels.machine.emitter import driver as drivers
-from pgm.kernels.machine.sweeps import card
-from tests.card import needs_libdevice
+from tests import card
 from tests.fake_driver import Driver, install
 
-needs_libdevice()
+card.needs_libdevice()
 
 
 @pytest.fixture(autouse=True)
-def forget():
+def forgotten():
     """No card of one test is that of another."""
-    for cached in (drivers.device, card.loaded):
-        cached.cache_clear()
+    card.forget()
     yield
-    for cached in (drivers.device, card.loaded):
-        cached.cache_clear()
+    card.forget()
 
 
 @pytest.mark.parametrize(

@@ -2,18 +2,16 @@
 
 import numpy as np
 import pytest
-from card import needs_libdevice
-from fake_driver import Driver, install
+from card import forget, needs_libdevice, with_a
+from fake_driver import Driver
 from numpy.testing import assert_array_equal
 from robots import m, sighted
 from test_compiled import assert_posterior
 from zoo import MODELS, RULES, SIGHT, plain, recording
 
 import pgm
-from pgm.beliefs.moments.compiled.card import spans_of
+from pgm.beliefs.moments.compiled.spans import spans_of
 from pgm.kernels.machine.emitter import card as target
-from pgm.kernels.machine.emitter import driver as drivers
-from pgm.kernels.machine.sweeps import card
 
 needs_libdevice()
 CARD = pgm.Compiled(device="cuda")
@@ -23,16 +21,6 @@ CARD = pgm.Compiled(device="cuda")
 def driver(monkeypatch):
     """A machine with a card."""
     return with_a(Driver(), monkeypatch)
-
-
-def with_a(driver, monkeypatch):
-    forget()
-    return install(monkeypatch, driver)
-
-
-def forget():
-    drivers.device.cache_clear()
-    card.loaded.cache_clear()
 
 
 @pytest.fixture(autouse=True)
@@ -169,7 +157,7 @@ def test_a_card_that_is_too_old(monkeypatch):
 
 def test_memory_that_does_not_suffice(monkeypatch):
     driver = with_a(Driver(memory=2000), monkeypatch)
-    refused(pgm.ExecutorError, "the arrays of 2 runs take .* GiB, and the card has .* GiB .* free")
+    refused(pgm.ExecutorError, "a single run's arrays take .* GiB, and the card has .* GiB .* free")
     assert not driver.taken
     assert not driver.contexts
 

@@ -36,7 +36,9 @@ CALLS = {
     "free": lambda device, _: device.free(),
     "room": lambda device, _: entered(device.room(100)),
     "put": lambda device, here: device.put(256, here, 8),
-    "get": lambda device, here: device.get(here, 256, 8),
+    "get": lambda device, here: device.get(256, here, 8),
+    "put lines": lambda device, here: device.put(256, here, 8, 2, 16, 8),
+    "get lines": lambda device, here: device.get(256, here, 8, 2, 16, 8),
     "kernel": lambda device, _: device.kernel(".version 6.3", "sweep"),
     "launch": lambda device, _: device.launch(
         bindings.CUfunction(0), 1000, (256, 0, 1000), (ADDRESS, WHOLE, WHOLE)

@@ -17,7 +17,15 @@ from pgm.kernels.machine.emitter.kinds import Kind, symbol
 # The oldest CUDA of a driver, by its number for it, that knows the PTX that is printed.
 _OLDEST = 12000
 # Threads of a block. Each may have 255 registers, of which a block has 65,536.
-_THREADS = 128
+THREADS = 128
+# CUDA's number for memory that does not suffice.
+_NO_MEMORY = 2
+# The longest distance in bytes between lines that are copied together.
+_PITCH = 2**31 - 1
+
+
+class OutOfMemory(OSError):
+    """The card's memory does not suffice."""
 
 
 class Device:
@@ -85,13 +93,34 @@ class Device:
         finally:
             self._asked(self._driver.cuMemFree(place))
 
-    def put(self, place: int, address: int, count: int) -> None:
-        """Copy bytes from an address of this machine's memory to one of the card's."""
-        self._asked(self._driver.cuMemcpyHtoD(place, address, count))
+    def put(
+        self, place: int, address: int, count: int, lines: int = 1, here: int = 0, there: int = 0
+    ) -> None:
+        """Copy bytes from an address of this machine's memory to one of the card's.
 
-    def get(self, address: int, place: int, count: int) -> None:
-        """Copy bytes from an address of the card's memory to one of this machine's."""
-        self._asked(self._driver.cuMemcpyDtoH(address, place, count))
+        They are so many of each of some lines, whose distances are those `here`, and on the card.
+        """
+        if lines > 1 and max(here, there) <= _PITCH:
+            lying = self._driver.CUDA_MEMCPY2D()
+            self._here(lying, "src", address, here)
+            self._there(lying, "dst", place, there)
+            self._copy(lying, count, lines)
+            return
+        for k in range(lines):
+            self._asked(self._driver.cuMemcpyHtoD(place + k * there, address + k * here, count))
+
+    def get(
+        self, place: int, address: int, count: int, lines: int = 1, here: int = 0, there: int = 0
+    ) -> None:
+        """Copy bytes from an address of the card's memory to one of this machine's; see `put`."""
+        if lines > 1 and max(here, there) <= _PITCH:
+            lying = self._driver.CUDA_MEMCPY2D()
+            self._there(lying, "src", place, there)
+            self._here(lying, "dst", address, here)
+            self._copy(lying, count, lines)
+            return
+        for k in range(lines):
+            self._asked(self._driver.cuMemcpyDtoH(address + k * here, place + k * there, count))
 
     def kernel(self, text: str, name: str) -> Any:
         """A kernel of a module of PTX, which the driver compiles; it lasts as the context does."""
@@ -100,10 +129,26 @@ class Device:
 
     def launch(self, kernel: Any, count: int, given: Sequence[int], kinds: Sequence[Kind]) -> None:
         """Run a kernel in so many threads, or some more, and wait until all of them have ended."""
-        blocks, driver = -(-count // _THREADS), self._driver
+        blocks, driver = -(-count // THREADS), self._driver
         arguments = tuple(given), tuple(kind.in_c for kind in kinds)
-        self._asked(driver.cuLaunchKernel(kernel, blocks, 1, 1, _THREADS, 1, 1, 0, 0, arguments, 0))
+        self._asked(driver.cuLaunchKernel(kernel, blocks, 1, 1, THREADS, 1, 1, 0, 0, arguments, 0))
         self._asked(driver.cuCtxSynchronize())
+
+    def _here(self, lying: Any, end: str, address: int, distance: int) -> None:
+        """Tell of lines of this machine's memory, at the ``"src"`` of a copy or its ``"dst"``."""
+        setattr(lying, f"{end}MemoryType", self._driver.CUmemorytype.CU_MEMORYTYPE_HOST)
+        setattr(lying, f"{end}Host", address)
+        setattr(lying, f"{end}Pitch", distance)
+
+    def _there(self, lying: Any, end: str, place: int, distance: int) -> None:
+        """Tell of lines of the card's memory."""
+        setattr(lying, f"{end}MemoryType", self._driver.CUmemorytype.CU_MEMORYTYPE_DEVICE)
+        setattr(lying, f"{end}Device", place)
+        setattr(lying, f"{end}Pitch", distance)
+
+    def _copy(self, lying: Any, count: int, lines: int) -> None:
+        lying.WidthInBytes, lying.Height = count, lines
+        self._asked(self._driver.cuMemcpy2DUnaligned(lying))
 
     def _told(self, attribute: Any) -> int:
         found: int = self._asked(self._driver.cuDeviceGetAttribute(attribute, self._device))
@@ -113,7 +158,8 @@ class Device:
         """The answer of the driver, one or several; its errors are raised."""
         error, *answer = found
         if int(error):
-            raise OSError(f"the card's driver has failed: {self._name(error)}")
+            kind = OutOfMemory if int(error) == _NO_MEMORY else OSError
+            raise kind(f"the card's driver has failed: {self._name(error)}")
         return answer[0] if len(answer) == 1 else answer
 
     def _name(self, error: Any) -> str:
