@@ -32,7 +32,6 @@ def assert_same(model, evidence, told="compiled", **options):
 
 @crossed(("name", "rule", "damping"), NAMES, ["taylor", "unscented"], list(DAMPING))
 def test_models_of_all_kinds(name, rule, damping):
-    """One of them has a start so sure that points have no root: it is left to NumPy."""
     assert name in MODELS
     model, evidence = model_of(name, WHICH), of_run(recording(name), WHICH)
     options = {"iterations": 12, "lineariser": RULES[rule], "damping": DAMPING[damping]}

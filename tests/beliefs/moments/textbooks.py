@@ -29,10 +29,17 @@ def taylor(function, mean, cov, jacobian, angles):
     return function(mean), slope @ cov @ slope.T, cov @ slope.T
 
 
+def root(cov):
+    """Its lower triangular root, where components may be known: they have no variance."""
+    lower, some = np.zeros_like(cov), np.ix_(*2 * [np.flatnonzero(cov.diagonal())])
+    lower[some] = np.linalg.cholesky(cov[some])
+    return lower
+
+
 def unscented(function, mean, cov, jacobian, angles):
     """The same from 2n + 1 points with λ = n − 1, κ = 0, β = 2, hence α² = (2n − 1)/n."""
     n = mean.size
-    arms = np.sqrt(2 * n - 1) * np.linalg.cholesky(cov).T
+    arms = np.sqrt(2 * n - 1) * root(cov).T
     points = mean + np.vstack([np.zeros(n), arms, -arms])
     weights = np.full(2 * n + 1, 0.5 / (2 * n - 1))
     weights[0] = (n - 1) / (2 * n - 1)

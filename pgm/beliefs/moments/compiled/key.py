@@ -9,6 +9,7 @@ import numpy as np
 from pgm.beliefs.moments.compiled.functions import points_of
 from pgm.beliefs.moments.compiled.gates import has_missing, probability_of
 from pgm.beliefs.moments.compiled.robust_noise import lone
+from pgm.beliefs.moments.compiled.rows import known_at_start
 from pgm.beliefs.moments.compiled.sensors import single
 from pgm.beliefs.moments.steps import gate as gates
 from pgm.beliefs.moments.steps.open_sensor import OpenSensor
@@ -44,7 +45,7 @@ def decisive(
         )
         for sensor in plan.read
     ]
-    return (*rows, stored, keep)
+    return (*rows, stored, keep, tuple(known_at_start(plan).tolist()))
 
 
 def _function(family: Family, *, stored: bool, keep: bool) -> Hashable:

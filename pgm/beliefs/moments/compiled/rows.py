@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from operator import attrgetter
 from typing import Any
 
@@ -12,7 +13,7 @@ from pgm.beliefs.moments.compiled.linearising import linearising_of
 from pgm.beliefs.moments.compiled.table import Table
 from pgm.beliefs.moments.compiled.uncompiled import Uncompiled
 from pgm.beliefs.moments.steps.plan import ChainPlan, Link
-from pgm.kernels.arrays import Index
+from pgm.kernels.arrays import Index, Mask
 from pgm.kernels.machine.sweeps import told
 from pgm.linearisation.family import Family
 
@@ -25,10 +26,12 @@ def row_of(
     stored: bool,
     keep: bool,
     held: int = 1,
+    known: tuple[int, ...] = (),
 ) -> dict[str, Any]:
     """The attributes of a CPD's `told.Row`, of whatever kind it is.
 
-    Where its function is called, up to `held` rows of a step are linearised together.
+    Where its function is called, up to `held` rows of a step are linearised together. `known` are
+    the parents' components that may have no variance.
     """
 
     def array(name: str) -> told.Array:
@@ -47,7 +50,7 @@ def row_of(
         return found
     found["noise"] = array("own_noise")
     curve = linearising_of(family, table, held)
-    found |= curve
+    found |= with_known(curve, known)
     if keep:
         found["matrix"], found["offset"] = array("matrix"), array("offset")
         called, rule = curve.get("called"), curve.get("points")
@@ -63,14 +66,18 @@ def motion_of(
 ) -> told.Motion:
     """A CPD of the transition."""
     layout, family = plan.layout, link.family
-    size = layout.state_size + layout.slice_size
+    front = layout.state_size
+    size = front + layout.slice_size
     turning: tuple[tuple[int, int, int], ...] = ()
     if link.turning and not stored:
         own = places(link.parents, size)
         if any(before not in own for before in link.before.tolist()):
             raise Uncompiled(f"{family.cpd!r} turns an angle of which its function does not know")
         turning = tuple((new, before, own.index(before)) for new, before in link.turning)
-    row = row_of(family, places(link.parents, size), table, stored=stored, keep=keep)
+    parents = places(link.parents, size)
+    start = np.append(known_at_start(plan)[layout.state_places], np.zeros(size - front, dtype=bool))
+    known = tuple(np.flatnonzero(start[list(parents)]).tolist())
+    row = row_of(family, parents, table, stored=stored, keep=keep, known=known)
     if not stored:
         row["angles"] = tuple(np.flatnonzero(family.turned).tolist())
     return told.Motion(
@@ -79,6 +86,31 @@ def motion_of(
         unsure=not family.semidefinite,
         turning=turning,
     )
+
+
+def known_at_start(plan: ChainPlan) -> Mask:
+    """The components of a slice that may have no variance in the belief to begin with, (n,).
+
+    Those of states whose prior has no noise of their own, or that are known at the belief that
+    takes the prior's place.
+    """
+    layout = plan.layout
+    if plan.begin is not None:
+        variances = np.einsum("ii...->i...", plan.begin[1]).reshape(layout.slice_size, -1)
+        found: Mask = (variances == 0.0).any(axis=1)
+        return found
+    found, states = np.zeros(layout.slice_size, dtype=bool), np.arange(layout.slice_size)
+    for link in plan.prior:
+        own = states[layout.state_places][link.child]
+        found[own[list(link.family.bare)]] = True
+    return found
+
+
+def with_known(curve: dict[str, Any], known: tuple[int, ...]) -> dict[str, Any]:
+    """A linearisation's attributes, with the components that may have no variance."""
+    if not known or curve.get("points") is None:
+        return curve
+    return curve | {"points": replace(curve["points"], known=known)}
 
 
 def needed(

@@ -11,7 +11,7 @@ from pgm.beliefs.moments.compiled.gates import gate_told, has_missing, probabili
 from pgm.beliefs.moments.compiled.groups import Group, Stored
 from pgm.beliefs.moments.compiled.linearising import joint_linearising_of
 from pgm.beliefs.moments.compiled.robust_noise import robust_noise_of
-from pgm.beliefs.moments.compiled.rows import places, row_of
+from pgm.beliefs.moments.compiled.rows import known_at_start, places, row_of, with_known
 from pgm.beliefs.moments.compiled.table import Integers64, Table
 from pgm.beliefs.moments.steps import gate as gates
 from pgm.beliefs.moments.steps.open_sensor import OpenSensor
@@ -47,7 +47,15 @@ def sensor_of(
     if isinstance(sensor, OpenSensor):
         held = sensor.form[0]  # the candidates of one sighting
     return told.Sensor(
-        **row_of(family, places(sensor.parents, size), table, stored=stored, keep=keep, held=held),
+        **row_of(
+            family,
+            places(sensor.parents, size),
+            table,
+            stored=stored,
+            keep=keep,
+            held=held,
+            known=_known(plan, sensor),
+        ),
         readings=table.of(sensor, attrgetter(readings)),
         moved=table.of(sensor, attrgetter("moved")) if kept else None,
         missing=missing,
@@ -94,7 +102,7 @@ def vector_of(
         found = {name: array(f"known.{name}") for name in Stored._fields}
     else:
         own = np.flatnonzero(sensor.variable.angle_mask).tolist()
-        found = joint_linearising_of(group, table)
+        found = with_known(joint_linearising_of(group, table), _known(plan, sensor))
         found["angles"] = tuple(k * sensor.height + i for k in range(group.most) for i in own)
         found["noise"], found["readings"] = array("own_noise"), array("readings")
         if keep:
@@ -108,6 +116,11 @@ def vector_of(
         bounds=None if whole else table.at_of(group, attrgetter("edges")),
         **found,
     )
+
+
+def _known(plan: ChainPlan, sensor: Sensor) -> tuple[int, ...]:
+    """The components of a sensor's parents that may have no variance at the first step."""
+    return tuple(np.flatnonzero(known_at_start(plan)[sensor.parents]).tolist())
 
 
 def single(edges: Integers64) -> bool:

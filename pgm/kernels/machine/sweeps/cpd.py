@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from functools import reduce
 from math import pi
@@ -151,11 +151,16 @@ def _regressed(
 ) -> Line:
     rule, m = row.points, w.matrices
     assert rule is not None
-    root = cov.root()
+    fixed = {j: cov[j, j] == 0.0 for j in rule.known}
+    root = (cov.independent(w.varies(cov)) if fixed else cov).root()
     # The mean comes first: of angles, its value is the one about which the others are.
     extra = 0 if rule.centred or not row.angles else 1
     centre = ((0.0,) * mean.shape[0],) * extra
     moves = m.constant((*centre, *rule.points)) @ root.matrix.T
+    if fixed:
+        columns = {j: m.beside(moves.part(range(moves.shape[0]), (j,))) for j in fixed}
+        still = {j: [where(fixed[j], 0.0, x) for x in each] for j, each in columns.items()}
+        moves = m.with_columns(moves, still)
     points = m.shifted(moves, mean)
     if row.called is not None:
         values = values_at(w, row.called, rows, points)
@@ -171,6 +176,8 @@ def _regressed(
     if row.angles:
         off = _about(w, row, rows, mean, cov, moves, off)
     found = step.regress(root, _constant(w, rule), off)
+    if fixed:
+        found = found._replace(matrix=_tangential(w, row, rows, mean, cov, found.matrix, fixed))
     error = _told_from_rounding(w, row, mean, reference, off, found)
     return Line(found.matrix, reference + found.value, noise, error, root.share > REGULAR)
 
@@ -201,11 +208,7 @@ def _about(
         return off
     wrapped = {i: [held(w.code, x) for x in columns[i]] for i in row.angles}
     with w.code.when(w.code.some(some)):
-        if row.called is not None:
-            slope = tangent(w, row, rows, mean, cov, alone=True)
-        else:
-            assert row.function is not None
-            slope = m.slope(row.function, mean, inputs(w, row, rows.at))[1]
+        slope = _slope(w, row, rows, mean, cov)
         for i in row.angles:
             lines = m.beside(moves @ slope.part((i,), range(mean.shape[0])).T)
             for variable, x, line in zip(wrapped[i], columns[i], lines, strict=True):
@@ -213,6 +216,39 @@ def _about(
                 turned = rest - step.turns(rest) + line
                 variable.set(where(far[i], turned, x))
     return m.with_columns(off, {i: [x.get() for x in wrapped[i]] for i in row.angles})
+
+
+def _slope(w: Writer, row: Row, rows: Rows, mean: AnyMatrix, cov: AnyMatrix) -> AnyMatrix:
+    """The derivative of a CPD's function at a mean, of the row at hand."""
+    if row.called is not None:
+        return tangent(w, row, rows, mean, cov, alone=True)
+    assert row.function is not None
+    slope: AnyMatrix = w.matrices.slope(row.function, mean, inputs(w, row, rows.at))[1]
+    return slope
+
+
+def _tangential(
+    w: Writer,
+    row: Row,
+    rows: Rows,
+    mean: AnyMatrix,
+    cov: AnyMatrix,
+    matrix: AnyMatrix,
+    fixed: Mapping[int, Number],
+) -> AnyMatrix:
+    """The slope of a line, in components that are `fixed` that of the tangent: its limit there."""
+    m, every = w.matrices, range(row.height)
+
+    def numbers(of: AnyMatrix, j: int) -> list[Number]:
+        return m.beside(of.part(every, (j,)))
+
+    columns = {j: [held(w.code, x) for x in numbers(matrix, j)] for j in fixed}
+    with w.code.when(w.code.some(reduce(or_, fixed.values()))):
+        slope = _slope(w, row, rows, mean, cov)
+        for j, truth in fixed.items():
+            for variable, x in zip(columns[j], numbers(slope, j), strict=True):
+                variable.set(where(truth, x, variable.get()))
+    return m.with_columns(matrix, {j: [x.get() for x in each] for j, each in columns.items()})
 
 
 def _told_from_rounding(

@@ -154,9 +154,13 @@ class Writer:
 
     def open_share(self, cov: AnyMatrix) -> Number:
         """The least share of a variance that is left open; see `step.open_share`."""
-        varies = [variance != 0.0 for variance in self.matrices.diagonal(cov)]
-        found: Number = step.open_share(cov, self.matrices.truths(varies, cov.shape[0]))
+        found: Number = step.open_share(cov, self.varies(cov))
         return found
+
+    def varies(self, cov: AnyMatrix) -> Any:
+        """Truths about a belief's components: whether they have a variance."""
+        numbers = [variance != 0.0 for variance in self.matrices.diagonal(cov)]
+        return self.matrices.truths(numbers, cov.shape[0])
 
     @property
     def true(self) -> Number:

@@ -16,7 +16,8 @@ class Points:
 
     `mean` (1, N), `slope` (n, N), `rest` (K, N) and `signs` (K,), empty for ones, are as of
     `step.Rule`. `centred` says that the first point is the origin; `rounding` is that of a value
-    beside its summands, and `variances` (d,) are the least of the CPD's own noise.
+    beside its summands, and `variances` (d,) are the least of the CPD's own noise. `known` are the
+    components of x that may have no variance; the points lie alike on both sides of each.
     """
 
     points: Rows
@@ -27,6 +28,7 @@ class Points:
     centred: bool
     rounding: float
     variances: tuple[float, ...]
+    known: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
