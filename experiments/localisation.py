@@ -179,21 +179,17 @@ def sweep(
 
 
 def linear_check(seed: int, runs: int = 200, steps: int = 50) -> dict[str, Any]:
-    """Is a right model right? NEES of a linear model's runs, at its last step and halfway."""
-    model = networks.linear()
+    """Is a right model right? NEES of a linear model's runs halfway, and RMSE over all steps."""
     controls = np.tile([0.5, 0.2], (steps, 1))
-    sample = model.sample({networks.shift: controls}, runs=runs, rng=seed)
-    posterior = pgm.smooth(model, sample.evidence)
-    truth = sample[networks.point]
-    beliefs = {"filter": posterior.filtered[networks.point], "smoother": posterior[networks.point]}
+    methods = {"filter": pgm.Filtering(), "smoother": pgm.Smoothing()}
+    shifts = {networks.shift: controls}
+    found = pgm.study(networks.linear(), shifts, runs=runs, methods=methods, seed=seed)
     return {
         "runs": runs,
         "steps": steps,
-        "nees": {
-            k: float(consistency.nees(b, truth)[:, steps // 2].mean()) for k, b in beliefs.items()
-        },
+        "nees": {name: float(found[name].nees.by_step[steps // 2]) for name in methods},
         "band": consistency.mean_band(2, runs),
-        "rmse": {k: consistency.rmse(b, truth) for k, b in beliefs.items()},
+        "rmse": {name: float(np.hypot(*found[name].rmse.value)) for name in methods},
     }
 
 
