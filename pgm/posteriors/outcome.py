@@ -205,6 +205,10 @@ class Outcome(Shown, ABC, Generic[B]):
         """Why the beliefs are probably wrong, for a warning; empty if nothing says so at once."""
         return ""
 
+    def _misfit(self) -> str:
+        """Why no linearisation can be right, for a warning; empty if nothing says so at once."""
+        return ""
+
 
 def marginal(beliefs: Any, variable: Variable) -> Any:
     """The marginal of a variable in a form with moments, if a family's own form may have none.

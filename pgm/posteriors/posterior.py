@@ -754,6 +754,9 @@ class Posterior(Labelled, Judged, Shown, NoArray, Generic[B]):
     def _doubt(self) -> str:
         return self._outcome._doubt()
 
+    def _misfit(self) -> str:
+        return self._outcome._misfit()
+
     @property
     def _title(self) -> str:
         return self._outcome._title
