@@ -58,7 +58,7 @@ class Linearised(NamedTuple):
             width = width * self.taken.any(axis=-1, keepdims=True)
         mean = width.mean(axis=0)
         relative = width / np.where(mean > 0.0, mean, 1.0)
-        order = np.argsort(-relative.max(axis=(1, 2)), kind="stable")
+        order = np.argsort(-relative.max(axis=(1, 2), initial=0.0), kind="stable")
         return np.sort(order[:most])
 
 
