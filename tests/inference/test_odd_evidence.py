@@ -85,7 +85,7 @@ def test_a_reading_that_float64_cannot_hold_is_refused_by_its_run():
     huge = np.array([[[9.0]], [[1e300]], [[1.0]]])
     for readings, of in ((huge, ", run 1, "), (huge[1], " ")):
         with pytest.raises(pgm.NumericalError, match=f"z at step 1{of}is indefinite or not finite"):
-            pgm.smooth(examples.squares, {examples.z: readings})
+            pgm.smooth(examples.squares, {examples.z: readings}, steps=1)
     posterior = pgm.infer(pgm.compile(examples.square), {examples.y: huge[:, 0]})
     with pytest.raises(pgm.NumericalError, match="beyond the range of float64 in run 1: a meas"):
         posterior.log_evidence  # noqa: B018

@@ -33,7 +33,8 @@ _MAGNIFIED = 1e3
 def indefinite(parts: Sequence[Measured], step: int, where: Mask) -> NoReturn:
     """Raise the NumericalError for a predictive covariance of `parts`, indefinite or not finite.
 
-    `where`, () or (runs,), marks the runs in which it is, of which the first is named. It blames the first sensor that is not linearised by Taylor's rule; if there is none, the first.
+    `where`, () or (runs,), marks the runs in which it is, of which the first is named. The error
+    blames the first sensor that is not linearised by Taylor's rule; if there is none, the first.
     """
     names = ", ".join(seen.sensor.variable.name for seen in parts)
     blamed = [seen.sensor for seen in parts if not seen.sensor.family.taylor]
