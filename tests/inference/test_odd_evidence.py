@@ -80,6 +80,7 @@ def test_a_lost_cpd_is_found_by_the_check(monkeypatch):
         graph.check()
 
 
+@pytest.mark.filterwarnings("ignore::pgm.PrecisionWarning")
 def test_a_reading_that_float64_cannot_hold_is_refused_by_its_run():
     """Among several runs; of one run there is none to name."""
     huge = np.array([[[9.0]], [[1e300]], [[1.0]]])
