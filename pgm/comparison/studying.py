@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from functools import partial, reduce
 from importlib.util import find_spec
 from os import PathLike
@@ -118,7 +119,9 @@ def study(
         How often an oracle whose draws have a seed is run on each run, 4 or more.
     compiled : bool or Compiled, optional
         Whether methods run in machine code, as for `filter`; if not given, where all blocks
-        together are long enough for that to be quicker.
+        together are long enough for that to be quicker. The threads of ``pgm.Compiled(threads=2)``
+        do the blocks, draws and sums among them; of fewer blocks than threads, sweeps have the
+        others. All digits are those of one thread.
     executor : concurrent.futures.Executor, optional
         As for `infer`: a process pool, a thread pool, a Dask client's ``get_executor()``, an MPI
         pool. Its workers do the blocks, whose sums are joined in their order here, so that all
@@ -188,6 +191,7 @@ def study(
     judge = None if oracle is None else oracle_of(oracle, repeats, plain, judged_states, kinds)
     choice = as_choice(compiled, "pgm.study(...)", card=True)
     report, workers, kept = reporting(progress), Workers(executor), None
+    sharing = 1
     if file is not None:
         told = _described(drawn, chosen, judge, judged_states, float(level), choice)
         kept = KeptSums(file, told, (*judged_states, *model.sensors), machine_code=long)
@@ -195,7 +199,9 @@ def study(
         long = kept.machine_code
     if choice or (choice is None and long):
         given = choice if isinstance(choice, Compiled) else Compiled()
-        choice = Squared(given.threads, given.device)
+        if executor is None and given.device is None:
+            sharing = min(given.threads, len(drawn.blocks))
+        choice = Squared(given.threads // sharing, given.device)
     graph = compile(model, drawn.steps, compiled=choice)
     drawn = drawn._replace(compiled=bool(choice))
     for method in chosen.values():
@@ -207,9 +213,16 @@ def study(
     work = partial(of_block, drawn, methods=chosen, asked=asked)
     parts = (part for method in chosen.values() for part in method)
     named = (*model.cpds, *parts, oracle)
-    with report:
-        sums = worked(work, drawn, workers, kept, named)
+    with report, _threads(sharing) as pool:
+        sums = worked(work, drawn, Workers(pool) if pool else workers, kept, named)
     return Study(rows_of(sums, chosen, judged_states, float(level)), drawn, float(level))
+
+
+def _threads(count: int) -> AbstractContextManager[Any]:
+    """A pool of threads; None where there is to be no more than this one."""
+    from concurrent.futures import ThreadPoolExecutor  # here, since few need it
+
+    return ThreadPoolExecutor(count) if count > 1 else nullcontext()
 
 
 def _described(
