@@ -2,7 +2,8 @@
 
 Without a card it says so, and stops. Else it filters and smooths drawn models on both, whose
 answers must agree; then a million robots over 200 steps, whose sweep is timed alone, with its
-numbers on the card, and as a whole call. This has not been run on a card yet.
+numbers on the card, and as a whole call; and a study of as many, which are drawn, filtered,
+smoothed and summed there. This has not been run on a card yet.
 """
 
 from __future__ import annotations
@@ -20,12 +21,16 @@ import numpy as np
 
 import pgm
 from benchmarks.work import robots
+from pgm.comparison.study_result import Study
 from pgm.kernels.machine.emitter.driver import device
 
 CARD = pgm.Compiled(device="cuda")
 MODELS, RUNS, STEPS = 200, 10**6, 200
 # Deviations by which answers may differ, and seconds of a million robots' sweep.
 AGREES, DUE = 1e-10, 0.02
+# By how much figures of a study may differ, and of so many runs.
+ALIKE, COMPARED = 1e-12, 4096
+METHODS = {"EKF": pgm.Taylor(), "RTS": pgm.Smoothing()}
 RULES = pgm.Taylor(), pgm.Unscented(), pgm.Cubature()
 SCHEDULES: tuple[pgm.Filtering | pgm.FixedLag | pgm.Smoothing, ...] = (
     pgm.Filtering(),
@@ -128,6 +133,46 @@ def speed(runs: int, steps: int) -> bool:
     return min(sweeps) <= due
 
 
+def study(runs: int, steps: int) -> bool:
+    """Whether a study of so many robots is drawn and summed on the card, with the same figures."""
+    work = robots.draw(1, steps)
+    seen = pgm.sightings(
+        step=np.arange(1, steps + 1), given={robots.landmark: work.landmarks[:, 0]}
+    )
+    inputs = {robots.velocity: work.controls, robots.sighting: seen}
+
+    def call(count: int, choice: Any) -> Study:
+        given = {"runs": count, "methods": METHODS, "seed": 1, "compiled": choice}
+        return pgm.study(work.network, inputs, **given)
+
+    few, found, seconds = min(runs, COMPARED), list[Study](), list[float]()
+    off = unlike(call(few, CARD), call(few, True))
+    _say(f"a study's figures of {few:,} runs: at most {off:.1e} apart; {ALIKE:.0e} are allowed")
+    for _ in range(3):
+        seconds.append(_seconds(lambda: found.append(call(runs, CARD))))
+    _say(
+        f"a study of {runs:,} robots over {steps} steps by {' and '.join(METHODS)}: "
+        f"{min(seconds):.2f} s, the first {seconds[0]:.2f} s; {found[0].compilation}"
+    )
+    return off <= ALIKE and "by the processor" not in found[0].compilation
+
+
+def unlike(one: Study, other: Study) -> float:
+    """By how much figures of studies differ, beside the largest of their kind or one."""
+    worst = 0.0
+    for row, its in zip(one.rows, other.rows, strict=True):
+        pairs = [(row.rmse, its.rmse), (row.bias, its.bias), (row.nees, its.nees)]
+        pairs += [(row.coverage, its.coverage), *((nis, its.nis[z]) for z, nis in row.nis.items())]
+        for ours, theirs in pairs:
+            for name in ("value", "error", "by_step", "error_by_step"):
+                a, b = getattr(ours, name), getattr(theirs, name)
+                if not np.array_equal(np.isnan(a), np.isnan(b)):
+                    return float("inf")
+                scale = max(float(np.abs(np.nan_to_num(b)).max()), 1.0)
+                worst = max(worst, float(np.abs(np.nan_to_num(a - b)).max()) / scale)
+    return worst
+
+
 def _seconds(call: Callable[[], object]) -> float:
     began = perf_counter()
     call()
@@ -154,7 +199,8 @@ def main(given: Sequence[str] | None = None) -> int:
         return 0
     _say(f"{device().name}, compute capability {'.'.join(map(str, device().capability))}")
     agrees = agreement(asked.models)
-    return 0 if speed(asked.runs, asked.steps) and agrees else 1
+    found = [speed(asked.runs, asked.steps), study(asked.runs, asked.steps), agrees]
+    return 0 if all(found) else 1
 
 
 if __name__ == "__main__":

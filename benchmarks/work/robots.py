@@ -191,4 +191,15 @@ def _sums(changes: Array) -> Array:
     return sums
 
 
-__all__ = ["DRIVE", "DT", "Robots", "draw", "drive", "pose", "precise"]
+__all__ = [
+    "DRIVE",
+    "DT",
+    "Robots",
+    "draw",
+    "drive",
+    "landmark",
+    "pose",
+    "precise",
+    "sighting",
+    "velocity",
+]

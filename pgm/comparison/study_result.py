@@ -220,6 +220,9 @@ class Study(Shown, Immutable, Surveyed):
     seed : int
     confidence : float
         Of the regions whose coverage is counted.
+    compilation : str
+        Where a card was asked for, the methods whose runs were drawn, swept and summed there, and
+        why others were not; else empty.
 
     Examples
     --------
@@ -236,6 +239,7 @@ class Study(Shown, Immutable, Surveyed):
     steps: int
     seed: int
     confidence: float
+    compilation: str
     _drawn: DrawnRuns
 
     def __init__(
@@ -243,9 +247,10 @@ class Study(Shown, Immutable, Surveyed):
         rows: Iterable[StudyRow],
         drawn: DrawnRuns,
         confidence: float,
+        compilation: str = "",
     ) -> None:
         self._set(rows=tuple(rows), runs=drawn.runs, steps=drawn.steps, seed=drawn.seed)
-        self._set(confidence=confidence, _drawn=drawn)
+        self._set(confidence=confidence, compilation=compilation, _drawn=drawn)
 
     @property
     def states(self) -> tuple[Variable, ...]:
@@ -386,6 +391,7 @@ class Study(Shown, Immutable, Surveyed):
             for row in self.rows
             if row.weak
         ]
+        told += [self.compilation] if self.compilation else []
         return Summary(self._title, [Listing(["", "right", *methods], kept), *told])
 
     def _lines(self, state: Variable) -> Iterable[list[str]]:

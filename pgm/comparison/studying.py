@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import ExitStack
 from functools import partial, reduce
 from importlib.util import find_spec
 from os import PathLike
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from pgm.arguments import public
 from pgm.beliefs.moments.compiled.sweep import repays
 from pgm.beliefs.own.family import BeliefFamily
 from pgm.boundary import as_mapping, is_whole
-from pgm.comparison.blocks import worked
+from pgm.comparison.blocks import Work, worked
 from pgm.comparison.comparing import as_states
 from pgm.comparison.drawn_runs import DrawnRuns, drawn_runs, of_runs
 from pgm.comparison.entries import class_name
@@ -30,7 +30,7 @@ from pgm.comparison.study_rows import rows_of
 from pgm.comparison.sums import NONE, Sums, far
 from pgm.comparison.tally import Tally
 from pgm.compile import DynamicGraph, compile
-from pgm.compile.machine import Choice, Compiled, Squared, as_choice
+from pgm.compile.machine import Choice, Compiled, Squared, as_choice, is_for_card
 from pgm.consistency.errors import check_confidence
 from pgm.consistency.regions import chi_squared
 from pgm.display import titled
@@ -47,6 +47,9 @@ from pgm.resources import retain
 from pgm.schedules.options import require_over_time
 from pgm.variables import Variable
 from pgm.workers.workers import Workers
+
+if TYPE_CHECKING:
+    from pgm.comparison.card_blocks import CardBlocks
 
 # A right belief leaves out the truth once in a million, by this region.
 _SURE = 1.0 - 1e-6
@@ -119,9 +122,9 @@ def study(
         How often an oracle whose draws have a seed is run on each run, 4 or more.
     compiled : bool or Compiled, optional
         Whether methods run in machine code, as for `filter`; if not given, where all blocks
-        together are long enough for that to be quicker. The threads of ``pgm.Compiled(threads=2)``
-        do the blocks, draws and sums among them; of fewer blocks than threads, sweeps have the
-        others. All digits are those of one thread.
+        together are long enough for that to be quicker. On a card, ``Compiled(device="cuda")``,
+        runs are drawn and summed as well, where there is neither an executor nor an oracle, for
+        methods that linearise once and have no gate; `Study.compilation` says which these were.
     executor : concurrent.futures.Executor, optional
         As for `infer`: a process pool, a thread pool, a Dask client's ``get_executor()``, an MPI
         pool. Its workers do the blocks, whose sums are joined in their order here, so that all
@@ -191,7 +194,6 @@ def study(
     judge = None if oracle is None else oracle_of(oracle, repeats, plain, judged_states, kinds)
     choice = as_choice(compiled, "pgm.study(...)", card=True)
     report, workers, kept = reporting(progress), Workers(executor), None
-    sharing = 1
     if file is not None:
         told = _described(drawn, chosen, judge, judged_states, float(level), choice)
         kept = KeptSums(file, told, (*judged_states, *model.sensors), machine_code=long)
@@ -199,9 +201,7 @@ def study(
         long = kept.machine_code
     if choice or (choice is None and long):
         given = choice if isinstance(choice, Compiled) else Compiled()
-        if executor is None and given.device is None:
-            sharing = min(given.threads, len(drawn.blocks))
-        choice = Squared(given.threads // sharing, given.device)
+        choice = Squared(given.threads, given.device)
     graph = compile(model, drawn.steps, compiled=choice)
     drawn = drawn._replace(compiled=bool(choice))
     for method in chosen.values():
@@ -210,19 +210,33 @@ def study(
         else:
             require_over_time(method.call, plain, method.belief)
     asked = _Asked(graph, plain, judged_states, float(level), judge)
-    work = partial(of_block, drawn, methods=chosen, asked=asked)
+    work: Work = partial(of_block, drawn, methods=chosen, asked=asked)
     parts = (part for method in chosen.values() for part in method)
     named = (*model.cpds, *parts, oracle)
-    with report, _threads(sharing) as pool:
-        sums = worked(work, drawn, Workers(pool) if pool else workers, kept, named)
-    return Study(rows_of(sums, chosen, judged_states, float(level)), drawn, float(level))
+    with report, ExitStack() as stack:
+        card = None
+        if is_for_card(choice) and executor is None and judge is None:
+            card = stack.enter_context(_on_card(drawn, chosen, asked).held())
+        sums = worked(card or work, drawn, workers, kept, named)
+    words = "" if card is None else card.words
+    return Study(rows_of(sums, chosen, judged_states, float(level)), drawn, float(level), words)
 
 
-def _threads(count: int) -> AbstractContextManager[Any]:
-    """A pool of threads; None where there is to be no more than this one."""
-    from concurrent.futures import ThreadPoolExecutor  # here, since few need it
+def _on_card(drawn: DrawnRuns, methods: Mapping[str, Method], asked: _Asked) -> CardBlocks:
+    """The work on blocks by a card."""
+    from pgm.comparison.card_blocks import CardBlocks  # here, as llvmlite may not be installed
+    from pgm.comparison.card_part import Asked
 
-    return ThreadPoolExecutor(count) if count > 1 else nullcontext()
+    processor = asked._replace(graph=compile(drawn.model, drawn.steps, compiled=Squared()))
+
+    def plain(first: int, some: Mapping[str, Method]) -> Mapping[str, Sums]:
+        return of_block(drawn, first, some, asked)
+
+    def aside(method: Method, sample: Sample, first: int) -> Iterator[Sums]:
+        return _of_method(method, sample, first, processor, None)
+
+    of = Asked(drawn, asked.graph, asked.states, asked.confidence)
+    return CardBlocks(of, methods, _SURE, plain, aside)
 
 
 def _described(

@@ -8,7 +8,7 @@ another value all is drawn anew without machine code.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -24,7 +24,7 @@ from pgm.tracing.program import Program
 from pgm.variables import Variable
 
 if TYPE_CHECKING:
-    from pgm.kernels.machine.studies.rows import Child
+    from pgm.kernels.machine.studies.rows import Child, Placed, Resident
     from pgm.networks.dynamic import DynamicBayesianNetwork
 
 # Operations of a CPD from which on its code is longer than it is worth.
@@ -37,11 +37,11 @@ def drawn_compiled(model: DynamicBayesianNetwork, bound: BoundEvidence, source: 
     """States at all steps, and readings, by machine code where that can draw all of them."""
     try:
         return _Draws(model, bound, source).drawn()
-    except _Left:
+    except Left:
         return drawn_by_arrays(model, bound, source)
 
 
-class _Left(Exception):
+class Left(Exception):
     """A model that machine code cannot draw, or draws that were wrong."""
 
 
@@ -50,7 +50,8 @@ class _Used(NamedTuple):
 
     cpd: NonlinearGaussianCPD
     trace: Program
-    child: Child
+    given: Sequence[Placed]
+    rows: int
 
 
 class _Draws:
@@ -64,7 +65,7 @@ class _Draws:
         from pgm.kernels.machine.studies import rows, sums
 
         if self.runs < sums.LANES:
-            raise _Left
+            raise Left
         hidden = (*self.model.states, *self.model.controls)
         path = {v: self._room(self.bound.steps + 1, v.dimension) for v in hidden}
         prior_drawn(self.model, self.bound, self.source, path)
@@ -83,8 +84,11 @@ class _Draws:
                 rows.draw([self._read(reading, path, found)], self.runs)
             readings[reading.cpd.child] = found
         finite = (np.isfinite(each.sum()) for each in (*self._known(path), *readings.values()))
-        if not all(finite) or not all(map(_is_right, self.used)):
-            raise _Left
+        if not all(finite) or not all(
+            is_right(each.cpd, each.trace, points_of(each.given, each.rows, self.runs))
+            for each in self.used
+        ):
+            raise Left
         return Drawn(path, readings)
 
     def _room(self, rows: int, size: int) -> Array:
@@ -112,30 +116,21 @@ class _Draws:
 
         Without `out` they are put into the path, at `steps` of which are the hidden parents.
         """
-        from pgm.kernels.machine.studies.rows import Child, Placed
+        from pgm.kernels.machine.studies.rows import Placed
 
-        trace = _known_form(cpd)
+        trace = known_form(cpd)
         count = len(order)
-        given = []
+        given = list[Placed]()
         for parent in cpd.given:
             values = inputs.get(parent)
             if values is None:
                 given.append(Placed(path[parent.template], steps[parent]))
             else:
                 given.append(Placed(values, np.arange(count) if len(values) > 1 else _zeros(count)))
-        child = Child(
-            None if trace is None else _function(trace),
-            given,
-            () if trace is not None else [cpd.matrices[parent] for parent in cpd.given],
-            np.zeros(0) if trace is not None else cpd.offset,
-            cpd._lower,
-            self._white(cpd, order),
-            Placed(path[cpd.child] if out is None else out, order),
-        )
-        if child.form.operations > _MOST:
-            raise _Left
+        into = Placed(path[cpd.child] if out is None else out, order)
+        child = child_of(cpd, trace, given, self._white(cpd, order), into)
         if trace is not None:
-            self.used.append(_Used(cpd, trace, child))
+            self.used.append(_Used(cpd, trace, given, count))
         return child
 
     def _white(self, cpd: ConditionalGaussian, order: Integers) -> Array:
@@ -152,17 +147,41 @@ def _zeros(count: int) -> Integers:
     return np.zeros(count, dtype=np.intp)
 
 
-def _known_form(cpd: Any) -> Program | None:
+def child_of(
+    cpd: Any,
+    trace: Program | None,
+    given: Sequence[Placed | Resident],
+    white: Array | None,
+    out: Placed | Resident,
+) -> Child:
+    """A CPD's child, of its trace or affine; one whose code is longer than it is worth is left."""
+    from pgm.kernels.machine.studies.rows import Child
+
+    child = Child(
+        None if trace is None else _function(trace),
+        given,
+        () if trace is not None else [cpd.matrices[parent] for parent in cpd.given],
+        np.zeros(0) if trace is not None else cpd.offset,
+        cpd._lower,
+        white,
+        out,
+    )
+    if child.form.operations > _MOST:
+        raise Left(f"the code of {cpd!r} is longer than it is worth")
+    return child
+
+
+def known_form(cpd: Any) -> Program | None:
     """The trace of a CPD's function, None of an affine one; other CPDs are left."""
     if isinstance(getattr(cpd, "cov", None), Noise) or getattr(cpd, "steps", None) is not None:
-        raise _Left
+        raise Left(f"{cpd!r} has numbers by step or a noise of inputs")
     if type(cpd) is LinearGaussianCPD:
         return None
     if type(cpd) is not NonlinearGaussianCPD:
-        raise _Left
+        raise Left(f"{cpd!r} is of a kind of its own")
     found = cpd._tracer.traced()
     if isinstance(found, str):
-        raise _Left
+        raise Left(f"{cpd!r}: {found}")
     return found
 
 
@@ -174,21 +193,19 @@ def _function(trace: Program) -> Any:
     return Function(operations, tuple(trace.value), (), (), columns)
 
 
-def _is_right(used: _Used) -> bool:
-    """Whether a CPD's function has the values of its trace, at all points or some of very many."""
-    cpd, trace, child = used
+def points_of(given: Sequence[Placed], count: int, runs: int) -> list[Array]:
+    """Points at so many rows of so many runs, or some of very many, (k, width) of each argument."""
+    every = 1 if count * runs < LARGE else count * runs // _JUDGED
+    row, run = np.divmod(np.arange(every // 2, count * runs, every), runs)
+    return [each.array[each.places[row], run if each.array.shape[1] > 1 else 0] for each in given]
+
+
+def is_right(cpd: NonlinearGaussianCPD, trace: Program, points: Sequence[Array]) -> bool:
+    """Whether a CPD's function has the values of its trace at points of its parents."""
     tracer = cpd._tracer
     if tracer.trace is not trace:
         return False
-    variances = cpd._template(cpd.given).variances
-    answers = Answers(tracer, (), (), variances)
-    rows, runs = child.white.shape[:2]
-    count = rows * runs
-    every = 1 if count < LARGE else count // _JUDGED
-    row, run = np.divmod(np.arange(every // 2, count, every), runs)
-    points = [
-        each.array[each.places[row], run if each.array.shape[1] > 1 else 0] for each in child.given
-    ]
+    answers = Answers(tracer, (), (), cpd._template(cpd.given).variances)
     answers.judge(points, None)
     answers.close()
     if answers.fault is not None:

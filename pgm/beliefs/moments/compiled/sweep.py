@@ -264,6 +264,11 @@ def _squares(plan: ChainPlan) -> Record:
     asked = isinstance(plan.layout.compiled, Squared)
     if not asked or any(isinstance(sensor, OpenSensor) for sensor in plan.read):
         return {}
+    return squares_of(plan)
+
+
+def squares_of(plan: ChainPlan) -> Record:
+    """Room for the NIS of each sensor that is read, in their order."""
     return {_square(sensor): np.empty((plan.steps + 1, plan.runs)) for sensor in plan.read}
 
 

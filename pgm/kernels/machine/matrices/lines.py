@@ -36,6 +36,11 @@ class Lines:
         """The symmetric matrix in an array's cells, of which the lower half is read."""
         return _symmetric([[cells.load(i * size + j) for j in range(i + 1)] for i in range(size)])
 
+    def symmetric_of(self, cells: Memory, places: Sequence[int], size: int) -> Matrix:
+        """Some rows and columns, in ascending order, of a symmetric matrix in an array's cells."""
+        rows = enumerate(places)
+        return _symmetric([[cells.load(i * size + j) for j in places[: k + 1]] for k, i in rows])
+
     def keep(self, cells: Memory, matrix: Matrix) -> None:
         """Put a vector or a matrix into an array's cells."""
         for k, number in enumerate(number for row in matrix.rows for number in row):

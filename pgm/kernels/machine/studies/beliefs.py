@@ -77,18 +77,14 @@ def _judged(angles: tuple[bool, ...], beside: tuple[bool, ...]) -> Callable[[int
     with code.loop(steps) as step:
         proper = code.varying(True)
         with each_pack(code, runs) as run:
-            mean, cov = lines.column(means(step, run), size), covs(step, run)
-            off = lines.beside(mean - lines.column(truths(step, run), size))
-            errors = [_wrapped(e) if turns else e for e, turns in zip(off, angles, strict=True)]
-            for k, error in enumerate(errors):
+            mean, truth = (lines.column(each(step, run), size) for each in (means, truths))
+            found = figures(lines, mean, lines.symmetric(covs(step, run), size), truth, angles)
+            for k, error in enumerate(found.errors):
                 row.at(k, run).store(0, error)
                 row.at(size + k, run).store(0, error * error)
-            root = lines.symmetric(cov, size).root()
-            proper.set(proper.get() & (root.share > NEGLIGIBLE))
-            white = root.solve(Matrix.column(errors))
-            square = (white.T @ white)[0, 0]
-            row.at(nees, run).store(0, square)
-            row.at(held, run).store(0, (square <= limit).number())
+            proper.set(proper.get() & found.proper)
+            row.at(nees, run).store(0, found.nees)
+            row.at(held, run).store(0, (found.nees <= limit).number())
         with code.when(code.every(proper.get())), each_pack(code, runs) as run:
             square = row.at(nees, run).load(0)
             kept = Memory(code, largest + run)
@@ -99,6 +95,28 @@ def _judged(angles: tuple[bool, ...], beside: tuple[bool, ...]) -> Callable[[int
                 row.at(cell, run).store(0, math.nan)
         row.add(step, 2 * size + 2)
     return code.module.compile().callable("judged")
+
+
+class Figures(NamedTuple):
+    """The figures of a belief about a truth: errors, the NEES, and whether its covariance is one.
+
+    The NEES is of no use where the covariance is singular.
+    """
+
+    errors: list[Any]
+    nees: Any
+    proper: Any
+
+
+def figures(
+    lines: Lines, mean: Matrix, cov: Matrix, truth: Matrix, angles: tuple[bool, ...]
+) -> Figures:
+    """The figures of a belief of the runs at hand; see `judged`."""
+    off = lines.beside(mean - truth)
+    errors = [_wrapped(e) if turns else e for e, turns in zip(off, angles, strict=True)]
+    root = cov.root()
+    white = root.solve(Matrix.column(errors))
+    return Figures(errors, (white.T @ white)[0, 0], root.share > NEGLIGIBLE)
 
 
 def _wrapped(angle: Any) -> Any:

@@ -83,12 +83,12 @@ def fill(code: Code, room: Address, blocks: int, key: tuple[Whole, Whole], count
     request)`` on; `counter` has the first run in the place of the first.
     """
     run, *rest = counter
-    cells = Values(code, room, Whole)
-    with code.loop(LANES) as lane, code.loop(blocks) as block:
+    cells, lanes = Values(code, room, Whole), code.lanes
+    with code.loop(lanes) as lane, code.loop(blocks) as block:
         # As NumPy does, which adds one to a counter before it takes its words.
         found = words(key, ((run + lane) * blocks + block + 1, rest[0], rest[1], rest[2]))
         for k, word in enumerate(found):
-            cells.store((block * philox.BLOCK + k) * LANES + lane, word)
+            cells.store((block * philox.BLOCK + k) * lanes + lane, word)
 
 
 def words(key: tuple[Whole, Whole], counter: Words4) -> Words4:
@@ -107,13 +107,14 @@ def words(key: tuple[Whole, Whole], counter: Words4) -> Words4:
 
 def uniform(code: Code, place: Address) -> Number:
     """The uniform numbers of a pack's words: see `philox.uniforms`."""
-    kind = packed("i64", LANES)
+    lanes, kind = code.lanes, packed("i64", code.lanes)
+    spare, one = (f"splat (i64 {each})" if lanes > 1 else str(each) for each in (_SPARE, _ONE))
     word = code.value(f"load {kind}, ptr {place.text}, align 8")
-    cell = code.value(f"lshr {kind} {word}, splat (i64 {_SPARE})")
-    bits = code.value(f"or {kind} {cell}, splat (i64 {_ONE})")
-    number = code.value(f"bitcast {kind} {bits} to {packed('double', LANES)}")
+    cell = code.value(f"lshr {kind} {word}, {spare}")
+    bits = code.value(f"or {kind} {cell}, {one}")
+    number = code.value(f"bitcast {kind} {bits} to {packed('double', lanes)}")
     # Of 1 + k 2⁻⁵² both sums are exact.
-    return (Number(code, number, LANES) - 1.0) + _HALF_A_CELL
+    return (Number(code, number, lanes) - 1.0) + _HALF_A_CELL
 
 
 def signed(word: int) -> int:

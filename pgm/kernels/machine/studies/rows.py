@@ -36,57 +36,79 @@ class Placed(NamedTuple):
             return Runs.SAME
         return Runs.BESIDE if self.array.strides[1] == self.array.itemsize else Runs.APART
 
+    @property
+    def width(self) -> int:
+        """The number of components d."""
+        found: int = self.array.shape[-1]
+        return found
+
+    @property
+    def cells(self) -> Cells:
+        """The array in memory."""
+        return Cells.of(self.array.swapaxes(0, 1))
+
+
+class Resident(NamedTuple):
+    """An array on a card, where it lies there, and the place of each row in it."""
+
+    cells: Cells
+    width: int
+    runs: Runs
+    places: Integers
+
 
 class Child(NamedTuple):
     """A CPD's child y = f(parents) + L w, or y = Σ F x + b + L w, where there is no function.
 
     function: Whose arguments are observed, as `given` has them.
     matrices, offset: Of the sum, F of each parent (d, n) and b (d,); of a function they are empty.
-    lower, white: L (d, d), and w (rows, runs, d).
+    lower, white: L (d, d), and w (rows, runs, d); None where it is drawn at each row.
     out: Where y is put.
     """
 
     function: Function | None
-    given: Sequence[Placed]
+    given: Sequence[Placed | Resident]
     matrices: Sequence[Array]
     offset: Array
     lower: Array
-    white: Array
-    out: Placed
+    white: Array | None
+    out: Placed | Resident
 
     @property
     def form(self) -> Form:
         """All that decides the code."""
         return Form(
             self.function,
-            tuple((each.array.shape[-1], each.runs) for each in self.given),
+            tuple((each.width, each.runs) for each in self.given),
             len(self.lower),
-            self._placed_white.runs,
+            None if self.white is None else self._placed_white[0].runs,
             self.out.runs,
         )
 
     @property
-    def _placed_white(self) -> Placed:
-        return Placed(self.white, np.arange(len(self.white)))
+    def _placed_white(self) -> list[Placed]:
+        return [] if self.white is None else [Placed(self.white, np.arange(len(self.white)))]
 
     @property
-    def numbers(self) -> list[Array | Cells]:
-        """The numbers of a call, in the order of `_Row`."""
-        found: list[Array | Cells] = []
-        for each in (*self.given, self._placed_white, self.out):
-            cells = Cells.of(each.array.swapaxes(0, 1))
-            found += [cells, np.ascontiguousarray(each.places, dtype=np.int64)]
+    def numbers(self) -> list[Array | Integers | Cells]:
+        """The numbers of a call, in the order of `RowWriter`."""
+        found: list[Array | Integers | Cells] = []
+        for each in (*self.given, *self._placed_white, self.out):
+            found += [each.cells, np.ascontiguousarray(each.places, dtype=np.int64)]
         constants = [*(m.ravel() for m in self.matrices), self.offset, self.lower.ravel()]
         return [*found, np.concatenate(constants)]
 
 
 class Form(NamedTuple):
-    """The form of a `Child`: its parents' components, and how runs lie in its arrays."""
+    """The form of a `Child`: its parents' components, and how runs lie in its arrays.
+
+    `white` is None where noise is drawn at each row.
+    """
 
     function: Function | None
     given: tuple[tuple[int, Runs], ...]
     height: int
-    white: Runs
+    white: Runs | None
     out: Runs
 
     @property
@@ -104,7 +126,7 @@ def draw(children: Sequence[Child], runs: int) -> None:
     """
     numbers = [each.numbers for each in children]
     flat = [number for each in numbers for number in each]
-    given = table(len(children[0].white), runs, *flat)
+    given = table(len(children[0].out.places), runs, *flat)
     _drawn(tuple(each.form for each in children))(address(given))
 
 
@@ -113,21 +135,23 @@ def _drawn(forms: tuple[Form, ...]) -> Callable[[int], None]:
     code = Module().function("drawn", (ADDRESS,), lanes=LANES)
     given = Given(code, code.arguments[0])
     count, runs = given.whole(), given.whole()
-    rows = [_Row(form, given) for form in forms]
+    rows = [RowWriter(form, given) for form in forms]
     with code.loop(count) as k:
         for row in rows:
             at = row.at(k)
             with each_pack(code, runs) as run:
-                row.write(*(cells(run) for cells in at))
+                *parents, white, out = (cells(run) for cells in at)
+                row.write(parents, white, out)
     return code.module.compile().callable("drawn")
 
 
-class _Row:
+class RowWriter:
     """A child that is being written."""
 
     def __init__(self, form: Form, given: Given) -> None:
         self._form, self._given = form, given
-        runs = [*(runs for _, runs in form.given), form.white, form.out]
+        white = [] if form.white is None else [form.white]
+        runs = [*(runs for _, runs in form.given), *white, form.out]
         self._arrays = [
             (given.array(runs=each), given.code.wholes(given.address())) for each in runs
         ]
@@ -146,17 +170,16 @@ class _Row:
         self._lower = matrix(d)
 
     def at(self, k: Whole) -> list[Callable[[Whole], Memory]]:
-        """The arrays at a row: parents, w, and where the child is put."""
+        """The arrays at a row: parents, w unless it is drawn there, and where the child is put."""
 
         def cells(array: Callable[[Whole, Whole], Memory], row: Whole) -> Callable[..., Memory]:
             return lambda run: array(row, run)
 
         return [cells(array, places.load(k)) for array, places in self._arrays]
 
-    def write(self, *cells: Memory) -> None:
-        """Write the child of the runs at hand."""
-        *parents, white, out = cells
-        form, code = self._form, self._given.code
+    def write(self, parents: Sequence[Memory], white: Memory, out: Memory) -> list[Number]:
+        """Write the child of the runs at hand; returns its components."""
+        form, code, found = self._form, self._given.code, []
         if form.function is not None:
             at = {(a, i): (parents[a], i) for a, i in form.function.observed}
             mean = traced(code, form.function, (), at)[0]
@@ -172,4 +195,6 @@ class _Row:
             total = self._lower[i][0] * noise[0]
             for j in range(1, i + 1):
                 total = total + self._lower[i][j] * noise[j]
-            out.store(i, total + mean[i])
+            found.append(total + mean[i])
+            out.store(i, found[-1])
+        return found

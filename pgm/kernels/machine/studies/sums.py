@@ -104,7 +104,11 @@ class Row(NamedTuple):
 
 def together(pack: Number) -> Number:
     """The sum of the lanes of a pack."""
-    lanes = [pack.lane(k) for k in range(pack.lanes)]
+    return in_pairs([pack.lane(k) for k in range(pack.lanes)])
+
+
+def in_pairs(lanes: list[Number]) -> Number:
+    """The sum of numbers of which there are a power of two, in the order that lanes have."""
     while len(lanes) > 1:
         lanes = list(map(add, lanes[::2], lanes[1::2]))
     return lanes[0]

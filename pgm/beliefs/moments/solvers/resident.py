@@ -1,0 +1,398 @@
+"""Filters and smoothers of runs whose readings lie on a card already, and whose beliefs stay there.
+
+A chain is told once, by a plan of a few runs whose readings are of no matter, and swept for as many
+as there is room for: of each array that has runs the card gets one of its own, in which the runs
+lie beside each other, and of each other one a copy. Traces are judged at beliefs of a few runs that
+come home.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from math import prod
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from pgm.beliefs.moments.compiled.groups import groups_of
+from pgm.beliefs.moments.compiled.judged import judge
+from pgm.beliefs.moments.compiled.key import decisive
+from pgm.beliefs.moments.compiled.named_table import NamedTable
+from pgm.beliefs.moments.compiled.sweep import (
+    BEGIN,
+    KNOWN,
+    PREDICTED,
+    SMOOTHED,
+    begun,
+    squares_of,
+    told_ahead,
+    told_back,
+)
+from pgm.beliefs.moments.compiled.table import Record
+from pgm.beliefs.moments.compiled.uncompiled import Uncompiled, require_affine_prior, unknown
+from pgm.beliefs.moments.digits import certificate, close_points
+from pgm.beliefs.moments.outcomes.innovations import measured
+from pgm.beliefs.moments.passes.backward import transition
+from pgm.beliefs.moments.passes.forward import Forward
+from pgm.beliefs.moments.steps.plan import ChainPlan
+from pgm.compile import BalancedGraph, DynamicGraph
+from pgm.evidence import Evidence
+from pgm.kernels.arrays import Array, Integers, Mask, address, quiet, vacant
+from pgm.kernels.machine.emitter.arena import Arena
+from pgm.kernels.machine.emitter.driver import Device
+from pgm.kernels.machine.studies import card as kernels
+from pgm.kernels.machine.studies.sums import Cells
+from pgm.kernels.machine.sweeps import card, told
+from pgm.kernels.machine.sweeps import chain as sweeps
+from pgm.kernels.machine.sweeps.writer import arrays
+from pgm.schedules.binding import bind_chain
+from pgm.schedules.options import Call
+from pgm.schedules.schedule import ONCE, Filtering, FixedLag, Smoothing
+from pgm.tracing import Judge
+from pgm.variables import Variable
+
+Anything = npt.NDArray[Any]
+# An array of the plan that tells a chain: where it lies, and how.
+Key = tuple[int, tuple[int, ...], tuple[int, ...]]
+
+
+class Left(Exception):
+    """Work that is left to the processor, and why."""
+
+
+class _Sweep(NamedTuple):
+    """A chain that was told: its numbers, and its arrays by the places of their addresses."""
+
+    chain: sweeps.Chain
+    numbers: Sequence[int]
+    arrays: Mapping[int, Anything]
+
+
+class ResidentChain:
+    """The sweeps of a filter or a smoother over runs whose readings are drawn on a card.
+
+    It raises a `Left` where some of it would be done by the program.
+
+    Parameters
+    ----------
+    graph : DynamicGraph
+    call : Call
+        Of a schedule that linearises once, without a gate.
+    evidence : mapping
+        Of a few runs, two or more, whose readings are of no matter.
+    thinned : int
+        Of a filter one run of so many keeps its predicted beliefs.
+    """
+
+    def __init__(self, graph: DynamicGraph, call: Call, evidence: Evidence, thinned: int) -> None:
+        self._judge, self.thinned = Judge(), thinned
+        schedule, self.smooths = _schedule(graph, call)
+        bound = bind_chain(graph.model, evidence, graph.steps)
+        with quiet():
+            try:
+                plan = ChainPlan.make(graph, bound, call.lineariser, judge=self._judge)
+                self.plan = plan
+                self._require_known()
+                self._key = decisive(plan, stored=False, keep=self.smooths, gate=None)
+                self._record = self._fields(schedule)
+                self._sweeps = list(self._told())
+                self._require_filled()
+            except Uncompiled as error:
+                raise Left(str(error)) from error
+
+    def _require_known(self) -> None:
+        """Refuse a plan of which some would be done by the program."""
+        plan, layout = self.plan, self.plan.layout
+        if certificate.is_flat(plan):
+            raise Left("a prior is flat")
+        if close_points.largest(close_points.families(plan)):
+            raise Left("the weights of its points cancel, of which the digits are judged here")
+        if self.smooths and not layout.single:
+            raise Left("it smooths several CPDs a step, or controls")
+        if any(sensor.robust for sensor in plan.read):
+            raise Left("noise is robust")
+        if groups_of(plan, None, stored=False, controlled=False):
+            raise Left("sightings of a step have errors in common")
+        why = unknown(plan)
+        if why is not None:
+            raise Left(why)
+        require_affine_prior(plan)
+
+    def _fields(self, schedule: Filtering) -> Record:
+        """The arrays by name that sweeps read or fill beside those of CPDs and sensors."""
+        plan = self.plan
+        lead, size = (plan.steps + 1, plan.runs), plan.layout.slice_size
+        for sensor in plan.read:
+            sensor.values = _by_runs(sensor.values, plan.runs)
+        begin = begun(plan, schedule, keep=self.smooths)
+        if any(each.shape[1] != 1 for each in begin):
+            raise Left("the belief to begin with depends on the run")
+        record: Record = dict(zip(BEGIN, begin, strict=True))
+        record |= zip(KNOWN, (*_moments(lead, size), np.zeros(lead)), strict=True)
+        record |= zip(PREDICTED, _moments(lead, size), strict=True)
+        record |= squares_of(plan)
+        if self.smooths:
+            record |= zip(SMOOTHED, _moments(lead, size), strict=True)
+        return record
+
+    def _told(self) -> Iterator[_Sweep]:
+        plan, record = self.plan, self._record
+        ahead = {name: array for name, array in record.items() if name not in SMOOTHED}
+        links = (link.family for link in plan.transition)
+        sensors = (sensor.family for sensor in plan.read)
+        table = NamedTable(plan, 1, (*links, *sensors, *plan.read, ahead), ahead)
+        thinned = 1 if self.smooths else self.thinned
+        cpds: dict[str, Any] = {"stored": False, "keep": self.smooths, "controlled": False}
+        chain: sweeps.Chain = told_ahead(plan, table, (), **cpds, gate=None, thinned=thinned)
+        yield _Sweep(chain, table.numbers, table.arrays)
+        if self.smooths:
+            behind = {name: record[name] for name in SMOOTHED}
+            before, after = (tuple(record[name] for name in each) for each in (PREDICTED, KNOWN))
+            swept = Forward(before[0], before[1], after[0], after[1], after[2])
+            owners = swept, transition(plan), behind
+            table = NamedTable(plan, 1, owners, behind)
+            chain = told_back(plan, table, *owners)
+            yield _Sweep(chain, table.numbers, table.arrays)
+
+    def _require_filled(self) -> None:
+        """Refuse a chain that reads arrays of runs which neither it nor draws fill."""
+        plan, (ahead, *_) = self.plan, self._sweeps
+        assert isinstance(ahead.chain, told.Forward)
+        for sensor, form in zip(plan.read, ahead.chain.sensors, strict=True):
+            if _key(ahead.arrays[form.readings.place]) != _key(sensor.values):
+                raise Left(f"readings of {sensor.variable!r} are not as they are drawn")
+        families = [link.family for link in plan.transition]
+        families += [sensor.family for sensor in plan.read]
+        filled = [*self._record.values(), *(sensor.values for sensor in plan.read)]
+        for family in families if self.smooths else ():
+            filled += [family.matrix, family.offset, family.noise]
+        filled += [sensor.moved for sensor in plan.read] if self.smooths else []
+        known = set(map(_key, filled))
+        for sweep in self._sweeps:
+            for array in arrays(sweep.chain):
+                found = sweep.arrays[array.place]
+                if _has_runs(found, plan.runs) and _key(found) not in known:
+                    raise Left("evidence of CPDs depends on the run")
+
+    def lie(
+        self, fixed: Arena, loose: Arena, readings: Mapping[Variable, Cells], of: Lying
+    ) -> Laid:
+        """The chain with its arrays on a card; copies, which stay, are in the `fixed` arena."""
+        return Laid(self, fixed, loose, readings, of)
+
+    def dof(self) -> dict[Variable, Integers]:
+        """By sensor with evidence how many components each step's readings have, (T+1,)."""
+        return {s.variable: measured(self.plan, s)[:, 0] for s in self.plan.sensors}
+
+    def judge(self, known: Sequence[Array], predicted: Sequence[Array], done: Mask) -> None:
+        """Judge traces at the beliefs of a few runs, as many as the plan's, that are `done`.
+
+        It raises a `Left` where one is wrong, or its function has changed.
+        """
+        with quiet():
+            judge(self.plan, known, predicted, done)
+            right = self._judge.passes()
+            # Those of the next runs are others, of the same traces.
+            self._judge = Judge()
+            for family in self.plan.families:
+                family.compiled, family.answers = None, None
+            self.plan.trace(self._judge)
+            key = decisive(self.plan, stored=False, keep=self.smooths, gate=None)
+        if not right or key != self._key:
+            raise Left("a function has other values than its trace")
+
+
+class Lying(NamedTuple):
+    """How runs lie on a card: the room for them, and for those that come home, one of so many."""
+
+    stride: int
+    kept: int
+    apart: int
+
+
+class Laid:
+    """A chain whose arrays lie on a card.
+
+    Attributes
+    ----------
+    belief : tuple of Cells
+        The means and covariances that the schedule is asked for.
+    squares : mapping
+        By sensor that was read, the address of its NIS and the distance between steps.
+    """
+
+    def __init__(
+        self,
+        chain: ResidentChain,
+        fixed: Arena,
+        loose: Arena,
+        readings: Mapping[Variable, Cells],
+        of: Lying,
+    ) -> None:
+        self._chain, self._of, self._loose = chain, of, loose
+        plan, record = chain.plan, chain._record
+        self._held: dict[Key, Cells] = {
+            _key(sensor.values): readings[sensor.variable] for sensor in plan.read
+        }
+        self.ended = [loose.floats(sweeps.TOLD * of.stride) for _ in chain._sweeps]
+        heads = zip(chain._sweeps, self.ended, strict=True)
+        self._heads = [self._head(sweep, ended, fixed) for sweep, ended in heads]
+        self.known = tuple(self._held[_key(record[name])] for name in KNOWN[:2])
+        self.predicted = tuple(self._held[_key(record[name])] for name in PREDICTED)
+        names = SMOOTHED if chain.smooths else KNOWN[:2]
+        self.belief = tuple(self._held[_key(record[name])] for name in names)
+        self.squares = {
+            sensor.variable: self._held[_key(record[name])]
+            for sensor, name in zip(plan.read, squares_of(plan), strict=True)
+        }
+
+    def _head(self, sweep: _Sweep, ended: int, fixed: Arena) -> int:
+        """The address of a sweep's table."""
+        chain, plan, of = self._chain, self._chain.plan, self._of
+        numbers, held = list(sweep.numbers), self._held
+        numbers[: told.FIRST] = [0] * told.FIRST
+        numbers[told.LAST], numbers[told.RUNS] = plan.steps, of.stride
+        numbers[told.ITERATIONS], numbers[told.ENDED] = 1, ended
+        own = {array.place for array in arrays(sweep.chain)}
+        thin = () if chain.smooths else map(_key, (chain._record[name] for name in PREDICTED))
+        thinned = set(thin)
+        for place, array in sweep.arrays.items():
+            if place not in own:
+                numbers[place] = fixed.put(array)
+                continue
+            cells = None
+            if _has_runs(array, plan.runs):
+                key = _key(array)
+                if key not in held:
+                    stride = of.kept if key in thinned else of.stride
+                    held[key] = _cells(self._loose, array.shape[0], array.shape[2:], stride)
+                cells = held[key]
+            else:
+                cells = _copied(fixed, array)
+            numbers[place : place + told.CELL + 1] = [
+                cells.address,
+                cells.down,
+                cells.across,
+                cells.cell,
+            ]
+        return fixed.put(np.array(numbers, dtype=np.int64))
+
+    def sweep(self, device: Device, runs: int) -> Mask:
+        """Sweep so many runs; whether each has, for certain, the digits that are promised."""
+        fine = np.ones(runs, dtype=bool)
+        for sweep, head, ended in zip(self._chain._sweeps, self._heads, self.ended, strict=True):
+            device.launch(card.loaded(sweep.chain, device), runs, (head, 0, runs), card.KINDS)
+            found = self._loose.get(ended, (sweeps.TOLD, self._of.stride))[:, :runs]
+            fine &= found[sweeps.LEFT] == 0.0
+            if isinstance(sweep.chain, told.Backward):
+                fine &= found[sweeps.KEPT] == 1.0
+            else:
+                fine &= (found[sweeps.FAR] == 0.0) & (found[sweeps.MOVING] == 0.0)
+                fine &= found[sweeps.CLOSEST] * certificate.MODERATE > 1.0
+        return fine
+
+    def judge(self, device: Device, few: Few, fine: Mask) -> None:
+        """Judge traces at the beliefs of the runs that come home, so far as they are `fine`."""
+        chain, of = self._chain, self._of
+        plan, size = chain.plan, chain.plan.layout.slice_size
+        own, done = ((size,), (size, size)), np.zeros(plan.runs, dtype=bool)
+        some = fine[:: of.apart]
+        done[: len(some)] = some
+        rows = plan.steps + 1
+        known = [few.of(device, c, rows, each) for c, each in zip(self.known, own, strict=True)]
+        if chain.smooths:
+            ahead = [
+                few.of(device, c, rows, each) for c, each in zip(self.predicted, own, strict=True)
+            ]
+        else:
+            ahead = [
+                _as_read(self._loose.get(c.address, (rows, prod(each), of.kept)), each)
+                for c, each in zip(self.predicted, own, strict=True)
+            ]
+        known, ahead = ([_as_wide(a, plan.runs) for a in each] for each in (known, ahead))
+        chain.judge(known, ahead, done)
+
+
+class Few:
+    """One of so many runs of arrays on a card, which come home."""
+
+    def __init__(self, arena: Arena, of: Lying, longest: int) -> None:
+        self._arena, self._of = arena, of
+        self._room, self._table = arena.floats(longest * of.kept), arena.floats(5)
+
+    def of(self, device: Device, cells: Cells, rows: int, own: tuple[int, ...]) -> Array:
+        """An array (rows, kept runs, own axes)."""
+        of, count = self._of, rows * prod(own)
+        numbers = [cells.address, cells.cell, of.kept, of.apart, self._room]
+        self._arena.renew(self._table, np.array(numbers, dtype=np.int64))
+        kernel = kernels.loaded(kernels.picking, kernels.PICK, device)
+        device.launch(kernel, count, (self._table, 0, count), kernels.KINDS)
+        return _as_read(self._arena.get(self._room, (rows, prod(own), of.kept)), own)
+
+
+def _as_read(cells: Array, own: tuple[int, ...]) -> Array:
+    """An array (rows, own axes, runs), flat along its own axes, as (rows, runs, own axes)."""
+    found: Array = np.moveaxis(cells, -1, 1).reshape(len(cells), cells.shape[-1], *own)
+    return found
+
+
+def _as_wide(array: Array, runs: int) -> Array:
+    """An array of some of so many runs, by runs, with those that are not there as zeros."""
+    found = vacant((len(array), runs), array.shape[2:])
+    found[...] = 0.0
+    count = min(runs, array.shape[1])
+    found[:, :count] = array[:, :count]
+    return found
+
+
+def _schedule(graph: DynamicGraph, call: Call) -> tuple[Filtering, bool]:
+    """The filter that a schedule begins with, and whether it smooths."""
+    schedule = call.schedule
+    if isinstance(graph, BalancedGraph):
+        raise Left("a balanced tree is solved by NumPy")
+    if type(schedule) is Filtering:
+        found, smooths = schedule, False
+    elif type(schedule) is Smoothing:
+        found, smooths = schedule.first, True
+    elif isinstance(schedule, FixedLag):
+        raise Left("it has a lag")
+    else:
+        raise Left(f"it has the schedule {schedule!r}")
+    if schedule.iterations > 1:
+        raise Left("it iterates")
+    if schedule.gate is not None:
+        raise Left("it has a gate")
+    return (found or ONCE), smooths
+
+
+def _moments(lead: tuple[int, int], size: int) -> tuple[Array, Array]:
+    return vacant(lead, (size,)), vacant(lead, (size, size))
+
+
+def _by_runs(values: Array, runs: int) -> Array:
+    """Values (rows, runs, d) in memory of their own, in which runs lie beside each other."""
+    found = vacant((len(values), runs), values.shape[2:])
+    found[...] = values
+    return found
+
+
+def _key(array: Anything) -> Key:
+    return address(array), array.shape, array.strides
+
+
+def _has_runs(array: Anything, runs: int) -> bool:
+    return array.shape[1] == runs and array.strides[1] != 0
+
+
+def _cells(arena: Arena, rows: int, own: tuple[int, ...], stride: int) -> Cells:
+    """Room for an array of runs that lie beside each other."""
+    count = prod(own)
+    return Cells(arena.floats(rows * count * stride), 1, count * stride, stride)
+
+
+def _copied(arena: Arena, array: Anything) -> Cells:
+    """A copy of an array that all runs share, whose cells are next to each other."""
+    rows = 1 if array.strides[0] == 0 else array.shape[0]
+    own: Anything = np.ascontiguousarray(array[:rows, :1])
+    return Cells(arena.put(own), 0, 0 if rows == 1 else own[0].size, 1)
