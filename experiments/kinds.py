@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pgm
 
-Factor = pgm.Gaussian | pgm.CanonicalForm | pgm.Table
+Factor = pgm.Gaussian | pgm.GaussianMixture | pgm.CanonicalForm | pgm.Table
 
 
 def as_gaussian(factor: Factor) -> pgm.Gaussian:

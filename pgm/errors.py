@@ -104,6 +104,13 @@ class LostWarning(UserWarning):
     """A belief that innovations or gates say is wrong; ``posterior.lost`` says where."""
 
 
+class LinearisationWarning(UserWarning):
+    """Functions that bend too much over a belief for any line; ``posterior.nonlinearity`` says how.
+
+    The first call of a model by a rule looks for them, at the steps with the widest beliefs.
+    """
+
+
 class GridWarning(UserWarning):
     """A grid's answer differs from the model's; the status says by how much."""
 

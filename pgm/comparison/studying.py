@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from functools import partial, reduce
 from importlib.util import find_spec
 from os import PathLike
@@ -122,9 +122,12 @@ def study(
         How often an oracle whose draws have a seed is run on each run, 4 or more.
     compiled : bool or Compiled, optional
         Whether methods run in machine code, as for `filter`; if not given, where all blocks
-        together are long enough for that to be quicker. On a card, ``Compiled(device="cuda")``,
-        runs are drawn and summed as well, where there is neither an executor nor an oracle, for
-        methods that linearise once and have no gate; `Study.compilation` says which these were.
+        together are long enough for that to be quicker. The threads of ``pgm.Compiled(threads=2)``
+        do the blocks, draws and sums among them; of fewer blocks than threads, sweeps have the
+        others. All digits are those of one thread.
+        On a card, ``Compiled(device="cuda")``, runs are drawn and summed as well, where there is
+        neither an executor nor an oracle, for methods that linearise once and have no gate;
+        `Study.compilation` says which these were.
     executor : concurrent.futures.Executor, optional
         As for `infer`: a process pool, a thread pool, a Dask client's ``get_executor()``, an MPI
         pool. Its workers do the blocks, whose sums are joined in their order here, so that all
@@ -194,6 +197,7 @@ def study(
     judge = None if oracle is None else oracle_of(oracle, repeats, plain, judged_states, kinds)
     choice = as_choice(compiled, "pgm.study(...)", card=True)
     report, workers, kept = reporting(progress), Workers(executor), None
+    sharing = 1
     if file is not None:
         told = _described(drawn, chosen, judge, judged_states, float(level), choice)
         kept = KeptSums(file, told, (*judged_states, *model.sensors), machine_code=long)
@@ -201,7 +205,9 @@ def study(
         long = kept.machine_code
     if choice or (choice is None and long):
         given = choice if isinstance(choice, Compiled) else Compiled()
-        choice = Squared(given.threads, given.device)
+        if executor is None and given.device is None:
+            sharing = min(given.threads, len(drawn.blocks))
+        choice = Squared(given.threads // sharing, given.device)
     graph = compile(model, drawn.steps, compiled=choice)
     drawn = drawn._replace(compiled=bool(choice))
     for method in chosen.values():
@@ -214,10 +220,10 @@ def study(
     parts = (part for method in chosen.values() for part in method)
     named = (*model.cpds, *parts, oracle)
     with report, ExitStack() as stack:
-        card = None
+        card, pool = None, stack.enter_context(_threads(sharing))
         if is_for_card(choice) and executor is None and judge is None:
             card = stack.enter_context(_on_card(drawn, chosen, asked).held())
-        sums = worked(card or work, drawn, workers, kept, named)
+        sums = worked(card or work, drawn, Workers(pool) if pool else workers, kept, named)
     words = "" if card is None else card.words
     return Study(rows_of(sums, chosen, judged_states, float(level)), drawn, float(level), words)
 
@@ -237,6 +243,13 @@ def _on_card(drawn: DrawnRuns, methods: Mapping[str, Method], asked: _Asked) -> 
 
     of = Asked(drawn, asked.graph, asked.states, asked.confidence)
     return CardBlocks(of, methods, _SURE, plain, aside)
+
+
+def _threads(count: int) -> AbstractContextManager[Any]:
+    """A pool of threads; None where there is to be no more than this one."""
+    from concurrent.futures import ThreadPoolExecutor  # here, since few need it
+
+    return ThreadPoolExecutor(count) if count > 1 else nullcontext()
 
 
 def _described(

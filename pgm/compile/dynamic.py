@@ -119,6 +119,11 @@ class SliceLayout:
         return {}
 
     @cached_property
+    def looked_at(self) -> set[tuple[Any, ...]]:
+        """The rules and kinds of beliefs whose linearisations were looked at, for a warning."""
+        return set()
+
+    @cached_property
     def plans(self) -> list[Any]:
         """Plans without evidence, of the forms of evidence that there were last."""
         return []

@@ -118,6 +118,9 @@ def filter(
     -----
     ConvergenceWarning
         If ``iterations`` of two or more end before they settle, in any run.
+    LinearisationWarning
+        If no line fits a function over its belief, in more than one of 20 runs, by the model's
+        first call; `Posterior.nonlinearity` says where.
     LostWarning
         If a belief is probably wrong at some step of a run; `Posterior.lost` says where.
     PrecisionWarning
@@ -240,6 +243,9 @@ def smooth(
     -----
     ConvergenceWarning
         If ``iterations`` of two or more end before they settle, in any run.
+    LinearisationWarning
+        If no line fits a function over its belief, in more than one of 20 runs, by the model's
+        first call; `Posterior.nonlinearity` says where.
     LostWarning
         If a belief is probably wrong at some step of a run; `Posterior.lost` says where.
     PrecisionWarning

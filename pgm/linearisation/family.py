@@ -536,7 +536,7 @@ class Family(Rows):
             new = np.where(active.reshape(-1, *tail), new, kept[rows])
         kept[rows] = new
 
-    def bound(self, rows: Some, lead: int, shape: tuple[int, ...]) -> BoundFunction:
+    def bound(self, rows: Some | Integers, lead: int, shape: tuple[int, ...]) -> BoundFunction:
         """The CPD's function with the evidence of some rows bound.
 
         It will be called with beliefs whose leading axes are `shape`, (runs,) for one row or

@@ -21,7 +21,7 @@ from dataclasses import replace
 import numpy as np
 
 from pgm.factors.scope import dimension
-from pgm.kernels.arrays import Array, Mask, components_last
+from pgm.kernels.arrays import Array, Integers, Mask, components_last
 from pgm.kernels.solving import regression
 from pgm.linearisation.family import Family
 from pgm.linearisers import GaussHermite, QuasiMonteCarlo, StatisticalRegression
@@ -34,25 +34,27 @@ _PRODUCT, _DRAWS = GaussHermite(3), QuasiMonteCarlo(128)
 _POINTS = 200_000
 
 
-def nonlinearity(family: Family, mean: Array, cov: Array, taken: Mask | None = None) -> Array:
-    """The nonlinearity tr Σₙ(Σₙ + R)⁻¹ of a CPD at each of its rows and runs, (rows, runs).
+def nonlinearity(
+    family: Family, rows: Integers, mean: Array, cov: Array, taken: Mask | None = None
+) -> Array:
+    """The nonlinearity tr Σₙ(Σₙ + R)⁻¹ of a CPD at k of its rows, in each run, (k, runs).
 
-    `mean` (rows, runs, n) and `cov` (rows, runs, n, n) are beliefs of the hidden parents. `taken`
-    (rows, runs or 1, d) marks the components of the child that count, those of a measurement that
-    were read; None if all do. It is zero of an affine CPD, and NaN where the belief is not finite
-    or the function has no finite value.
+    `rows` (k,) are their numbers, and `mean` (k, runs, n) and `cov` (k, runs, n, n) beliefs of the
+    hidden parents. `taken` (k, runs or 1, d) marks the components of the child that count, those of
+    a measurement that were read; None if all do. It is zero of an affine CPD, and NaN where the
+    belief is not finite or the function has no finite value.
     """
-    rows, runs, height = family.shape[:3]
-    found = np.zeros((rows, runs))
+    runs, height = family.shape[1:3]
+    found = np.zeros((rows.size, runs))
     if family.exact or not family.hidden or not found.size:
         return found
     size = dimension(family.hidden)
     other, count = _regressed(family, size), len(_rule(size).points(size, "", 0).points)
     most = max(_POINTS // (count * runs), 1)
-    own = np.broadcast_to(family.own_noise, (rows, runs, height, height))
-    for first in range(0, rows, most):
-        part = slice(first, min(first + most, rows))
-        error, noise = _errors(other, part, mean[part], cov[part]), own[part]
+    own = np.broadcast_to(family.own_noise, (family.shape[0], runs, height, height))
+    for first in range(0, rows.size, most):
+        part = slice(first, first + most)
+        error, noise = _errors(other, rows[part], mean[part], cov[part]), own[rows[part]]
         if taken is not None:
             read = np.broadcast_to(taken[part], (*error.shape[:2], height))
             both = read[..., :, None] & read[..., None, :]
@@ -80,7 +82,7 @@ def _regressed(family: Family, size: int) -> Family:
     return other
 
 
-def _errors(family: Family, rows: slice, mean: Array, cov: Array) -> Array:
+def _errors(family: Family, rows: Integers, mean: Array, cov: Array) -> Array:
     """Σₙ of some rows, (k, runs, d, d), of a family that is linearised by regression.
 
     NaN where the belief or a value of the function is not finite.

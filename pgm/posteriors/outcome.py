@@ -54,9 +54,10 @@ QUESTIONS: dict[str, tuple[str, type[PgmError]]] = {
 
 # Forms in which beliefs are kept: moments or tables of a chain's slices, moments of the slices of a
 # balanced tree, moments or tables of a network without time, mixtures of a mixed one, any of these
-# for runs of each pattern of gaps; or the marginals of variables alone.
+# for runs of each pattern of gaps; the modes of a network without time, whose clusters have beliefs
+# and no messages; or the marginals of variables alone.
 CHAIN, SLICES, BALANCED, NETWORK, TABLES = "chain", "slices", "balanced", "network", "tables"
-MIXTURES, MARGINALS, SWITCHING = "mixtures", "marginals", "switching"
+MIXTURES, MODES, MARGINALS, SWITCHING = "mixtures", "modes", "marginals", "switching"
 BY_PATTERN = "by pattern"
 
 
@@ -202,6 +203,10 @@ class Outcome(Shown, ABC, Generic[B]):
 
     def _doubt(self) -> str:
         """Why the beliefs are probably wrong, for a warning; empty if nothing says so at once."""
+        return ""
+
+    def _misfit(self) -> str:
+        """Why no linearisation can be right, for a warning; empty if nothing says so at once."""
         return ""
 
 

@@ -26,7 +26,7 @@ from pgm.posteriors.outcome import QUESTIONS, B, Outcome
 from pgm.variables import Discrete, Variable
 
 if TYPE_CHECKING:
-    from pgm.factors import CanonicalForm, Table
+    from pgm.factors import CanonicalForm, GaussianMixture, Table
     from pgm.networks import Sample
     from pgm.posteriors.associations import Found
     from pgm.posteriors.belief_kind import Kind
@@ -420,7 +420,7 @@ class Posterior(Labelled, Judged, Shown, NoArray, Generic[B]):
         """
         return self._ask("message")(source, target)  # type: ignore[no-any-return]
 
-    def belief(self, cluster: int | Cluster) -> CanonicalForm | Table:
+    def belief(self, cluster: int | Cluster) -> CanonicalForm | Table | GaussianMixture:
         """The belief of a cluster over its variables without evidence, unnormalised.
 
         Parameters
@@ -429,13 +429,15 @@ class Posterior(Labelled, Judged, Shown, NoArray, Generic[B]):
 
         Returns
         -------
-        CanonicalForm or Table
-            Its integral is the evidence that its messages know: all of it after smoothing.
+        CanonicalForm, Table or GaussianMixture
+            Its integral is the evidence that its messages know: all of it after smoothing. Of
+            several modes it is a mixture, of mass one.
 
         Raises
         ------
         GraphError
-            If the graph has no such cluster, or the family no such beliefs.
+            If the graph has no such cluster, the family no such beliefs, or several modes of a
+            cluster whose variables are all observed.
         NumericalError
             If it has no canonical form, since a covariance is singular.
         """
@@ -751,6 +753,9 @@ class Posterior(Labelled, Judged, Shown, NoArray, Generic[B]):
 
     def _doubt(self) -> str:
         return self._outcome._doubt()
+
+    def _misfit(self) -> str:
+        return self._outcome._misfit()
 
     @property
     def _title(self) -> str:

@@ -17,7 +17,7 @@ from pgm.kernels.arrays import Array, Integers
 from pgm.variables import Discrete, Variable
 
 # Draws at each step that a page shows of beliefs that are not Gaussian, and the most Gaussians.
-_DRAWS, _GAUSSIANS = 60, 8
+_DRAWS, GAUSSIANS = 60, 8
 
 
 class Room(NamedTuple):
@@ -154,7 +154,7 @@ class ShownMarginals(ShownSlices):
         if count == {1} or len(count) > 1:
             return {}
         weights = max((each.weights for each in every), key=len)
-        order = np.argsort(-weights.sum(axis=0), kind="stable")[:_GAUSSIANS]
+        order = np.argsort(-weights.sum(axis=0), kind="stable")[:GAUSSIANS]
         found = {"weights": np.full((len(self.span), len(order)), np.nan)}
         found["weights"][len(self.span) - len(weights) :] = weights[:, order]
         for k, place in enumerate(order.tolist()):

@@ -1,4 +1,4 @@
-"""The warnings of a call: that iterations ended before they settled, or that a belief was lost.
+"""The warnings of a call: of iterations not settled, beliefs lost, functions that no line fits.
 
 The *residual* of an iteration is the largest change of a message, or the largest move of a mean in
 standard deviations. The iterations of a run have *settled*, or converged, when the last residual is
@@ -16,7 +16,7 @@ from collections.abc import Callable
 import numpy as np
 
 from pgm.clustergraph import ClusterGraph
-from pgm.errors import ConvergenceWarning, LostWarning, levels_to_user
+from pgm.errors import ConvergenceWarning, LinearisationWarning, LostWarning, levels_to_user
 from pgm.kernels.arrays import Array, Mask
 from pgm.posteriors.outcome import B
 from pgm.posteriors.posterior import Posterior
@@ -44,12 +44,14 @@ def is_iterated(schedule: Schedule | None) -> bool:
 def told(posterior: Posterior[B], schedule: Schedule | None) -> Posterior[B]:
     """The same posterior, after warnings of what is wrong with it, once for all runs.
 
-    A `LostWarning` is given if a belief was lost, and a `ConvergenceWarning` if some run has not
-    settled: not after a single linearisation, for a tolerance of 0 (unless messages diverged), or
-    without a schedule.
+    A `LostWarning` is given if a belief was lost, else a `LinearisationWarning` if no line fits a
+    function over its belief; and a `ConvergenceWarning` if some run has not settled: not after a
+    single linearisation, for a tolerance of 0 (unless messages diverged), or without a schedule.
     """
     if doubt := posterior._doubt():
         warnings.warn(doubt, LostWarning, stacklevel=levels_to_user())
+    elif doubt := posterior._misfit():
+        warnings.warn(doubt, LinearisationWarning, stacklevel=levels_to_user())
     if schedule is None or not is_iterated(schedule):
         return posterior
     status = posterior.status

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,10 +11,11 @@ from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.clustergraph.cluster import Edge
 from pgm.compile import BalancedGraph
 from pgm.errors import GraphError, NumericalError
-from pgm.factors import CanonicalForm, Gaussian, Table
+from pgm.factors import CanonicalForm, Gaussian, GaussianMixture, Table
 from pgm.factors.scope import Scope
 from pgm.inference import CliqueTree
 from pgm.kernels.arrays import Array
+from pgm.posteriors.shown_slices import GAUSSIANS
 from pgm.variables import Variable
 from pgm.viewer.moved import moved
 from pgm.viewer.numbers import (
@@ -97,6 +98,9 @@ def drawn(
         "variables": writer.variables,
         "clusters": clusters,
         "edges": joined,
+        "words": {}
+        if hasattr(writer.posterior, "message")
+        else {"messages": writer.posterior.silent},
         "places": place(shown, edges, letters, graph),
     }
 
@@ -116,19 +120,18 @@ def _cluster(writer: Writer, cluster: Cluster, values: list[dict[Variable, str]]
         ],
         "cpds": [factor(each, family) for each, family in families],
         "belief": belief,
-        "potential": writer.factors(writer.posterior.potential, cluster.index, scope=hidden),
+        "potential": writer.factors("potential", cluster.index, scope=hidden),
     }
 
 
 def _edge(writer: Writer, sepset: Scope, edge: Edge) -> dict[str, Any]:
     i, j = edge
-    message = writer.posterior.message
     scope = tuple(v for v in sepset if v in writer.scopes[i])
     return {
         "ends": [i, j],
         "scope": writer.names(scope),
-        "there": writer.factors(message, i, j, scope=scope),
-        "back": writer.factors(message, j, i, scope=scope),
+        "there": writer.factors("message", i, j, scope=scope),
+        "back": writer.factors("message", j, i, scope=scope),
     }
 
 
@@ -223,8 +226,10 @@ class Writer:
             found.append(self.places[each])
         return found
 
-    def factors(self, make: Callable[..., Factor], *of: int, scope: Scope) -> list[dict[str, Any]]:
-        """A factor in each run, in the order of a scope, or why there is none."""
+    def factors(self, name: str, *of: int, scope: Scope) -> list[dict[str, Any]]:
+        """A potential or message in each run, in the order of a scope, or why there is none."""
+        if (make := getattr(self.posterior, name, None)) is None:
+            return self._absent(str(self.posterior.refusal(name)))
         try:
             factor = make(*of)
         except (NumericalError, GraphError) as error:
@@ -239,11 +244,13 @@ class Writer:
         belief, why = None, None
         try:
             belief = posterior.belief(k)
-        except NumericalError as error:
+        except (GraphError, NumericalError) as error:
             why = str(error)
         self.scopes[k] = scope = posterior.scope(cluster) if belief is None else belief.scope
         if isinstance(belief, Table):
             return [self._written(belief, run) for run in self.runs]
+        if isinstance(belief, GaussianMixture):
+            return [self._mixture(belief, run) for run in self.runs]
         if not scope:
             return self._absent("all its variables are observed")
         try:
@@ -259,10 +266,23 @@ class Writer:
         if isinstance(factor, Table):
             return self._table(factor, run)
         if isinstance(factor, Gaussian):
-            moments = factor.mean[run], lower(factor.cov[run])
-            return {"form": "moments", "at": self.numbers.flat(np.concatenate(moments))}
+            return self._moments(factor.mean[run], factor.cov[run])
         form = lower(factor.K[run]), factor.h[run], np.atleast_1d(factor.g[run])
         return {"form": "canonical", "at": self.numbers.flat(np.concatenate(form))}
+
+    def _mixture(self, mixture: GaussianMixture, run: Run) -> dict[str, Any]:
+        """The moments of a mixture, and its heaviest Gaussians."""
+        weights = mixture.weights[run]
+        heaviest = np.argsort(-weights, kind="stable")[:GAUSSIANS]
+        each = [
+            {"weight": float(weights[k])} | self._written(mixture.components, (*run, k))
+            for k in heaviest[weights[heaviest] > 0.0].tolist()
+        ]
+        return self._moments(mixture.mean[run], mixture.cov[run]) | {"gaussians": each}
+
+    def _moments(self, mean: Array, cov: Array) -> dict[str, Any]:
+        at = self.numbers.flat(np.concatenate([mean, lower(cov)]))
+        return {"form": "moments", "at": at}
 
     def _table(self, table: Table, run: Run) -> dict[str, Any]:
         run = run if table.log_scale.ndim else ()

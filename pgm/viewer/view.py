@@ -51,11 +51,6 @@ def _no_clusters(posterior: Posterior[Any]) -> str:
             f"gaps, and {posterior._title} has several patterns of these: give runs of one to a "
             "call, print it, or plot its beliefs"
         )
-    if outcome.form == MARGINALS and outcome.kind is None:
-        return (
-            f"view shows beliefs of clusters, and {posterior._title} has marginals of variables "
-            "alone: print it, plot its beliefs, or have posterior.report(path) judge them"
-        )
     return ""
 
 
@@ -75,7 +70,9 @@ def view(
     chain has a slider over its steps and its trajectory beside it, an iterated schedule one over
     its iterations. Clusters are coloured by how far evidence moved a variable of theirs, in nats:
     of a chain the readings of the step, KL(filtered ‖ predicted); without time all evidence,
-    KL(posterior ‖ prior), for which the prior is inferred, too.
+    KL(posterior ‖ prior), for which the prior is inferred, too. Clusters of several modes, as
+    `pgm.estimate` has them without time, have mixtures, whose Gaussians are drawn beside their
+    moments, and no messages and colours.
 
     Parameters
     ----------

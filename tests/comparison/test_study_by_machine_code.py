@@ -1,17 +1,17 @@
 """Studies in machine code against NumPy's kernels: NIS of sweeps, errors and sums over runs."""
 
-from functools import partial
+from threading import current_thread, main_thread
 
 import numpy as np
 import pytest
+from comparison.test_study_workers import require_same
 from numpy.testing import assert_allclose, assert_array_equal
 
 import pgm
 from pgm.beliefs.moments.compiled import judged as judging
 from pgm.beliefs.moments.compiled import sweep
 from pgm.comparison import drawn_runs, judged_runs, studying
-from pgm.comparison.study_methods import Method, methods_of
-from pgm.comparison.sums import joined
+from pgm.comparison.study_methods import Method
 from pgm.comparison.tally import Tally
 from pgm.compile.machine import Squared
 from pgm.inference.engine import send
@@ -250,21 +250,18 @@ def test_traces_are_judged_at_predicted_beliefs_of_some_runs(runs, schedule, mon
     assert all(tuple(point) in known for point in points[-1])
 
 
-def test_threads_that_share_blocks_give_the_same_digits(monkeypatch):
-    from concurrent.futures import ThreadPoolExecutor
+@pytest.mark.parametrize("most", [16, 1024])
+def test_threads_change_no_digit(most, monkeypatch):
+    """They share the blocks, or the runs of the only one."""
+    monkeypatch.setattr(drawn_runs, "MOST", most)
+    given = {"runs": 100, "methods": {"UKF": pgm.Unscented()}, "seed": 4}
+    alone = pgm.study(robot(), INPUTS, compiled=True, **given)
+    threads, sample = set(), drawn_runs.DrawnRuns.sample
 
-    monkeypatch.setattr(drawn_runs, "MOST", 16)
-    found = pgm.study(
-        robot(), INPUTS, runs=100, methods={"UKF": pgm.Unscented()}, seed=4, compiled=True
-    )
-    methods = methods_of({"UKF": pgm.Unscented()}, robot())
-    graph = pgm.compile(robot(), T, compiled=Squared())
-    asked = studying._Asked(graph, graph, (x,), 0.95)
-    with ThreadPoolExecutor(3) as pool:
-        work = partial(studying.of_block, found._drawn, methods=methods, asked=asked)
-        sums = joined(pool.map(work, found._drawn.blocks))
-    alone = joined(map(work, found._drawn.blocks))
-    for key, tally in sums["UKF"].tallies.items():
-        for one, two in zip(tally, alone["UKF"].tallies[key], strict=True):
-            assert_array_equal(one, two)
-    assert_array_equal(sums["UKF"].tallies["nees", x].by_step()[0], found["UKF"].nees.by_step)
+    def counted(self, first):
+        threads.add(current_thread())
+        return sample(self, first)
+
+    monkeypatch.setattr(drawn_runs.DrawnRuns, "sample", counted)
+    require_same(pgm.study(robot(), INPUTS, compiled=pgm.Compiled(threads=3), **given), alone)
+    assert (main_thread() in threads) == (most > 100)

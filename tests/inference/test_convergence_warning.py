@@ -20,6 +20,7 @@ def said(call):
     """Return what a call answers, and the warnings of convergence it issues."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
+        warnings.simplefilter("ignore", pgm.LinearisationWarning)
         answer = call()
     assert all(each.category is pgm.ConvergenceWarning for each in caught)
     assert all(each.filename == __file__ for each in caught), "it points at the user's line"
@@ -236,6 +237,7 @@ def test_rounding_of_far_coordinates_is_no_move(shift, compiled):
         for tolerance in (1e-6, 0.0):
             with warnings.catch_warnings(record=True) as told:
                 warnings.simplefilter("always")
+                warnings.simplefilter("ignore", pgm.LinearisationWarning)
                 posterior = call(
                     model, evidence, iterations=40, tolerance=tolerance, compiled=compiled
                 )

@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import pgm
+from pgm import examples
 
 x, i, m = pgm.variables("x i m")
 z, other = pgm.variables("z other")
@@ -77,3 +78,15 @@ def test_a_lost_cpd_is_found_by_the_check(monkeypatch):
     monkeypatch.setattr(type(model), "cpds_at", lambda self, step: whole(self, step)[:1])
     with pytest.raises(pgm.GraphError, match="assigned to 0 clusters"):
         graph.check()
+
+
+@pytest.mark.filterwarnings("ignore::pgm.PrecisionWarning")
+def test_a_reading_that_float64_cannot_hold_is_refused_by_its_run():
+    """Among several runs; of one run there is none to name."""
+    huge = np.array([[[9.0]], [[1e300]], [[1.0]]])
+    for readings, of in ((huge, ", run 1, "), (huge[1], " ")):
+        with pytest.raises(pgm.NumericalError, match=f"z at step 1{of}is indefinite or not finite"):
+            pgm.smooth(examples.squares, {examples.z: readings}, steps=1)
+    posterior = pgm.infer(pgm.compile(examples.square), {examples.y: huge[:, 0]})
+    with pytest.raises(pgm.NumericalError, match="beyond the range of float64 in run 1: a meas"):
+        posterior.log_evidence  # noqa: B018

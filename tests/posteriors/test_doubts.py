@@ -135,10 +135,64 @@ def test_of_very_many_steps_print_says_that_nothing_was_asked():
 
 
 def test_lines_that_cannot_be_right_are_told_of():
-    once = pgm.filter(squares, {z: [[9.0], [9.1]]})
+    with pytest.warns(pgm.LinearisationWarning, match="posterior.nonlinearity where; smooth with"):
+        once = pgm.filter(afresh(squares), {z: [[9.0], [9.1]]})
     assert "linearised where no line is right: z at 2 of 2; smooth" in repr(once)
     settled = pgm.smooth(squares, {z: [[9.0], [9.1]]}, iterations=30)
     assert "linearised where" not in repr(settled)
+
+
+def afresh(model):
+    """The same network, of which no call was made."""
+    return model.replace(prior=model.prior)
+
+
+def doubted(ask, *asked, **how):
+    """Whether a call warns that no line is right, once and at this file."""
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        ask(*asked, **how)
+    told = [each for each in told if each.category is pgm.LinearisationWarning]
+    assert all(each.filename == __file__ for each in told)
+    assert len(told) <= 1
+    return bool(told)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("ask", [pgm.filter, pgm.smooth, partial(pgm.smooth, lag=2)])
+def test_the_first_call_by_each_rule_warns_of_lines_that_cannot_be_right(ask, compiled):
+    model, readings = afresh(squares), {z: [[9.0], [9.1], [9.0]]}
+    own = partial(doubted, ask, model, readings, compiled=compiled)
+    assert own()
+    assert not own()
+    assert own(lineariser=pgm.Unscented())
+    assert not own(lineariser=pgm.Unscented())
+    assert not own(iterations=20)
+    assert doubted(ask, afresh(squares), readings, compiled=compiled)
+
+
+def test_a_narrow_belief_is_not_doubted_and_a_gap_is():
+    """The rows with the widest beliefs are looked at, wherever they are."""
+    near = pgm.GaussianCPD(x, mean=3.0, cov=1e-4)
+    still = pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1e-4)
+    model = squares.replace(prior=[near], transition=[still])
+    rows = [[9.0]] * 100
+    assert not doubted(pgm.filter, model, {z: rows})
+    rows[20:90] = [[np.nan]] * 70
+    assert doubted(pgm.filter, afresh(model), {z: rows})
+    assert np.flatnonzero(pgm.filter(model, {z: rows}).nonlinearity[z] > 0.5).tolist() == [90]
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("wide", [0, 2, 3])
+def test_of_many_runs_more_than_one_in_twenty_are_to_be_wrong(wide, compiled):
+    cov = np.where(np.arange(40) < wide, 1.0, 1e-8).reshape(40, 1, 1)
+    still = pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1e-8)
+    model = squares.replace(prior=[pgm.GaussianCPD(x, 3.0, cov)], transition=[still])
+    readings = {z: np.full((40, 5, 1), 9.0)}
+    assert doubted(pgm.filter, model, readings, compiled=compiled) == (wide == 3)
+    wrong = (pgm.filter(model, readings, compiled=compiled).nonlinearity[z] > 0.5).any(axis=1)
+    assert wrong.sum() == wide
 
 
 def test_a_function_that_fails_over_the_belief_does_not_keep_a_posterior_from_being_shown():

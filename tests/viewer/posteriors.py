@@ -123,6 +123,21 @@ def lattice(size=4, method=None, schedule=None):
     return pgm.infer(graph, {at[size - 1, size - 1]: 2.0}, schedule=schedule or pgm.Flooding())
 
 
+@cache
+def modes():
+    """Two modes of a network without time, mirror images, in two runs; one cluster is observed."""
+    a, b, square, product = pgm.variables("a b square product")
+    net = pgm.BayesianNetwork(
+        [
+            pgm.GaussianCPD(a, 0.0, 1.0),
+            pgm.LinearGaussianCPD(b, given={a: 1.0}, cov=0.1),
+            pgm.NonlinearGaussianCPD(square, a, np.square, 0.05),
+            pgm.NonlinearGaussianCPD(product, (a, b), np.multiply, 0.05),
+        ]
+    )
+    return pgm.estimate(net, {square: [[0.8], [1.0]], product: [[0.9], [0.7]]}, effort=1000)
+
+
 def tree():
     """A junction tree of tables with one observed."""
     names = "a b c d e f"

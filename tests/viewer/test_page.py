@@ -104,6 +104,7 @@ def test_frames_of_notebooks_are_small_and_say_what_is_cut():
         posteriors.days,
         posteriors.lattice,
         posteriors.tree,
+        posteriors.modes,
         posteriors.balanced,
         posteriors.particles,
         posteriors.grid,
@@ -111,6 +112,33 @@ def test_frames_of_notebooks_are_small_and_say_what_is_cut():
 )
 def test_every_posterior_shows_itself(made):
     assert made()._repr_html_().startswith("<iframe srcdoc=")
+
+
+def test_clusters_of_modes_have_mixtures_and_no_messages(tmp_path):
+    posterior = posteriors.modes()
+    page = written(posterior, tmp_path)
+    data, numbers = data_of(page), numbers_of(page)
+    (cluster,) = (each for each in data["clusters"] if len(each["scope"]) == 2)
+    assert data["words"]["messages"] == posterior._outcome.silent
+    told = cluster["potential"] + [each for edge in data["edges"] for each in edge["there"]]
+    assert {each["form"] for each in told} == {"none"}
+    for run, given in enumerate(cluster["belief"]):
+        names = [data["variables"][k]["name"] for k in cluster["scope"]]
+        draws = [pgm.Variable(name) for name in names]
+        mixture = posterior.joint(*draws)[run]
+        assert cluster["observed"][0][1][run] == str([0.9, 0.7][run])
+        each = given["gaussians"]
+        weights = np.array([part["weight"] for part in each])
+        means = np.array([numbers[part["at"] :][:2] for part in each])
+        covs = np.array([numbers[part["at"] + 2 :][:3][[0, 1, 1, 2]] for part in each])
+        mean = weights @ means
+        squares = covs.reshape(-1, 2, 2) + means[:, :, None] * means[:, None, :]
+        cov = np.tensordot(weights, squares, 1) - np.outer(mean, mean)
+        shown = numbers[given["at"] :][:5]
+        np.testing.assert_allclose(shown[:2], mean, atol=1e-8)
+        np.testing.assert_allclose(shown[2:][[0, 1, 1, 2]], cov.ravel(), atol=1e-8)
+        np.testing.assert_allclose(mixture.mean, mean, atol=1e-8)
+        assert sorted(np.sign(means[:, 0])) == [-1, 1]
 
 
 @pytest.mark.filterwarnings("ignore::pgm.ConvergenceWarning")  # two rounds, to be shown

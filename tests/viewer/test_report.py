@@ -210,16 +210,6 @@ def test_the_verdict_of_an_estimate_stands_first(tmp_path):
     assert "Verdict" not in sections_of(written(posteriors.batch(), tmp_path))
 
 
-def test_marginals_without_time_have_no_page_of_clusters(tmp_path):
-    a, y = pgm.variables("a y")
-    square = pgm.NonlinearGaussianCPD(y, (a,), lambda a: a**2, cov=0.1)
-    net = pgm.BayesianNetwork([pgm.GaussianCPD(a, 0.0, 1.0), square])
-    posterior = pgm.estimate(net, {y: [1.0]})
-    with pytest.raises(pgm.GraphError, match=r"posterior\.report\(path\)"):
-        pgm.view(posterior, tmp_path / "page.html")
-    assert "iframe" not in posterior._repr_html_()
-
-
 def test_a_truth_that_does_not_fit_leaves_no_page(tmp_path):
     with pytest.raises(pgm.GraphError, match="was due"):
         written(posteriors.filtered(), tmp_path, {posteriors.x: np.zeros((3, 3))})

@@ -263,9 +263,10 @@ class GaussianOutcome(Outcome[Gaussian]):
         """
         value = self._done.log_evidence
         if not np.isfinite(value).all():
+            of = f" in run {int(np.argmin(np.isfinite(value)))}" if value.size > 1 else ""
             raise NumericalError(
-                "ln p(evidence) is beyond the range of float64: a measurement is more than 1e150 "
-                "deviations from what the model expects; give its CPD more noise"
+                f"ln p(evidence) is beyond the range of float64{of}: a measurement is more than "
+                "1e150 deviations from what the model expects; give its CPD more noise"
             )
         return frozen(runs_first(value).reshape(self._model.lead))
 

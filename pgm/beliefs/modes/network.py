@@ -220,7 +220,7 @@ class NetworkSearch(Search):
 
     def outcome(self, found: Found) -> NetworkModes:
         """The mixtures of the modes."""
-        return NetworkModes(self.graph, found)
+        return NetworkModes(self.graph, found, {v: self.asked[v] for v in self.evidence})
 
 
 def _base(model: Model) -> LinearPart | None:

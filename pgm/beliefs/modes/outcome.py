@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from pgm.clustergraph import ClusterGraph
+from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.compile import DynamicGraph
 from pgm.display import Summary
-from pgm.errors import Unanswered
+from pgm.errors import GraphError, Unanswered
 from pgm.factors import Gaussian, GaussianMixture
 from pgm.factors.scope import Scope
 from pgm.kernels.arrays import Array, Integers
@@ -19,7 +19,7 @@ from pgm.kernels.stochastic import Dense
 from pgm.posteriors.belief_kind import SMOOTHED
 from pgm.posteriors.belief_kind import Kind as Knows
 from pgm.posteriors.figures import Figures
-from pgm.posteriors.outcome import Outcome
+from pgm.posteriors.outcome import MODES, Outcome
 from pgm.posteriors.status import Status
 from pgm.posteriors.summaries import of_network, over_time
 from pgm.variables import Variable
@@ -266,17 +266,31 @@ class ChainModes(ModesOutcome):
         return over_time(self._title, self, self._hidden, lead, self.graph.steps)
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class NetworkModes(ModesOutcome):
     """Mixtures of the modes of the posterior of a network without time; leading axes are runs."""
 
+    form: ClassVar[str] = MODES
     kind: ClassVar[None] = None
 
     graph: ClusterGraph
+    _entered: Mapping[Variable, Array]
 
     @property
     def _hidden(self) -> Scope:
         hidden: Scope = self._found.parts[0].outcome._hidden
         return hidden
+
+    def belief(self, cluster: int | Cluster) -> GaussianMixture:
+        """The belief of a cluster over its variables without evidence, of mass one."""
+        index = self.graph.index(cluster)
+        if not (scope := self.scope(self.graph.clusters[index])):
+            raise GraphError(f"all variables of cluster {index} are observed: it has no belief")
+        return self.joint(*scope)
+
+    def entered(self, run: int) -> dict[Variable, Array]:
+        """The values that were given, by variable, (d,) each; NaN of what was not measured."""
+        return {v: rows.reshape(-1, v.dimension)[run] for v, rows in self._entered.items()}
 
     @property
     def _title(self) -> str:

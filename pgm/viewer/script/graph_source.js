@@ -60,8 +60,9 @@ class GraphSource {
     return this.clusters.get(id).neighbours;
   }
 
+  // The neighbours that sent messages to a cluster: of modes there are none.
   senders(id) {
-    return this.neighbours(id);
+    return this.data.words.messages ? [] : this.neighbours(id);
   }
 
   bounds() {
@@ -146,6 +147,17 @@ class GraphSource {
     return found;
   }
 
+  // The Gaussians of a mixture over a cluster, by weight.
+  gaussians(id) {
+    const cluster = this.clusters.get(id);
+    const found = cluster.belief[this.run].gaussians ?? [];
+    return found.map((given) => {
+      const factor = this.factor(given, cluster.scope);
+      factor.why = "moments alone: it is one of a mixture's Gaussians";
+      return { weight: given.weight, factor };
+    });
+  }
+
   factor(given, scope) {
     const variables = (given.scope ?? scope).map((k) => this.data.variables[k]);
     const from = given.at;
@@ -174,7 +186,8 @@ class GraphSource {
     const triangle = (n * (n + 1)) / 2;
     if (given.form === "moments") {
       const moments = { mean: take(0, n), cov: fromLower(take(n, triangle), n) };
-      return gaussian(variables, { moments, why: given.why ? "no canonical form: singular" : null });
+      const mixture = given.gaussians ? "moments alone: this belief is a mixture of Gaussians" : null;
+      return gaussian(variables, { moments, why: given.why ? "no canonical form: singular" : mixture });
     }
     const canonical = {
       K: fromLower(take(0, triangle), n),

@@ -157,7 +157,7 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
                 belief, rows[:, k, :-1], rows[:, k, -1], noises[:, k], seen[:, k]
             )
             if improper.any():
-                refusals.indefinite(parts, self.step)
+                refusals.indefinite(parts, self.step, improper)
             components.append(component)
             innovation, weight = component.innovation[:, 0], component.weight
             read = weight.hi > 0.0
@@ -165,7 +165,7 @@ class CarefulReading(UpdateProblem[CarefulUpdate]):
             level = (innovation * innovation * weight).hi + np.log(np.where(read, predictive, 1.0))
             log_density -= np.where(read, 0.5 * (level + LOG_2PI), 0.0)
         if not np.isfinite(log_density).all():
-            refusals.indefinite(parts, self.step)
+            refusals.indefinite(parts, self.step, ~np.isfinite(log_density))
         if left.any():
             off = left.T if self.mean.ndim > 1 else left[0]
             refusals.contradiction(parts, self.step, self.mean, off)

@@ -6,7 +6,7 @@ the next slice. A row is a step of a transition, or a reading of a sensor.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -14,7 +14,8 @@ from pgm.beliefs.moments.passes import backward
 from pgm.beliefs.moments.passes.backward import Beliefs
 from pgm.beliefs.moments.steps.plan import Link
 from pgm.beliefs.moments.steps.sensor import Sensor
-from pgm.kernels.arrays import Array, Index, block
+from pgm.kernels.arrays import Array, Index, Integers, Mask, block, variances
+from pgm.linearisation.family import Family
 from pgm.linearisation.nonlinearity import nonlinearity
 from pgm.posteriors.belief_kind import FILTERED
 from pgm.variables import Variable
@@ -23,41 +24,84 @@ if TYPE_CHECKING:
     from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
 
 
+class Linearised(NamedTuple):
+    """A nonlinear CPD, and the beliefs of its parents over which its rows were linearised.
+
+    mean, cov: Of the hidden parents, (rows, runs, n) and (rows, runs, n, n).
+    taken: Of a sensor the components that were read, (rows, runs or 1, d); None for all.
+    order: Of a sensor the place of each row in the evidence; None of a transition.
+    """
+
+    family: Family
+    mean: Array
+    cov: Array
+    taken: Mask | None = None
+    order: Integers | None = None
+
+    def figures(self, rows: Integers) -> Array:
+        """The nonlinearity of some rows, (rows, runs): NaN of a sensor where nothing was read."""
+        taken = None if self.taken is None else self.taken[rows]
+        found = nonlinearity(self.family, rows, self.mean[rows], self.cov[rows], taken)
+        if taken is not None:
+            found[~np.broadcast_to(taken.any(axis=-1), found.shape)] = np.nan
+        return found
+
+    def widest(self, most: int) -> Integers:
+        """The rows with the widest beliefs, so many at the most, in their order.
+
+        A row is as wide as the largest of its variances, each divided by its mean over all rows, in
+        any run. Rows that were not read or whose beliefs are not finite count last.
+        """
+        width = np.maximum(variances(self.cov), 0.0)
+        width = np.where(np.isfinite(width), width, 0.0)
+        if self.taken is not None:
+            width = width * self.taken.any(axis=-1, keepdims=True)
+        mean = width.mean(axis=0)
+        relative = width / np.where(mean > 0.0, mean, 1.0)
+        order = np.argsort(-relative.max(axis=(1, 2), initial=0.0), kind="stable")
+        return np.sort(order[:most])
+
+
 def nonlinearities(posterior: ChainOutcome) -> dict[Variable, Array]:
     """The nonlinearity of each nonlinear CPD's rows, by its child: (*runs, rows) each.
 
     The rows of a sensor are in the order of the evidence, NaN where nothing was read.
     """
+    found = {}
+    for variable, each in linearised(posterior).items():
+        rows = np.arange(len(each.mean))
+        figures = each.figures(rows)[rows if each.order is None else np.argsort(each.order)]
+        found[variable] = figures.T.reshape(*posterior._lead, len(rows))
+    return found
+
+
+def linearised(posterior: ChainOutcome) -> dict[Variable, Linearised]:
+    """The nonlinear CPDs of a chain, by child, with the beliefs where they were linearised."""
     plan, forward = posterior._plan, posterior._forward
     once = posterior.status.iterations == 1
     ahead = Beliefs(forward.predicted_mean, forward.predicted_cov)
-    found: dict[Variable, Array] = {}
+    found: dict[Variable, Linearised] = {}
     for sensor in plan.read:
         if not sensor.family.exact:
-            found[sensor.variable] = _of_sensor(sensor, ahead if once else posterior._beliefs)
+            found[sensor.variable] = _sensor(sensor, ahead if once else posterior._beliefs)
     filters = once or posterior.kind == FILTERED
     before = Beliefs(forward.mean, forward.cov) if filters else posterior._beliefs
     for link in plan.transition if plan.steps else ():
         if not link.family.exact:
             after = ahead if filters else posterior._beliefs
-            found[link.family.cpd.child] = _of_motion(posterior, link, before, after)
-    return {
-        variable: figures.T.reshape(*plan.lead, len(figures)) for variable, figures in found.items()
-    }
+            found[link.family.cpd.child] = _motion(posterior, link, before, after)
+    return found
 
 
-def _of_sensor(sensor: Sensor, slices: Beliefs) -> Array:
-    """The nonlinearity of each reading of a sensor, (M, runs)."""
+def _sensor(sensor: Sensor, slices: Beliefs) -> Linearised:
+    """A sensor at the beliefs of its slices."""
     steps = sensor.family.step
     at = _part(Beliefs(slices.mean[steps], slices.cov[steps]), sensor.parents)
-    figures = nonlinearity(sensor.family, at.mean, at.cov, sensor.taken)
-    if sensor.taken is not None:
-        figures[~np.broadcast_to(sensor.taken.any(axis=-1), figures.shape)] = np.nan
-    return figures[np.argsort(sensor.order)]
+    return Linearised(sensor.family, at.mean, at.cov, sensor.taken, sensor.order)
 
 
-def _of_motion(posterior: ChainOutcome, link: Link, before: Beliefs, after: Beliefs) -> Array:
-    """The nonlinearity of a CPD of the transition at each step, (T, runs).
+def _motion(posterior: ChainOutcome, link: Link, before: Beliefs, after: Beliefs) -> Linearised:
+    """A CPD of the transition, of which each step is a row.
 
     `before` are the beliefs of slices from which it starts, at 0..T, and `after` those of slices to
     which it leads, given the same measurements.
@@ -70,7 +114,7 @@ def _of_motion(posterior: ChainOutcome, link: Link, before: Beliefs, after: Beli
     else:
         at = backward.pairs(after, posterior._reverse, slice(None))
     own = _part(at, places)
-    return nonlinearity(link.family, own.mean, own.cov)
+    return Linearised(link.family, own.mean, own.cov)
 
 
 def _part(beliefs: Beliefs, places: Index) -> Beliefs:

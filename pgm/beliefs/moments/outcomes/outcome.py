@@ -547,6 +547,10 @@ class ChainOutcome(Innovated, Outcome[Gaussian]):
     def _doubt(self) -> str:
         return doubts.doubt(held=doubts.is_held(self))
 
+    @quiet()
+    def _misfit(self) -> str:
+        return doubts.misfit(self)
+
     @property
     def _title(self) -> str:
         runs = f", runs {self._planned.lead}" if self._planned.lead else ""

@@ -174,7 +174,7 @@ def _absorb(
     if certain is None:  # else it is asked for hypotheses that have a probability
         finite = isfinite(density) if isinstance(density, float) else np.isfinite(density.sum())
         if not finite:
-            refusals.indefinite(parts, step)
+            refusals.indefinite(parts, step, ~np.isfinite(density))
     if least == NEARLY_SINGULAR and not found.regular:
         return None
     if found.left is not None:

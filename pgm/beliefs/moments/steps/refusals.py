@@ -30,10 +30,11 @@ _OF_ROUNDING = 10.0 * float(np.finfo(np.float64).eps)
 _MAGNIFIED = 1e3
 
 
-def indefinite(parts: Sequence[Measured], step: int) -> NoReturn:
+def indefinite(parts: Sequence[Measured], step: int, where: Mask) -> NoReturn:
     """Raise the NumericalError for a predictive covariance of `parts`, indefinite or not finite.
 
-    It blames the first sensor that is not linearised by Taylor's rule; if there is none, the first.
+    `where`, () or (runs,), marks the runs in which it is, of which the first is named. The error
+    blames the first sensor that is not linearised by Taylor's rule; if there is none, the first.
     """
     names = ", ".join(seen.sensor.variable.name for seen in parts)
     blamed = [seen.sensor for seen in parts if not seen.sensor.family.taylor]
@@ -43,8 +44,10 @@ def indefinite(parts: Sequence[Measured], step: int) -> NoReturn:
         if blamed
         else "are the belief before it and the measurement of a size that float64 can hold?"
     )
+    run = sensor.family.numbering.run(int(np.argmax(where)))
+    of = f", run {run}," if np.size(where) > 1 else ""
     raise NumericalError(
-        f"the predictive covariance of {names} at step {step} is indefinite or not "
+        f"the predictive covariance of {names} at step {step}{of} is indefinite or not "
         f"finite; {advice}",
         variable=sensor.variable,
         cpd=sensor.family.cpd,
