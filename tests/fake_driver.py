@@ -31,6 +31,11 @@ class MemoryType(IntEnum):
     CU_MEMORYTYPE_DEVICE = 2
 
 
+class PointerAttribute(IntEnum):
+    CU_POINTER_ATTRIBUTE_MEMORY_TYPE = 2
+    CU_POINTER_ATTRIBUTE_DEVICE_ORDINAL = 9
+
+
 class Lying(SimpleNamespace):
     """Lines of memory that are copied together, of NVIDIA's structure for that."""
 
@@ -49,10 +54,12 @@ class Driver:
     """A driver, and its card: its capability, CUDA's version, and its memory in bytes."""
 
     CUdevice_attribute, CUmemorytype, CUDA_MEMCPY2D = Attribute, MemoryType, Lying
+    CUpointer_attribute, CUdeviceptr = PointerAttribute, int
 
     def __init__(self, capability=(8, 0), version=13000, memory=2**30, cards=1):
         self.capability, self.version, self.memory, self.cards = capability, version, memory, cards
         self.contexts, self.taken, self.regions, self.launched = [], {}, [], []
+        self.ordinal = 0  # of the card on which memory lies that others have taken
         self.peak = 0  # the most bytes that were taken
 
     def cuInit(self, flags):
@@ -121,6 +128,12 @@ class Driver:
                 return found
             source, to = source + lying.srcPitch, to + lying.dstPitch
         return (OK,)
+
+    def cuPointerGetAttribute(self, attribute, place):
+        if not self._holds(place, 1):
+            return INVALID, None
+        memory = attribute == PointerAttribute.CU_POINTER_ATTRIBUTE_MEMORY_TYPE
+        return OK, MemoryType.CU_MEMORYTYPE_DEVICE if memory else self.ordinal
 
     def cuModuleLoadData(self, image):
         assert image.endswith(b"\0")

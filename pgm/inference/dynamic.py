@@ -11,6 +11,7 @@ from pgm.compile import Balanced, DynamicGraph, compile
 from pgm.compile.machine import Choice
 from pgm.evidence import BoundEvidence, Evidence
 from pgm.inference.families import answered, family_of
+from pgm.inference.on_card import filtered_there
 from pgm.kernels.settling import TOLERANCE
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
@@ -67,7 +68,8 @@ def filter(
         The prior of the states, their motion and the sensors, as CPDs.
     evidence : mapping of Variable
         Values of sensors and inputs, by variable: arrays (..., T, d) of the steps 1 to T,
-        `constant` or `sightings`. Leading axes are runs; NaN was not measured.
+        `constant` or `sightings`. Leading axes are runs; NaN was not measured. Arrays may lie on a
+        card that ``compiled`` asks for: beliefs then stay there (`Posterior.on_card`).
     lineariser : Lineariser, optional
         The rule for nonlinear CPDs that have none of their own, such as ``pgm.Unscented()``; by
         default `Taylor`, which takes Jacobians.
@@ -139,7 +141,10 @@ def filter(
     (array([0., 2.]), array([1., 1.]))
     """
     schedule = Filtering(iterations, tolerance, damping, gate)
-    call = Call(schedule, lineariser, None, keep, executor, None, impossible)
+    call = Call(schedule, lineariser, None, keep, executor, None, impossible, compiled)
+    there = filtered_there(model, evidence, steps, call, belief)
+    if there is not None:
+        return there
     family, asked = over_time(model, evidence, call, steps, None, belief, compiled)
     with reporting(progress):
         posterior = answered(family, family.infer(*asked))
@@ -274,7 +279,10 @@ def smooth(
     """
     rest = iterations, tolerance, damping, gate
     schedule = Smoothing(*rest) if lag is None else FixedLag(lag, *rest)
-    call = Call(schedule, lineariser, start, keep, executor, None, impossible)
+    call = Call(schedule, lineariser, start, keep, executor, None, impossible, compiled)
+    there = filtered_there(model, evidence, steps, call, belief)
+    if there is not None:
+        return there
     family, asked = over_time(model, evidence, call, steps, method, belief, compiled)
     with reporting(progress):
         posterior = answered(family, family.infer(*asked))

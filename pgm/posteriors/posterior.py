@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from pgm.posteriors.entered import Entered
     from pgm.posteriors.innovations import Innovations
     from pgm.posteriors.lost import Lost
+    from pgm.posteriors.on_card import CardBeliefs
     from pgm.posteriors.outcome import OverTime
     from pgm.posteriors.rejections import Rejections
     from pgm.posteriors.status import Status
@@ -121,6 +122,24 @@ class Posterior(Labelled, Judged, Shown, NoArray, Generic[B]):
     def graph(self) -> Any:  # a ClusterGraph, of which a DynamicGraph has more, such as its steps
         """The cluster graph on which the schedule ran."""
         return self._outcome.graph
+
+    @property
+    def on_card(self) -> CardBeliefs:
+        """The beliefs that lie on a card, ``posterior.on_card[x].mean``.
+
+        They stay there if evidence of `pgm.filter` lies there, as arrays of CuPy, JAX or PyTorch
+        do, and ``compiled=pgm.Compiled(device="cuda")`` asks for the card. All else of the
+        posterior comes home at the first look at it, but for `log_evidence`.
+
+        Raises
+        ------
+        EvidenceError
+            If the beliefs lie in this machine's memory.
+        """
+        raise EvidenceError(
+            "the beliefs lie in this machine's memory; they stay on a card if pgm.filter is given "
+            'evidence that lies there, and compiled=pgm.Compiled(device="cuda")'
+        )
 
     @property
     def status(self) -> Status:

@@ -99,7 +99,7 @@ def test_a_driver_that_takes_more_than_it_is_asked_for(monkeypatch):
     model, evidence = plain(), sighted(130, steps=1)
     schedule = pgm.Filtering()
     _, _, driver = in_parts(monkeypatch, 2.0, model, evidence, 1, schedule, Taking)
-    assert driver.launched == [(1, 128)] * 2
+    assert set(driver.launched) == {(1, 128)}
 
 
 def test_a_run_that_never_fits(monkeypatch):

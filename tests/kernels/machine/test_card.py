@@ -10,6 +10,7 @@ from pgm.kernels.machine.emitter import card
 from pgm.kernels.machine.emitter.card import Card, printed, thread
 from pgm.kernels.machine.emitter.kinds import ADDRESS, WHOLE
 from pgm.kernels.machine.emitter.module import Module
+from pgm.kernels.machine.sweeps import lying
 from pgm.kernels.machine.sweeps.card import kernel
 from pgm.kernels.machine.sweeps.told import Array, Forward
 from pgm.tracing.operations import BOOLEAN, SCALAR
@@ -135,6 +136,30 @@ def test_without_libdevice_it_is_said_how_to_install_it(monkeypatch):
     with pytest.raises(ImportError, match=r"libdevice.*pip install 'sepset\[gpu\]'"):
         written(*operation("sin"))
     assert "add.rn.f64" in written(*operation("add"))  # which takes none
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_numbers_that_lie_on_a_card_are_looked_at_and_added_up(turned):
+    numbers = np.random.default_rng(3).normal(size=(5, 4, 3))  # runs, rows, cells
+    numbers[1, 2, 0] = np.nan
+    numbers[2, 3, 2], numbers[3, 0, 1] = np.inf, -np.inf
+    numbers[2, 3, 1] = np.nan
+    lies = np.asfortranarray(numbers) if turned else numbers
+    across, down, cell = (stride // 8 for stride in lies.strides)
+    for name, due in (("look", [0.0, 1.0, 2.0, 2.0, 0.0]), ("add", numbers[..., 0].sum(axis=1))):
+        out = np.full(6, 12345.0)
+        given = lies.ctypes.data, down, across, cell, 4, 3 if name == "look" else 1
+        program = Program(lying.kernel(name, (8, 0)))
+        program.launch(f"pgm_{name}", [*given, out.ctypes.data, 5], 3, 2)
+        np.testing.assert_allclose(out[:5], due, rtol=1e-15)
+        assert out[5] == 12345.0
+
+
+@pytest.mark.parametrize("name", ["look", "add"])
+def test_what_looks_at_numbers_assembles(name, tmp_path):
+    for capability in CAPABILITIES:
+        told, _ = assembled(lying.kernel(name, capability), capability, tmp_path)
+        assert not told
 
 
 def test_functions_of_the_program_are_refused():

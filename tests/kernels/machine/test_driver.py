@@ -39,6 +39,9 @@ CALLS = {
     "get": lambda device, here: device.get(256, here, 8),
     "put lines": lambda device, here: device.put(256, here, 8, 2, 16, 8),
     "get lines": lambda device, here: device.get(256, here, 8, 2, 16, 8),
+    "held": lambda device, _: device.held(100),
+    "settle": lambda device, _: device.settle(),
+    "own": lambda device, _: device.require_own(256),
     "kernel": lambda device, _: device.kernel(".version 6.3", "sweep"),
     "launch": lambda device, _: device.launch(
         bindings.CUfunction(0), 1000, (256, 0, 1000), (ADDRESS, WHOLE, WHOLE)

@@ -6,6 +6,7 @@ that no toolkit is due. It has not been run on a card yet.
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
@@ -26,6 +27,13 @@ _PITCH = 2**31 - 1
 
 class OutOfMemory(OSError):
     """The card's memory does not suffice."""
+
+
+class Held:
+    """Memory of a card, at an address, until nobody holds it any more."""
+
+    def __init__(self, address: int, device: Device) -> None:
+        self.address, self.device = address, device
 
 
 class Device:
@@ -92,6 +100,36 @@ class Device:
             yield int(place)
         finally:
             self._asked(self._driver.cuMemFree(place))
+
+    def held(self, count: int) -> Held:
+        """So many bytes of the card's memory, which are free again when nobody holds them."""
+        with self.current():
+            place = int(self._asked(self._driver.cuMemAlloc(max(count, 1))))
+        found = Held(place, self)
+        weakref.finalize(found, self._free, place).atexit = False
+        return found
+
+    def _free(self, place: int) -> None:
+        with self.current():
+            self._asked(self._driver.cuMemFree(place))
+
+    def settle(self) -> None:
+        """Wait until all that the program has asked of this card is done, by whichever library."""
+        self._asked(self._driver.cuCtxSynchronize())
+
+    def require_own(self, place: int) -> None:
+        """Raise an OSError unless an address is one of this card's memory."""
+        asked = self._driver.CUpointer_attribute
+        given = self._driver.CUdeviceptr(place)
+        kind, own = (
+            self._asked(self._driver.cuPointerGetAttribute(each, given))
+            for each in (
+                asked.CU_POINTER_ATTRIBUTE_MEMORY_TYPE,
+                asked.CU_POINTER_ATTRIBUTE_DEVICE_ORDINAL,
+            )
+        )
+        if int(kind) != int(self._driver.CUmemorytype.CU_MEMORYTYPE_DEVICE) or int(own):
+            raise OSError("the memory is not the first card's")
 
     def put(
         self, place: int, address: int, count: int, lines: int = 1, here: int = 0, there: int = 0
