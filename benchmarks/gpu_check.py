@@ -2,19 +2,21 @@
 
 Without a card it says so, and stops. Else it filters and smooths drawn models on both, whose
 answers must agree; then a million robots over 200 steps, whose sweep is timed alone, with its
-numbers on the card, and as a whole call; and a study of as many, which are drawn, filtered,
-smoothed and summed there. This has not been run on a card yet.
+numbers on the card, and as a whole call; the same with their readings on the card, where beliefs
+stay, beside JAX's filter there; and a study of as many, which are drawn, filtered, smoothed and
+summed there. This has not been run on a card yet.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import cycle, islice, product
 from time import perf_counter
-from typing import Any
+from typing import Any, TypeVar
 from unittest.mock import patch
 
 import numpy as np
@@ -23,6 +25,7 @@ import pgm
 from benchmarks.work import robots
 from pgm.comparison.study_result import Study
 from pgm.kernels.machine.emitter.driver import device
+from pgm.posteriors.on_card import CardArray
 
 CARD = pgm.Compiled(device="cuda")
 MODELS, RUNS, STEPS = 200, 10**6, 200
@@ -30,6 +33,8 @@ MODELS, RUNS, STEPS = 200, 10**6, 200
 AGREES, DUE = 1e-10, 0.02
 # By how much figures of a study may differ, and of so many runs.
 ALIKE, COMPARED = 1e-12, 4096
+# And log-evidence where evidence lies on the card, by parts of it.
+SAME = 1e-9
 METHODS = {"EKF": pgm.Taylor(), "RTS": pgm.Smoothing()}
 RULES = pgm.Taylor(), pgm.Unscented(), pgm.Cubature()
 SCHEDULES: tuple[pgm.Filtering | pgm.FixedLag | pgm.Smoothing, ...] = (
@@ -38,6 +43,7 @@ SCHEDULES: tuple[pgm.Filtering | pgm.FixedLag | pgm.Smoothing, ...] = (
     pgm.Filtering(gate=0.95),
     pgm.FixedLag(3),
 )
+Found = TypeVar("Found")
 Model = tuple[pgm.DynamicBayesianNetwork, Mapping[pgm.Variable, Any]]
 
 
@@ -133,6 +139,68 @@ def speed(runs: int, steps: int) -> bool:
     return min(sweeps) <= due
 
 
+def resident(runs: int, steps: int) -> bool:
+    """Whether readings that lie on the card are filtered there with the same log-evidence.
+
+    The whole call is timed, as the readings were given, and with the runs beside each other.
+    """
+    work = robots.draw(runs, steps)
+    evidence = work.evidence()
+    seen, due = evidence[robots.sighting], pgm.filter(work.network, evidence, compiled=CARD)
+    right = True
+    for how, turned in (("run by run", False), ("step by step", True)):
+        calls = list[float]()
+        readings: Any = on_the_card(seen.values, turned=turned)
+        evidence[robots.sighting] = pgm.sightings(readings, step=seen.step, given=seen.given)
+        for _ in range(3):
+            found, seconds = _timed(lambda: pgm.filter(work.network, evidence, compiled=CARD))
+            calls.append(seconds)
+        off = float(np.abs(found.log_evidence / due.log_evidence - 1.0).max())
+        _say(
+            f"{runs:,} robots over {steps} steps, whose readings lie on the card {how}: a whole "
+            f"call {min(calls):.3f} s, the first {calls[0]:.2f} s; log-evidence {off:.0e} apart"
+        )
+        right &= off <= SAME
+        del found
+    _say(beside(work, due.log_evidence))
+    return right
+
+
+def beside(work: robots.Robots, log_evidence: Any) -> str:
+    """What JAX's filter takes for robots whose readings lie on the card, or why it is not timed."""
+    # JAX would else take most of the card's memory, whatever it needs.
+    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
+    try:
+        from benchmarks.libraries.jax_card import filtering
+
+        call = filtering(work)
+        found, first = _timed(call)
+        seconds = [first, *(_seconds(call) for _ in range(2))]
+    except ImportError:
+        return "JAX's filter is not timed: jax is not installed (pip install 'jax[cuda13]')"
+    except Exception as error:  # of classes of JAX's own, which has no card, or too little memory
+        return f"JAX's filter is not timed: {str(error).splitlines()[0]}"
+    off = float(np.abs(np.asarray(found[2]) / log_evidence - 1.0).max())
+    return (
+        f"JAX's filter (lax.scan, vmap, jit; float64) of the same: {min(seconds):.3f} s, the first "
+        f"{seconds[0]:.2f} s; log-evidence {off:.0e} apart"
+    )
+
+
+def on_the_card(numbers: Any, *, turned: bool) -> CardArray:
+    """Numbers (runs, rows, d), copied to the card, where their runs lie beside each other or not.
+
+    They lie as a library's do that has computed them there.
+    """
+    here = np.ascontiguousarray(np.moveaxis(numbers, 0, -1) if turned else numbers)
+    own = device()
+    memory = own.held(here.nbytes)
+    with own.current():
+        own.put(memory.address, here.ctypes.data, here.nbytes)
+    strides = (np.moveaxis(here, -1, 0) if turned else here).strides
+    return CardArray(memory, 0, np.shape(numbers), strides)
+
+
 def study(runs: int, steps: int) -> bool:
     """Whether a study of so many robots is drawn and summed on the card, with the same figures."""
     work = robots.draw(1, steps)
@@ -173,10 +241,14 @@ def unlike(one: Study, other: Study) -> float:
     return worst
 
 
-def _seconds(call: Callable[[], object]) -> float:
+def _timed(call: Callable[[], Found]) -> tuple[Found, float]:
     began = perf_counter()
-    call()
-    return perf_counter() - began
+    found = call()
+    return found, perf_counter() - began
+
+
+def _seconds(call: Callable[[], object]) -> float:
+    return _timed(call)[1]
 
 
 def _say(words: str) -> None:
@@ -199,7 +271,8 @@ def main(given: Sequence[str] | None = None) -> int:
         return 0
     _say(f"{device().name}, compute capability {'.'.join(map(str, device().capability))}")
     agrees = agreement(asked.models)
-    found = [speed(asked.runs, asked.steps), study(asked.runs, asked.steps), agrees]
+    checks = speed, resident, study
+    found = [agrees, *(check(asked.runs, asked.steps) for check in checks)]
     return 0 if all(found) else 1
 
 
