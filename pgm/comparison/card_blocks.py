@@ -18,14 +18,14 @@ import numpy as np
 from pgm.beliefs.moments.solvers.resident import Left, ResidentChain
 from pgm.comparison.card_part import Added, Asked, Part
 from pgm.comparison.drawn_runs import DrawnRuns, of_runs
+from pgm.comparison.packed_tallies import PackedTallies
 from pgm.comparison.study_methods import Method
-from pgm.comparison.sums import NONE, Sums, far
+from pgm.comparison.sums import NONE, Sums
 from pgm.comparison.tally import Tally
 from pgm.consistency.regions import chi_squared
 from pgm.display import count
 from pgm.errors import ExecutorError
 from pgm.evidence import Sightings, bind, sightings
-from pgm.kernels.arrays import Array
 from pgm.kernels.machine.emitter.arena import Arena
 from pgm.kernels.machine.emitter.driver import Device, device
 from pgm.kernels.machine.studies.beliefs import LARGEST
@@ -199,43 +199,24 @@ def sums_of(added: Added, first: int, sure: Mapping[Variable, float]) -> Sums:
 
     Runs whose last NEES is more than what is `sure`, by state, have diverged.
     """
-    tallies: dict[tuple[str, Variable], Tally] = {}
     worst: dict[Variable, tuple[float, int]] = {}
-    lost = np.zeros(len(added.fine), dtype=bool)
-    count = float(np.count_nonzero(added.fine))
-    with far():
-        for k, (state, place) in enumerate(added.states.items()):
-            size = state.dimension
-            cells: dict[str, Any] = {"error": slice(place, place + size)}
-            cells |= {"square": slice(place + size, place + 2 * size)}
-            cells |= {"nees": place + 2 * size, "held": place + 2 * size + 1}
-            tallies |= {(name, state): _tally(added, each) for name, each in cells.items()}
-            most = np.where(added.fine, added.most[k], -np.inf)
-            worst[state] = float(most.max()), first + int(most.argmax())
-            lost |= added.fine & (added.last[k] > sure[state])
-    for sensor, (cell, dof) in added.sensors.items():
-        due = dof > 0
-        tallies["dof", sensor] = _constant(np.where(due, dof, 0.0), due, count)
-        if cell is None:
-            tallies["nis", sensor] = _constant(np.zeros(len(dof)), due, count)
-        else:
-            tallies["nis", sensor] = _tally(added, cell)
-    return Sums(tallies, int(count), first + np.flatnonzero(lost), NONE, 0, worst)
-
-
-def _tally(added: Added, cells: int | slice) -> Tally:
-    """The moments of some cells."""
-    known, mean, spread = (e[:, cells] for e in (added.known, added.mean, added.spread))
-    runs, *centre, xx, xn, nn = np.moveaxis(added.pairs[cells], -1, 0)
-    scatter = np.array([[xx, xn], [xn, nn]])
-    return Tally(known, mean, spread, float(np.max(runs)), np.array(centre), scatter)
-
-
-def _constant(values: Array, due: Any, runs: float) -> Tally:
-    """The moments of values by step that all runs have, where they are due."""
-    centre = np.array([values[due].sum(), float(np.count_nonzero(due))])
-    known = np.where(due, runs, 0.0)
-    return Tally(known, values, np.zeros(len(values)), runs, centre, np.zeros((2, 2)))
+    fine, lost = added.fine, np.zeros(len(added.fine), dtype=bool)
+    for k, state in enumerate(added.forms.states):
+        most = np.where(fine, added.most[k], -np.inf)
+        place = int(most.argmax())
+        worst[state] = float(most[place]), first + place
+        lost |= fine & (added.last[k] > sure[state])
+    runs, total, number, xx, xn, nn = added.pairs.T
+    whole = Tally(
+        added.known,
+        added.mean,
+        added.spread,
+        float(runs[0]),
+        np.array([total, number]),
+        np.array([[xx, xn], [xn, nn]]),
+    )
+    tallies = PackedTallies(whole, added.forms.cells, added.forms.constants)
+    return Sums(tallies, int(runs[0]), first + np.flatnonzero(lost), NONE, 0, worst)
 
 
 def _draws(asked: Asked) -> CardDraws:

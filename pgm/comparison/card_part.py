@@ -9,6 +9,7 @@ import numpy as np
 
 from pgm.beliefs.moments.solvers.resident import Few, Laid, Lying, ResidentChain
 from pgm.comparison.drawn_runs import DrawnRuns
+from pgm.comparison.packed_tallies import Key
 from pgm.compile import DynamicGraph
 from pgm.consistency.regions import chi_squared
 from pgm.kernels.arrays import Array, Integers, Mask
@@ -33,13 +34,50 @@ class Asked(NamedTuple):
     confidence: float
 
 
+class Forms(NamedTuple):
+    """The statistics of a method: those that are summed, and those that are known beforehand.
+
+    states: By state the place of its first cell.
+    cells: By statistic its cells.
+    constants: By statistic its value by step, as of `PackedTallies`.
+    """
+
+    states: Mapping[Variable, int]
+    cells: Mapping[Key, int | slice]
+    constants: Mapping[Key, Array]
+
+    @classmethod
+    def of(
+        cls, states: Sequence[Variable], read: Sequence[Variable], dof: Mapping[Variable, Integers]
+    ) -> Forms:
+        """Those of states that are judged, of sensors that were `read`, and of all with evidence.
+
+        `dof` are the degrees of freedom of sensors by step.
+        """
+        places, place = dict[Variable, int](), 0
+        cells: dict[Key, int | slice] = {}
+        for state in states:
+            size, places[state] = state.dimension, place
+            cells["error", state] = slice(place, place + size)
+            cells["square", state] = slice(place + size, place + 2 * size)
+            cells["nees", state], cells["held", state] = place + 2 * size, place + 2 * size + 1
+            place += 2 * size + 2
+        cells |= {("nis", sensor): k for k, sensor in enumerate(read, place)}
+        known = {z: np.where(each > 0, each, np.nan) for z, each in dof.items()}
+        constants: dict[Key, Array] = {("dof", z): each for z, each in known.items()}
+        constants |= {
+            ("nis", z): np.full(len(e), np.nan) for z, e in known.items() if z not in read
+        }
+        return cls(places, cells, constants)
+
+
 class Added(NamedTuple):
     """The sums of a method over a block, of those of its runs that are `fine`.
 
     known, mean, spread: (steps, cells); as of `studies.sums.Moments`.
     pairs: (cells, 6); as of `studies.card.Summed`.
     most, last: By state and run, (states, runs).
-    states, sensors: As of `Sums`.
+    forms: Of which statistics they are.
     """
 
     fine: Mask
@@ -49,8 +87,7 @@ class Added(NamedTuple):
     pairs: Array
     most: Array
     last: Array
-    states: Mapping[Variable, int]
-    sensors: Mapping[Variable, tuple[int | None, Integers]]
+    forms: Forms
 
 
 class Part:
@@ -103,18 +140,14 @@ class Part:
     ) -> _Sums:
         """Room for the sums of cells, of states and then of sensors that were read."""
         loose, of, steps = self._loose, self._of, self._asked.drawn.steps + 1
-        width, place, dof = len(cells), 0, chain.dof()
-        whole, due, states = np.zeros(width), np.ones((width, steps)), dict[Variable, int]()
+        width, dof = len(cells), chain.dof()
+        forms = Forms.of(self._asked.states, read, dof)
+        whole, due = np.zeros(width), np.ones((width, steps))
         for state in self._asked.states:
-            states[state] = place
-            place += 2 * state.dimension + 2
-            whole[place - 2 : place] = 1.0
-        sensors: dict[Variable, tuple[int | None, Integers]] = {
-            z: (None, d) for z, d in dof.items()
-        }
-        for k, sensor in enumerate(read, place):
-            sensors[sensor] = k, dof[sensor]
-            due[k] = dof[sensor] > 0
+            for name in ("nees", "held"):
+                whole[forms.cells[name, state]] = 1.0
+        for sensor in read:
+            due[forms.cells["nis", sensor]] = dof[sensor] > 0
         known, mean, spread = (loose.floats(of.kept * steps * width) for _ in range(3))
         total, number, most, last = (loose.floats(width * of.stride) for _ in range(4))
         given = kernels.Summed(
@@ -135,7 +168,7 @@ class Part:
             last,
             loose.floats(of.kept * width * 6),
         )
-        return _Sums(given, kernels.table(self._fixed, *given), states, sensors)
+        return _Sums(given, kernels.table(self._fixed, *given), forms)
 
     def sums(self, own: Device, first: int) -> dict[int, dict[str, Added]]:
         """The sums of methods over each block, of the part that begins with a run.
@@ -176,7 +209,7 @@ class Part:
         shape = blocks, s.steps, width
         known, mean, spread = (loose.get(each, shape) for each in (s.known, s.mean, s.spread))
         pairs = loose.get(s.pairs, (blocks, width, 6))
-        nees = [place + 2 * state.dimension for state, place in sums.states.items()]
+        nees = [place + 2 * state.dimension for state, place in sums.forms.states.items()]
         most, last = (
             np.array([loose.get(place + NUMBER * s.stride * k, (runs,)) for k in nees])
             for place in (s.most, s.last)
@@ -191,8 +224,7 @@ class Part:
                 pairs[k],
                 most[:, rows],
                 last[:, rows],
-                sums.states,
-                sums.sensors,
+                sums.forms,
             )
 
 
@@ -205,14 +237,8 @@ class _Method(NamedTuple):
 
 
 class _Sums(NamedTuple):
-    """Where the sums of a method lie, and the address of their table.
-
-    states: By state the place of its first cell.
-    sensors: By sensor the place of its NIS, None of one without readings; and degrees of freedom by
-        step.
-    """
+    """Where the sums of a method lie, the address of their table, and of what they are."""
 
     given: kernels.Summed
     table: int
-    states: Mapping[Variable, int]
-    sensors: Mapping[Variable, tuple[int | None, Integers]]
+    forms: Forms

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pgm.comparison.packed_tallies import joined as joined_tallies
 from pgm.comparison.tally import Tally
 from pgm.kernels.arrays import Integers
 from pgm.variables import Variable
@@ -49,10 +50,8 @@ class Sums(NamedTuple):
 
     def joined(self, other: Sums) -> Sums:
         """The statistics over these runs and the next."""
-        tallies = dict(self.tallies)
         with far():
-            for key, tally in other.tallies.items():
-                tallies[key] = tallies[key].joined(tally) if key in tallies else tally
+            tallies = joined_tallies(self.tallies, other.tallies)
         return Sums(
             tallies,
             self.runs + other.runs,
