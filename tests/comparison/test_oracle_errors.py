@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from crossed import slow_after
 from numpy.testing import assert_allclose, assert_array_equal
 
 import pgm
@@ -34,8 +35,10 @@ def judged(model, rows, oracle):
     return pgm.compare(model, READ, rows=rows, oracle=oracle, steps=T)
 
 
-@pytest.mark.parametrize("curve", [0.1, 0.3])
-@pytest.mark.parametrize("kind", ["audit", "particles"])
+@pytest.mark.parametrize(
+    ("kind", "curve"),
+    slow_after(2, [("audit", 0.1), ("particles", 0.3), ("audit", 0.3), ("particles", 0.1)]),
+)
 @pytest.mark.filterwarnings("ignore::pgm.ConvergenceWarning")
 def test_errors_cover_the_truth_with_other_seeds(kind, curve):
     """At least 90 % of intervals of 95 %, where Pareto shapes are below .7 and rows unmarked."""

@@ -360,9 +360,9 @@ def test_the_likeliest_diseases():
     expected = np.log(np.maximum(weight, 1 - prior)).sum() + np.log(1 - leak).sum()
     assert_allclose(best.log_probability, expected, rtol=1e-12)
     assert [best.assignment[v] == "yes" for v in MANY] == list(weight > 1 - prior)
-    several = pgm.most_probable(graph, dict.fromkeys(found, "no"), count=3)
+    several = pgm.most_probable(graph, dict.fromkeys(found, "no"), count=2)
     odds = np.sort(np.abs(np.log(weight) - np.log(1 - prior)))
-    assert_allclose(several.log_probability[:2], [expected, expected - odds[0]], rtol=1e-12)
+    assert_allclose(several.log_probability, [expected, expected - odds[0]], rtol=1e-12)
     best = pgm.most_probable(graph, {found[0]: "yes", found[1]: "no"})
     assert best.exact
     own = [k for k, v in enumerate(MANY) if best.assignment[v] == "yes"]

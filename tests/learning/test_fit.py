@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from crossed import slow_after
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from learning.twin import U, X, Z, linear
@@ -123,11 +124,14 @@ def test_the_likeliest_noise_of_readings_of_a_constant():
 
 @pytest.mark.parametrize(
     ("kind", "readings"),
-    [
-        ("full", np.zeros(20)),
-        ("diagonal", 3.0 * 0.9 ** np.arange(20)),
-        ("scaled", np.zeros(20)),
-    ],
+    slow_after(
+        1,
+        [
+            ("full", np.zeros(20)),
+            ("diagonal", 3.0 * 0.9 ** np.arange(20)),
+            ("scaled", np.zeros(20)),
+        ],
+    ),
     ids=["full, of zeros", "diagonal", "scaled, of zeros"],
 )
 def test_evidence_that_is_explained_exactly_has_no_likeliest_noise(kind, readings):

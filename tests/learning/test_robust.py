@@ -316,6 +316,7 @@ def test_noise_beside_student_t_readings_solves_its_equation():
     assert cov == pytest.approx(due, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_noise_of_a_motion_beside_student_t_readings_is_that_of_the_right_ones():
     """A tenth of them is far off; by the bound it was .6 of what the others tell."""
     rng = np.random.default_rng(13)

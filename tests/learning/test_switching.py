@@ -246,6 +246,7 @@ def test_a_hidden_markov_model_is_learnt_with_functions_and_noise_of_inputs():
     assert learner.expected(image).log_evidence > here.log_evidence
 
 
+@pytest.mark.slow
 def test_a_target_of_two_modes_is_learnt():
     """From a start that is far away, by few Gaussians, to near the numbers that it was drawn by."""
 

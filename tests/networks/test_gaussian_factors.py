@@ -3,6 +3,7 @@
 import networkx as nx
 import numpy as np
 import pytest
+from crossed import slow_after
 from numpy.testing import assert_allclose
 
 import pgm
@@ -112,7 +113,7 @@ def solved(network, dense, evidence):
     return hidden, (cov @ h, cov), total, least
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", slow_after(3, range(10)))
 def test_drawn_networks_equal_dense_algebra(seed):
     """A hundred networks each: moments, ln Z, beliefs and messages with their constants."""
     rng = np.random.default_rng(seed)
@@ -417,11 +418,11 @@ class Wave:
         return self.A + (self.s * np.cos(self.B @ x))[:, None] * self.B
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", slow_after(2, range(10)))
 def test_nonlinear_networks_stand_where_their_cost_is_least(seed):
-    """Of 200 each: the means are stationary, and the covariance is that of Gauss and Newton."""
+    """Of 100 each: the means are stationary, and the covariance is that of Gauss and Newton."""
     rng = np.random.default_rng(seed)
-    for _ in range(200):
+    for _ in range(100):
         sizes = rng.integers(1, 3, size=rng.integers(1, 5)).tolist()
         every = [
             pgm.Variable(f"x{k}", ("a", "b")[:d] if d > 1 else ()) for k, d in enumerate(sizes)

@@ -5,6 +5,7 @@ import pickle
 
 import numpy as np
 import pytest
+from crossed import slow_after
 from numpy.testing import assert_allclose
 
 import pgm
@@ -59,7 +60,7 @@ def others(array, place):
     return tuple(k for k in range(array.ndim) if k != place)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", slow_after(6, range(20)))
 def test_drawn_networks_equal_the_sum_over_all_states(seed):
     """Fifty networks each: ln Z, marginals, queries, joints, maxima, beliefs; asked twice."""
     rng = np.random.default_rng(seed)

@@ -74,7 +74,7 @@ def test_moments_of_a_network(way, seed, reach):
 def test_log_evidence_of_a_field(compiled):
     if compiled:
         pytest.importorskip("llvmlite")
-    side, rng = 40, np.random.default_rng(0)
+    side, rng = 25, np.random.default_rng(0)
     x = [pgm.Variable(f"x{k}") for k in range(side * side)]
     cpds, precise, evidence = [pgm.GaussianCPD(x[0], 0.0, 1.0)], np.zeros((len(x), len(x))), {}
     precise[0, 0] = 1.0

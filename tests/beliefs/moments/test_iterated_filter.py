@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from crossed import crossed
 from robots import DRIVE, LANDMARKS, P0, SENSORS, controls, drive_along, m, network, u, x
 from robots import Q as NOISE
 from scipy.optimize import minimize
@@ -185,8 +186,7 @@ def test_the_order_of_sightings_is_nothing(drive, grouped, damping):
     assert_same(found[0][x], found[1][x])
 
 
-@pytest.mark.parametrize("grouped", [False, True])
-@pytest.mark.parametrize("damping", [0.0, 0.2, pgm.LevenbergMarquardt()], ids=str)
+@crossed(("damping", "grouped"), [0.2, 0.0, pgm.LevenbergMarquardt()], [True, False])
 def test_online_is_the_same(drive, damping, grouped):
     commands, step, which, values = drive
     model, schedule = network(SIGHT.cpd(grouped=grouped)), pgm.Filtering(5, 0, damping)

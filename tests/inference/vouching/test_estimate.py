@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from crossed import slow_after
 
 import pgm
 from experiments.nonlinear_measurement import cases, truth
@@ -14,10 +15,10 @@ from pgm.inference.vouching import climbing, judging
 from tests.beliefs.modes.test_modes_of_chains import ASKED, MIRROR, STEPS, P, divergence, drive
 
 # The bound on the mean KL of the pose's moments from exact ones, by sensor [nats].
-MEAN = {"near": 0.006, "far": 0.002, "two_ranges": 0.015, "position": 0.015, "collinear": 0.05}
+MEAN = {"far": 0.002, "near": 0.006, "two_ranges": 0.015, "position": 0.015, "collinear": 0.05}
 
 
-@pytest.mark.parametrize("sensor", MEAN)
+@pytest.mark.parametrize("sensor", slow_after(2, MEAN))
 def test_moments_of_a_pose_are_those_of_many_points(sensor):
     case = cases.simulate(cases.SENSORS[sensor], 0.6, 20, 5)
     exact = truth.posterior(case, 14, 500, 5)
@@ -48,7 +49,7 @@ def judged_drives(seeds):
 
 
 def test_mirror_drives_are_vouched_for_only_where_they_are_right():
-    off, vouched = judged_drives((1, 4, 10, 37))
+    off, vouched = judged_drives((1, 10))
     assert off.max() < 0.05
     assert vouched[0]
 
@@ -272,7 +273,9 @@ def test_modes_that_measurements_do_not_fit_are_not_vouched_for(rng):
     assert right or "measurements fit none of the modes" in found.verdict.headline
 
 
-@pytest.mark.parametrize(("model", "size"), [(squares, 11), (square, 2), (MIRROR, 82)])
+@pytest.mark.parametrize(
+    ("model", "size"), slow_after(2, [(squares, 11), (square, 2), (MIRROR, 82)])
+)
 def test_noises_are_as_large_as_the_model_says(model, size, monkeypatch):
     """Of what is drawn from the model, the square of all noises is χ²."""
     squared = []
