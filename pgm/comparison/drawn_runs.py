@@ -1,16 +1,17 @@
-"""The runs of a study: truths and measurements, drawn in blocks by counters."""
+"""The runs of a study: truths and measurements, drawn in blocks by counters, or one by one."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from pgm.cpds import CPD
 from pgm.cpds.conditional import ConditionalGaussian
 from pgm.cpds.losses import Cauchy, Huber, StudentT, TruncatedLeastSquares
-from pgm.display import titled
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import Evidence, Sightings, bind, sightings
 from pgm.factors.scope import listed
@@ -30,7 +31,11 @@ _NOISES = Cauchy | Huber | StudentT | TruncatedLeastSquares | None
 
 
 class DrawnRuns(NamedTuple):
-    """The runs 0, 1, ... of a study; a block of them is drawn when it is asked for."""
+    """The runs 0, 1, ... of a study; a block of them is drawn when it is asked for.
+
+    counted: Whether all runs of a block are drawn together, by counters; else each is drawn by a
+        generator of its own.
+    """
 
     model: DynamicBayesianNetwork
     inputs: Evidence
@@ -38,6 +43,7 @@ class DrawnRuns(NamedTuple):
     runs: int
     seed: int
     block: int
+    counted: bool = True
     compiled: bool = False
 
     @property
@@ -48,24 +54,45 @@ class DrawnRuns(NamedTuple):
     def sample(self, first: int) -> Sample:
         """The block that begins with a run."""
         count = min(self.block, self.runs - first)
+        if not self.counted:
+            return _stacked([self._alone(k) for k in range(first, first + count)])
         compiled = self.compiled and find_spec("llvmlite") is not None
         draws = CountedDraws(self.seed, first, count, compiled=compiled)
         by = drawn_compiled if draws.compiled else None
         return draw_steps(self.model, self.inputs, self.steps, count, draws.at, by)
 
+    def _alone(self, number: int) -> Sample:
+        """One run, by a generator whose seeds are the study's and the run's number."""
+        seeds = np.random.SeedSequence(self.seed, spawn_key=(number,))
+        rng = np.random.Generator(np.random.Philox(seeds))
+        return self.model.sample(self.inputs, steps=self.steps, rng=rng)
+
     def run(self, number: int) -> Sample:
         """One run, without an axis of runs.
 
-        Its whole block is drawn, so that the functions of the model are called as they were in the
-        study, and round as they did.
+        Of runs that are drawn together the whole block is drawn, so that the functions of the model
+        are called as they were in the study, and round as they did.
         """
+        if not self.counted:
+            return self._alone(number)
         place = number % self.block
         return of_runs(self.sample(number - place), place)
 
 
 def of_runs(sample: Sample, which: int | slice) -> Sample:
     """Some runs of a sample whose first axis is of runs."""
-    values = {variable: each[which] for variable, each in sample.values.items()}
+    return _with_values(sample, {variable: each[which] for variable, each in sample.values.items()})
+
+
+def _stacked(samples: Sequence[Sample]) -> Sample:
+    """Samples of one run each, along a first axis of runs."""
+    first = samples[0]
+    values = {variable: np.stack([each[variable] for each in samples]) for variable in first.values}
+    return _with_values(first, values)
+
+
+def _with_values(sample: Sample, values: Mapping[Variable, Any]) -> Sample:
+    """A sample with other values, of its evidence too."""
     evidence: dict[Variable, Any] = dict(sample.evidence)
     for variable in evidence.keys() & values.keys():
         asked, drawn = evidence[variable], values[variable]
@@ -82,26 +109,15 @@ def drawn_runs(
     runs: int,
     seed: int,
 ) -> DrawnRuns:
-    """The runs of a model, after a check that they can be drawn by counters.
+    """The runs of a model, after a check that they can be drawn.
 
     Raises
     ------
     ModelError
-        If a CPD is of a kind that asks a generator for more than counters give, or has runs.
+        If the model has no sensors, or a CPD has runs.
     EvidenceError
         If the inputs do not fit the model, or have axes of runs.
     """
-    for cpd in model.cpds:
-        noise = getattr(cpd, "noise", None)
-        if not isinstance(cpd, ConditionalGaussian) or not isinstance(noise, _NOISES):
-            thing = f"has {titled(noise)}" if isinstance(cpd, ConditionalGaussian) else "is none"
-            raise ModelError(
-                f"a study draws CPDs with Gaussian, Student-t, Cauchy or Huber noise by counters, "
-                f"and {cpd!r} {thing}; draw with model.sample(..., runs=, rng=), and compare with "
-                "pgm.compare(...)",
-                variable=cpd.child,
-                cpd=cpd,
-            )
     if not model.observation:
         raise ModelError(
             "the model has no sensors, so that there is nothing to filter: give it an observation"
@@ -131,10 +147,17 @@ def drawn_runs(
             "study are draws with one course of inputs; make a study of each"
         )
     hidden = (*model.states, *model.controls)
-    size = sum(variable.dimension for variable in hidden)
+    size = sum(variable.dimension or 1 for variable in hidden)
     # Means and covariances, of filter, smoother and what is between them.
     each = 4 * (bound.steps + 1) * size * (size + 1)
     block = MOST
     while block > 1 and block * each > ROOM:
         block //= 2
-    return DrawnRuns(model, inputs, bound.steps, runs, seed, block)
+    return DrawnRuns(
+        model, inputs, bound.steps, runs, seed, block, all(map(_is_counted, model.cpds))
+    )
+
+
+def _is_counted(cpd: CPD) -> bool:
+    """Whether a CPD asks a generator for no more than counters give."""
+    return isinstance(cpd, ConditionalGaussian) and isinstance(cpd.noise, _NOISES)

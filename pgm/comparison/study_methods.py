@@ -6,15 +6,14 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from pgm.beliefs.own.family import BeliefFamily, require_family
-from pgm.comparison.entries import OverTime, belief_of, class_name, named
+from pgm.comparison.entries import OverTime, class_name, named
 from pgm.display import titled
 from pgm.errors import ModelError
-from pgm.inference import Filtering, Posterior
+from pgm.inference import Filtering
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
 from pgm.schedules.argument_checks import require_lineariser
 from pgm.schedules.options import Call
-from pgm.variables import Variable
 
 _EXAMPLE = 'methods={"EKF": pgm.Taylor(), "RTS": (pgm.Taylor(), pgm.Smoothing())}'
 # Seeds from which an oracle's are counted, so that it has none in common with a method's.
@@ -38,20 +37,6 @@ class Method(NamedTuple):
         """Whether its iterations may end before they settle."""
         schedule = self.schedule
         return self.belief is None and schedule.iterations > 1 and schedule.tolerance > 0.0
-
-
-class OfFamily:
-    """The posterior of a family of beliefs, whose marginals are Gaussians of their moments.
-
-    It has no innovations.
-    """
-
-    def __init__(self, posterior: Posterior[Any]) -> None:
-        self._posterior = posterior
-        self._squares: Mapping[Variable, Any] = {}
-
-    def __getitem__(self, state: Variable) -> Any:
-        return belief_of(self._posterior, state)
 
 
 def methods_of(given: Any, model: DynamicBayesianNetwork) -> dict[str, Method]:

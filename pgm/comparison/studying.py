@@ -18,12 +18,12 @@ from pgm.boundary import as_mapping, is_whole
 from pgm.comparison.blocks import Work, worked
 from pgm.comparison.comparing import as_states
 from pgm.comparison.drawn_runs import DrawnRuns, drawn_runs, of_runs
-from pgm.comparison.entries import class_name
+from pgm.comparison.entries import belief_of, class_name
 from pgm.comparison.fingerprint import fingerprint
 from pgm.comparison.judged_runs import judged_runs, tally_of
 from pgm.comparison.kept_sums import KeptSums
 from pgm.comparison.row import FAILURES
-from pgm.comparison.study_methods import Method, OfFamily, methods_of, seeded
+from pgm.comparison.study_methods import Method, methods_of, seeded
 from pgm.comparison.study_oracle import References, StudyOracle, judged, oracle_of
 from pgm.comparison.study_result import Study
 from pgm.comparison.study_rows import rows_of
@@ -95,7 +95,11 @@ def study(
     Parameters
     ----------
     model : DynamicBayesianNetwork
-        Of Gaussian CPDs, whose noise may be `StudentT`, `Cauchy` or `Huber`.
+        Its continuous states are judged. Gaussian CPDs, whose noise may be `StudentT`, `Cauchy` or
+        `Huber`, are drawn for all runs of a block together. If there are others (`SwitchingCPD`,
+        `MixtureCPD`, `TableCPD`, `SampledCPD`, or noise of your own), run k is ``model.sample`` by
+        a generator of its own, ``Generator(Philox(SeedSequence(seed, spawn_key=(k,))))``, which
+        takes milliseconds.
     evidence : mapping of Variable, optional
         Values of the inputs, of all runs, and when sensors read, as for
         `DynamicBayesianNetwork.sample`: ``{u: controls, z: pgm.sightings(step=..., given=...)}``.
@@ -103,8 +107,9 @@ def study(
     methods : mapping of str to method
         By name, a lineariser, which filters; a schedule, `Filtering`, `FixedLag` or `Smoothing`,
         which has `Taylor`; or a pair of both, ``(pgm.Unscented(), pgm.Smoothing())``. In place of a
-        lineariser may stand a family of beliefs, ``pgm.Particles(2000, seed=1)``, judged by means
-        and covariances. It has each run by itself, run k with its seed plus k.
+        lineariser may stand a family of beliefs, ``pgm.Particles(2000, seed=1)``. It has each run
+        by itself, run k with its seed plus k. Mixtures and draws are judged by means and
+        covariances.
     seed : int
         A whole number from 0.
     states : collection of Variable, optional
@@ -149,8 +154,9 @@ def study(
     Raises
     ------
     ModelError
-        If the model is no dynamic network of CPDs that can be drawn by counters, or another
-        argument is not what it should be; or if a function of the model fails by itself.
+        If the model is no dynamic network with sensors and continuous states, cannot be drawn, or
+        has CPDs that a method does not know; if another argument is not what it should be; or if a
+        function of the model fails by itself.
     EvidenceError
         If the evidence does not fit the model, or has axes of runs.
     LinearisationError, NumericalError
@@ -185,11 +191,18 @@ def study(
     chosen = methods_of(methods, model)
     drawn = drawn_runs(model, as_mapping(evidence, "evidence"), steps, int(runs), int(seed))
     judged_states = as_states(model, states, None)
-    if oracle is not None or any(method.belief for method in chosen.values()):
+    if not judged_states:
+        raise ModelError(
+            f"a study judges continuous states by means and covariances, and {titled(model)} has "
+            "none"
+        )
+    apart = oracle is not None or any(method.belief for method in chosen.values())
+    if apart or not drawn.counted:
         drawn = drawn._replace(block=min(drawn.block, _FEW))
     # The code is made once, for all blocks.
     long = bool(
-        repays(drawn.steps, min(drawn.block, drawn.runs), len(drawn.blocks))
+        drawn.counted
+        and repays(drawn.steps, min(drawn.block, drawn.runs), len(drawn.blocks))
         and find_spec("llvmlite")
     )
     plain = compile(model, drawn.steps)
@@ -295,7 +308,7 @@ def of_block(
         found[name] = reduce(Sums.joined, _of_method(method, sample, first, asked, judges))
         if not found[name].runs and not first:  # whose error tells more than a table without it
             alone = of_runs(sample, slice(1))
-            _reduced(_inferred(method, alone, 0, asked), alone, 0, asked)
+            _reduced(method, _inferred(method, alone, 0, asked), alone, 0, asked)
     return found
 
 
@@ -335,7 +348,7 @@ def _of_method(
         try:
             posterior = _inferred(method, sample, first, asked)
             with far():
-                sums = _reduced(posterior, sample, first, asked)
+                sums = _reduced(method, posterior, sample, first, asked)
                 if judges is not None:
                     sums = _judged(sums, posterior, judges, method, first, asked)
             if method.iterates:
@@ -353,11 +366,17 @@ def _of_method(
 
 
 def _inferred(method: Method, sample: Sample, first: int, asked: _Asked) -> Any:
-    """The posterior of a method, whose marginals are Gaussian."""
+    """The posterior of a method."""
     if method.belief is None:
         return send(asked.graph, sample.evidence, method.call)
-    family = seeded(method.belief, first)
-    return OfFamily(send(asked.plain, sample.evidence, method.call, family))
+    return send(asked.plain, sample.evidence, method.call, seeded(method.belief, first))
+
+
+def _belief(posterior: Posterior[Any], state: Variable) -> Gaussian:
+    """The belief of a state, of other forms than Gaussians the Gaussian of their moments."""
+    found = belief_of(posterior, state)
+    assert isinstance(found, Gaussian)
+    return found
 
 
 def _judged(
@@ -371,24 +390,29 @@ def _judged(
     """The sums with the KL of the runs from the oracle's beliefs."""
     tallies, doubtful = dict(sums.tallies), set[int]()
     for state in asked.states:
-        found, places = judged(posterior[state], judges, method.schedule.kind, state)
+        belief = _belief(posterior, state)
+        found, places = judged(belief, judges, method.schedule.kind, state)
         tallies |= {(name, state): tally for name, tally in found.items()}
         doubtful |= {first + int(place) for place in places}
     return sums._replace(tallies=tallies, doubtful=np.array(sorted(doubtful), dtype=np.intp))
 
 
-def _reduced(posterior: Posterior[Gaussian], sample: Sample, first: int, asked: _Asked) -> Sums:
+def _reduced(
+    method: Method, posterior: Posterior[Any], sample: Sample, first: int, asked: _Asked
+) -> Sums:
     compiled = bool(asked.graph.layout.compiled)
     tallies: dict[tuple[str, Variable], Tally] = {}
     worst: dict[Variable, tuple[float, int]] = {}
     lost = np.zeros(len(sample[asked.states[0]]), dtype=bool)
     for state in asked.states:
         truth = np.asarray(sample[state])
-        found = judged_runs(posterior[state], truth, asked.confidence, compiled=compiled)
+        belief = _belief(posterior, state)
+        found = judged_runs(belief, truth, asked.confidence, compiled=compiled)
         tallies |= {(name, state): tally for name, tally in found.tallies.items()}
         worst[state] = float(found.most.max()), first + int(found.most.argmax())
         lost |= found.last > chi_squared(_SURE, state.dimension)
-    for sensor, (nis, dof) in posterior._squares.items():
+    squares = posterior._squares if method.belief is None else {}  # families may have none
+    for sensor, (nis, dof) in squares.items():
         for name, values in (("nis", nis), ("dof", dof)):
             each = np.where(dof > 0, values, np.nan)
             tallies[name, sensor] = tally_of(each, compiled=compiled)

@@ -307,8 +307,8 @@ WRONG = {
     "a confidence lies between": {"confidence": 1.5},
     "one probability": {"confidence": [0.5, 0.9]},
     "is no state": {"states": [z]},
-    "SampledCPD.* is none; draw with": {"model": walk.replace(observation=[ANY])},
-    "TableCPD.* is none; draw with": {"model": still},
+    "SampledCPD.* is no Gaussian CPD": {"model": walk.replace(observation=[ANY])},
+    "continuous states .* has none": {"model": still},
     "draws anew for each run": {"methods": {"MC": pgm.MonteCarlo(9, seed=1, fresh_per_run=True)}},
     "progress= is True": {"progress": 3},
     "axes of runs": {
