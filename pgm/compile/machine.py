@@ -33,9 +33,9 @@ class Compiled(InCode):
     """Sweeps along a chain in machine code, the runs shared by threads, or on a card.
 
     On a card each run is a thread, in float64. Evidence is copied there with each sweep, and
-    beliefs back, in parts of the runs where all do not fit into its memory; a filter's beliefs stay
-    there if its evidence lies there (`Posterior.on_card`), and a study's runs are drawn and summed
-    there as well. What a card cannot do, and what a sweep leaves, is done as without one: functions
+    beliefs back, in parts of the runs where all do not fit into its memory; beliefs stay there if
+    evidence lies there (`Posterior.on_card`), and a study's runs are drawn and summed there as
+    well. What a card cannot do, and what a sweep leaves, is done as without one: functions
     that are called back, iterated smoothers' Gauss–Newton steps, mixtures, twice the digits. It has
     not been run on a card yet: its code is tested by an interpreter, and assembled.
 

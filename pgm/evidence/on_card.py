@@ -23,7 +23,7 @@ from pgm.variables import Discrete, Variable
 _FLOAT = "<f8"
 
 
-class Lying(NamedTuple):
+class Numbers(NamedTuple):
     """Numbers of a variable on a card, (rows, d) or (runs, rows, d): their address and strides.
 
     Strides are in bytes; `owner` keeps the memory.
@@ -52,21 +52,10 @@ class Lying(NamedTuple):
         across = self.strides[0] // NUMBER if len(self.shape) == 3 else 0
         return down, across, cell
 
-    def of(self, run: int) -> Lying:
+    def of(self, run: int) -> Numbers:
         """The numbers of one run, (rows, d)."""
         begin = self.address + run * self.strides[0]
         return self._replace(address=begin, shape=self.shape[1:], strides=self.strides[1:])
-
-    def like(self, row: Array, rows: int, runs: int) -> Array:
-        """An array (rows, runs or 1, d), all of whose rows are this one, (d,).
-
-        The cells of a row are as far apart as on the card.
-        """
-        cell = self.distances[2] if len(row) > 1 else 1
-        memory = np.zeros((len(row) - 1) * cell + 1)
-        memory[::cell] = row
-        shape = rows, 1 if self.runs is None else runs, len(row)
-        return np.broadcast_to(memory[::cell], shape)
 
 
 def lies_there(evidence: Any) -> bool:
@@ -78,7 +67,7 @@ def lies_there(evidence: Any) -> bool:
 
 # What of evidence lies on a card: by the variable or the sensor that it is given for, and whose
 # numbers it has, the sensor's own or those of a parent.
-Places = dict[tuple[Variable, Variable], Lying]
+Places = dict[tuple[Variable, Variable], Numbers]
 
 
 def lying_of(evidence: Mapping[Variable, Any]) -> Places:
@@ -100,7 +89,7 @@ def lying_of(evidence: Mapping[Variable, Any]) -> Places:
 
 
 def brought(
-    evidence: Mapping[Variable, Any], places: Places, home: Callable[[Lying], Array]
+    evidence: Mapping[Variable, Any], places: Places, home: Callable[[Numbers], Array]
 ) -> dict[Variable, Any]:
     """The evidence with NumPy's arrays, found by `home`, for numbers that lie on a card."""
 
@@ -136,7 +125,7 @@ def is_there(array: Any) -> bool:
     return device is not None and device()[0] == dlpack.CUDA
 
 
-def _lying(variable: Variable, array: Any) -> Lying:
+def _lying(variable: Variable, array: Any) -> Numbers:
     """Where numbers of a variable lie, refused unless machine code can read them there."""
     if isinstance(variable, Discrete):
         raise _refused(variable, "and is discrete", "a card takes measurements of numbers")
@@ -173,7 +162,7 @@ def _lying(variable: Variable, array: Any) -> Lying:
             f"with the strides {tuple(strides)}",
             "rows and components were due that lie one after another; a copy has such",
         )
-    return Lying(variable, address, shape, tuple(strides), owner)
+    return Numbers(variable, address, shape, tuple(strides), owner)
 
 
 def _refused(variable: Variable, how: str, advice: str) -> EvidenceError:

@@ -11,7 +11,7 @@ from pgm.compile import Balanced, DynamicGraph, compile
 from pgm.compile.machine import Choice
 from pgm.evidence import BoundEvidence, Evidence
 from pgm.inference.families import answered, family_of
-from pgm.inference.on_card import filtered_there
+from pgm.inference.on_card import solved_there
 from pgm.kernels.settling import TOLERANCE
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.networks import DynamicBayesianNetwork
@@ -142,7 +142,7 @@ def filter(
     """
     schedule = Filtering(iterations, tolerance, damping, gate)
     call = Call(schedule, lineariser, None, keep, executor, None, impossible, compiled)
-    there = filtered_there(model, evidence, steps, call, belief)
+    there = solved_there(model, evidence, steps, call, belief)
     if there is not None:
         return there
     family, asked = over_time(model, evidence, call, steps, None, belief, compiled)
@@ -190,7 +190,8 @@ def smooth(
         The prior of the states, their motion and the sensors, as CPDs.
     evidence : mapping of Variable
         Values of sensors and inputs, by variable: arrays (..., T, d) of the steps 1 to T,
-        `constant` or `sightings`. Leading axes are runs; NaN was not measured.
+        `constant` or `sightings`. Leading axes are runs; NaN was not measured. Arrays may lie on a
+        card that ``compiled`` asks for: beliefs then stay there (`Posterior.on_card`).
     lineariser : Lineariser, optional
         The rule for nonlinear CPDs that have none of their own, such as ``pgm.Unscented()``; by
         default `Taylor`, which takes Jacobians.
@@ -280,7 +281,7 @@ def smooth(
     rest = iterations, tolerance, damping, gate
     schedule = Smoothing(*rest) if lag is None else FixedLag(lag, *rest)
     call = Call(schedule, lineariser, start, keep, executor, None, impossible, compiled)
-    there = filtered_there(model, evidence, steps, call, belief)
+    there = solved_there(model, evidence, steps, call, belief)
     if there is not None:
         return there
     family, asked = over_time(model, evidence, call, steps, method, belief, compiled)

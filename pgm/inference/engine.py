@@ -18,7 +18,7 @@ from pgm.errors import EvidenceError, GraphError, ModelError
 from pgm.evidence import Evidence
 from pgm.inference import gaps
 from pgm.inference.families import answered, family_of
-from pgm.inference.on_card import filtered_there
+from pgm.inference.on_card import solved_there
 from pgm.linearisers import TAYLOR, Lineariser
 from pgm.posteriors.outcome import B
 from pgm.posteriors.posterior import Posterior
@@ -159,7 +159,7 @@ def infer(
     call = Call(schedule, lineariser, start, keep, executor, memory, impossible)
     if isinstance(graph, DynamicGraph):
         on_card = call._replace(compiled=graph.layout.compiled)
-        there = filtered_there(graph.model, evidence, graph.steps, on_card, belief, graph)
+        there = solved_there(graph.model, evidence, graph.steps, on_card, belief, graph)
         if there is not None:
             return there
     return told(send(graph, evidence, call, belief, progress), schedule)

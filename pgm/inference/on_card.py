@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from pgm.beliefs.moments.solvers.on_card import filtered
+from pgm.beliefs.moments.solvers.on_card import solved
 from pgm.compile import DynamicGraph
 from pgm.compile.machine import as_choice, is_for_card
 from pgm.errors import EvidenceError
@@ -15,7 +15,7 @@ from pgm.posteriors.posterior import Posterior
 from pgm.schedules.options import Call
 
 
-def filtered_there(
+def solved_there(
     model: Any,
     evidence: Any,
     steps: int | None,
@@ -23,7 +23,7 @@ def filtered_there(
     belief: object,
     graph: DynamicGraph | None = None,
 ) -> Posterior[Any] | None:
-    """The posterior of a filter whose evidence lies on a card, with beliefs there.
+    """The posterior of a call whose evidence lies on a card, with beliefs there.
 
     None where the evidence does not lie there, or ``call.compiled`` asks for no card. What is not
     done there is refused with an EvidenceError. `graph` is the user's, None to compile the model.
@@ -32,9 +32,9 @@ def filtered_there(
         return None
     if not isinstance(model, DynamicBayesianNetwork):
         return None
-    as_choice(call.compiled, "pgm.filter(...)", card=True)
+    as_choice(call.compiled, "pgm.infer(...)", card=True)
     if belief is not None:
         raise EvidenceError(
-            f"evidence that lies on a card is filtered there by Gaussian beliefs, not {belief!r}"
+            f"evidence that lies on a card has Gaussian beliefs there, not {belief!r}"
         )
-    return filtered(model, evidence, steps, call, family_of(model).infer, graph)
+    return solved(model, evidence, steps, call, family_of(model).infer, graph)

@@ -127,9 +127,9 @@ class Posterior(Labelled, Judged, Shown, NoArray, Generic[B]):
     def on_card(self) -> CardBeliefs:
         """The beliefs that lie on a card, ``posterior.on_card[x].mean``.
 
-        They stay there if evidence of `pgm.filter` lies there, as arrays of CuPy, JAX or PyTorch
-        do, and ``compiled=pgm.Compiled(device="cuda")`` asks for the card. All else of the
-        posterior comes home at the first look at it, but for `log_evidence`.
+        They stay there if evidence of `pgm.filter` or `pgm.smooth` lies there, as arrays of CuPy,
+        JAX or PyTorch may, and ``compiled=pgm.Compiled(device="cuda")`` asks for the card. All else
+        of the posterior comes home at the first look at it, but for `log_evidence`.
 
         Raises
         ------
@@ -137,8 +137,8 @@ class Posterior(Labelled, Judged, Shown, NoArray, Generic[B]):
             If the beliefs lie in this machine's memory.
         """
         raise EvidenceError(
-            "the beliefs lie in this machine's memory; they stay on a card if pgm.filter is given "
-            'evidence that lies there, and compiled=pgm.Compiled(device="cuda")'
+            "the beliefs lie in this machine's memory; they stay on a card if evidence lies there, "
+            'and pgm.filter or pgm.smooth is given compiled=pgm.Compiled(device="cuda")'
         )
 
     @property

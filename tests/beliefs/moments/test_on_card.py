@@ -92,6 +92,35 @@ def test_all_evidence_on_the_card(kind, turned, driver):
     assert not driver.contexts
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_smoothers(turned, driver):
+    evidence = recording("plain")
+    found = pgm.smooth(plain(), put(driver, evidence, {u, z, m}, turned=turned), compiled=CARD)
+    assert_on_card(found, pgm.smooth(plain(), evidence, compiled=False))
+    assert str(found.kind) == "smoothed"
+
+
+def test_runs_that_a_smoother_leaves(driver):
+    model = plain(sensor=SIGHT.cpd(cov=1e-9 * np.eye(2)))
+    evidence = recording("sharp readings")
+    found = pgm.smooth(model, put(driver, evidence, {u, z, m}), compiled=CARD)
+    assert_on_card(found, pgm.smooth(model, evidence, compiled=False), 1e-5)
+
+
+@pytest.mark.parametrize("call", [pgm.filter, pgm.smooth])
+def test_memory_that_holds_some_runs_at_once(call, monkeypatch):
+    """Evidence and beliefs of all runs are there, and what sweeps need beside them, of some."""
+    evidence, memory, launched = few(40, 1), 2**30, []
+    due = call(plain(), evidence, compiled=False)
+    for _ in range(2):
+        driver = with_a(Driver(memory=memory), monkeypatch)
+        found = call(plain(), put(driver, evidence, {z}), compiled=CARD)
+        launched.append(len(driver.launched))
+        memory = int(0.9 * driver.peak)
+        assert_on_card(found, due)
+    assert launched[1] > launched[0]
+
+
 @pytest.mark.slow
 def test_points_and_a_graph(driver):
     evidence, options = few(), {"lineariser": RULES["unscented"], "schedule": pgm.Filtering()}
@@ -287,10 +316,11 @@ def refused(words, evidence, error=pgm.EvidenceError, model=None, call=pgm.filte
         ({"gate": 0.9}, "gate is not taken"),
         ({"iterations": 2}, "iterations is not taken"),
         ({"keep": [x]}, "keep is not taken"),
-        ({"belief": pgm.Particles(10, seed=1)}, "by Gaussian beliefs, not Particles"),
-        ({"call": pgm.smooth}, "a filter alone takes it there; copy the evidence"),
+        ({"belief": pgm.Particles(10, seed=1)}, "has Gaussian beliefs there, not Particles"),
+        ({"call": pgm.smooth, "lag": 2}, "filters, and smoothers of all steps, take it there"),
+        ({"call": pgm.smooth, "start": {}}, "start is not taken"),
         ({"model": MODELS["a start for each run"]}, "the priors have runs of their own"),
-        ({"model": plain(sensor=SIGHT.cpd(noise=pgm.StudentT(4.0)))}, "has robust noise"),
+        ({"model": plain(sensor=SIGHT.cpd(noise=pgm.StudentT(4.0)))}, "noise is robust"),
         ({"model": plain(sensor=SIGHT.cpd(cov=pgm.noise(near_noise, given=m)))}, "m"),
     ],
 )

@@ -37,30 +37,17 @@ class OnCard:
         except OSError as error:
             raise ExecutorError(f"a sweep cannot be made for the card: {error}") from error
 
-    def __call__(
-        self,
-        numbers: Integers64,
-        arrays: Mapping[int, Anything],
-        runs: int,
-        lying: Sequence[int] = (),
-    ) -> None:
+    def __call__(self, numbers: Integers64, arrays: Mapping[int, Anything], runs: int) -> None:
         """Sweep so many runs, whose table's numbers have the addresses of arrays at their places.
 
-        What could be written to is copied back. At the places `lying` the numbers have addresses of
-        the card's memory, of arrays that are there and stay there.
+        What could be written to is copied back.
         """
         try:
-            self._sweep(numbers, arrays, runs, lying)
+            self._sweep(numbers, arrays, runs)
         except OSError as error:
             raise ExecutorError(f"{runs} runs could not be swept on the card: {error}") from error
 
-    def _sweep(
-        self,
-        numbers: Integers64,
-        arrays: Mapping[int, Anything],
-        runs: int,
-        lying: Sequence[int],
-    ) -> None:
+    def _sweep(self, numbers: Integers64, arrays: Mapping[int, Anything], runs: int) -> None:
         spans, first = spans_of(arrays.values(), runs), 0
         with self._card.current():
             most = self._most(spans, numbers.nbytes, runs)
@@ -69,10 +56,7 @@ class OnCard:
                     with self._rooms(spans, numbers.nbytes, most) as places:
                         while first < runs:
                             last = min(first + most, runs)
-                            table = numbers.copy()
-                            for at in lying:
-                                table[at] += NUMBER * first * table[at + told.ACROSS]
-                            self._part(table, arrays, spans, places, (first, last, runs))
+                            self._part(numbers, arrays, spans, places, (first, last, runs))
                             first = last
                 except OutOfMemory as error:
                     if most == 1:
@@ -101,17 +85,18 @@ class OnCard:
 
     def _part(
         self,
-        table: Integers64,
+        numbers: Integers64,
         arrays: Mapping[int, Anything],
         spans: Sequence[Span],
         places: Sequence[int],
         part: tuple[int, int, int],
     ) -> None:
-        """Sweep the runs of a part, from the first to below the last of all, by a table of it."""
+        """Sweep the runs of a part, from the first to below the last of all."""
         first, last, _ = part
         own, count, head = self._card, last - first, places[-1]
         for span, place in zip(spans, places, strict=False):
             own.put(place, *_lines(span, first, count))
+        table = numbers.copy()
         table[told.RUNS] = count
         begins = np.array([span.first for span in spans])
         for at, array in arrays.items():

@@ -1,8 +1,8 @@
-"""Filters whose evidence lies on a card, and whose beliefs stay there.
+"""Filters and smoothers whose evidence lies on a card, and whose beliefs stay there.
 
 Evidence is looked at on the card, by run. A few runs, at even distances, come home: the engine
-checks their evidence, filters them, and judges traces, and the card's beliefs must be theirs. So
-do the runs that the card's sweep leaves, or whose digits may be few; their beliefs go to the card.
+checks their evidence and solves them, and the card's beliefs must be theirs. So do the runs that
+the card's sweeps leave, or whose digits may be few; their beliefs go to the card.
 """
 
 from __future__ import annotations
@@ -16,16 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from pgm.beliefs.moments.compiled import lying
-from pgm.beliefs.moments.compiled.lying import Cells, Known
 from pgm.beliefs.moments.compiled.sweep import stretches
-from pgm.beliefs.moments.compiled.uncompiled import Uncompiled
-from pgm.beliefs.moments.digits.certificate import MODERATE
 from pgm.beliefs.moments.outcomes.doubts import doubt, is_held
 from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
+from pgm.beliefs.moments.solvers.card_cells import CardCells
+from pgm.beliefs.moments.solvers.resident import Laid, Left, Lying, Owner, ResidentChain
 from pgm.beliefs.moments.solvers.run import run as run_chain
-from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.compile import DynamicGraph, compile
+from pgm.cpds import CPD, NonlinearGaussianCPD
 from pgm.errors import (
     EvidenceError,
     ExecutorError,
@@ -34,15 +32,14 @@ from pgm.errors import (
     PgmError,
     levels_to_user,
 )
-from pgm.evidence import BoundEvidence
-from pgm.evidence.on_card import Lying, brought, is_there, lying_of
+from pgm.evidence import BoundEvidence, Reading
+from pgm.evidence.on_card import Numbers, brought, is_there, lying_of
 from pgm.evidence.values import Constant, Sightings
-from pgm.factors.scope import positions
-from pgm.kernels.arrays import Array, Integers, Mask, address, deviation, frozen, quiet
+from pgm.kernels.arrays import Array, Integers, Mask, address, deviation, frozen
+from pgm.kernels.machine.emitter.arena import Arena
 from pgm.kernels.machine.emitter.driver import Device, OutOfMemory, device
-from pgm.kernels.machine.sweeps import chain as sweeps
+from pgm.kernels.machine.studies.sums import Cells
 from pgm.kernels.machine.sweeps import lying as kernels
-from pgm.linearisation.family import cancellation
 from pgm.networks import DynamicBayesianNetwork
 from pgm.posteriors.on_card import CardArray, CardBeliefs, CardMoments, PosteriorOnCard
 from pgm.posteriors.outcome import Outcome
@@ -50,8 +47,7 @@ from pgm.resources import NUMBER
 from pgm.schedules.argument_checks import require_gaussian
 from pgm.schedules.binding import bind_chain
 from pgm.schedules.options import Call
-from pgm.schedules.schedule import Filtering
-from pgm.tracing import judged
+from pgm.schedules.schedule import Filtering, Smoothing
 from pgm.variables import Variable
 
 # So many runs come home at most, to be filtered there too.
@@ -60,13 +56,17 @@ _SAMPLE = 16
 _AGREES = 1e-6
 # And parts by which log-evidence may differ, if evidence has stayed as it was.
 _SAME = 1e-9
+# Of a filter one run of so many keeps its predicted beliefs: the first alone.
+_ALONE = 2**30
+# The share of free memory that is left free: the driver takes more than is asked for.
+_SPARE = 1 / 32
 _HOME = "copy the evidence to this machine's memory (cupy.asnumpy(a), a.cpu().numpy())"
 
 # The beliefs of a chain with its evidence in this machine's memory.
 Infer = Callable[[DynamicGraph, BoundEvidence, Call], Outcome[Any]]
 
 
-def filtered(
+def solved(
     model: DynamicBayesianNetwork,
     evidence: Mapping[Variable, Any],
     steps: int | None,
@@ -74,19 +74,21 @@ def filtered(
     infer: Infer,
     graph: DynamicGraph | None = None,
 ) -> PosteriorOnCard:
-    """Filter evidence that lies on a card; what is not done there is refused, in words.
+    """Filter or smooth evidence that lies on a card; what is not done there is refused, in words.
 
     `steps` is T, None for that of the evidence, and ``call.compiled`` asks for the card. `infer`
     finds the outcome if anything but the beliefs' arrays is looked at, on the user's `graph`, or
     one of its own.
     """
+    if call.schedule is None:
+        call = call._replace(schedule=Smoothing())
     _require_asked(model, evidence, call)
     with _driver_told():
-        return _Filter(model, evidence, steps, call, infer, graph).posterior()
+        return _There(model, evidence, steps, call, infer, graph).posterior()
 
 
-class _Filter:
-    """A filter of evidence on a card: the user's arguments, and where the numbers lie."""
+class _There:
+    """A call with evidence on a card: the user's arguments, and where the numbers lie."""
 
     def __init__(
         self,
@@ -97,7 +99,6 @@ class _Filter:
         infer: Infer,
         graph: DynamicGraph | None,
     ) -> None:
-        self._given = graph
         self._model, self._evidence, self._call, self._infer = model, dict(evidence), call, infer
         self._device, self._places = device(), lying_of(evidence)
         with self._device.current():
@@ -121,42 +122,63 @@ class _Filter:
         self._sample: Integers = np.unique(few.round().astype(np.intp))
         self._bound = self._bind(self._sample)
         self._steps = self._bound.steps
-        # Of which no other call knows, since its plan has arrays that stand in for others.
-        self._graph = compile(model, self._steps, compiled=call.compiled)
+        self._graph = graph or compile(model, self._steps, compiled=call.compiled)
         self._here = compile(model, self._steps, compiled=False)
-        asked = set(call.asked(graph or self._graph)) - {"lineariser", "compiled"}
-        for reading in self._bound.readings:
-            asked |= {"unknown"} if reading.unknown is not None else set()
-            if (np.diff(reading.order) != 1).any():
-                raise EvidenceError(
-                    f"sightings of {reading.cpd.child!r} that lie on a card have to be in the "
-                    "order of their steps",
-                    variable=reading.cpd.child,
-                )
+        asked = sorted(set(call.asked(self._graph)) - {"lineariser", "compiled"})
         if asked:
-            raise _refused(f"{sorted(asked)[0]} is not taken")
+            raise _refused(f"{asked[0]} is not taken")
+        self._first: dict[Variable, int] = {}
+        for reading in self._bound.readings:
+            self._first[reading.cpd.child] = int(reading.step[0]) if reading.step.size else 1
+            self._require_read(reading)
+        for cpd in (*model.transition, *model.observation):
+            self._require_known(cpd)
+
+    def _require_read(self, reading: Reading) -> None:
+        """Refuse a sensor whose rows on the card are not those that are read, one after another."""
+        sensor = reading.cpd.child
+        if reading.unknown is not None:
+            raise _refused(f"a sighting of {sensor!r} leaves open what was seen")
+        if (np.diff(reading.order) != 1).any():
+            raise _refused(f"sightings of {sensor!r} are not in the order of their steps")
+        for parent in reading.inputs:
+            given = (sensor, parent) in self._places
+            there = given or (parent, parent) in self._places
+            if there and not given and (np.diff(reading.step) != 1).any():
+                raise _refused(f"{parent!r} has to be in the given= of the sightings of {sensor!r}")
+
+    def _require_known(self, cpd: CPD) -> None:
+        """Refuse a CPD of whose inputs NumPy would make something, if these lie on the card."""
+        child = cpd.child
+        for parent in cpd.parents:
+            if (child, parent) not in self._places and (parent, parent) not in self._places:
+                continue
+            if not isinstance(cpd, NonlinearGaussianCPD):
+                raise _refused(f"{cpd!r} is linear in an input; make it a NonlinearGaussianCPD")
+            if parent in getattr(cpd.cov, "given", ()):
+                raise _refused(f"the noise of {cpd!r} depends on its inputs")
 
     def posterior(self) -> PosteriorOnCard:
         """The beliefs, on the card."""
-        known = self._swept()
-        few = self._few()
-        ended = known.ended
-        left = (ended[sweeps.LEFT] != 0.0) | (ended[sweeps.FAR] != 0.0)
-        left |= ~(ended[sweeps.CLOSEST] * MODERATE > 1.0)
-        with self._device.current():
-            self._require_alike(known, few, left)
-            lost = bool(ended[sweeps.LOST][~left].any())
-            for runs in stretches(left):
-                found = self._solved(self._bind(np.arange(runs.start, runs.stop)))
+        few, size = self._few(), self._graph.layout.slice_size
+        own, rows, runs = self._device, self._graph.steps + 1, self._runs
+        beliefs = tuple(CardCells.empty(own, rows, count, runs) for count in (size, size**2))
+        with own.current():
+            fine, lost, log_evidence = self._swept(beliefs)
+            self._require_alike(beliefs[0], few, fine)
+            for some in stretches(~fine):
+                found = self._solved(self._bind(np.arange(some.start, some.stop)))
                 lost |= not is_held(found)
-                _put(known, found, runs)
-            log_evidence = self._added(known.density)
+                log_evidence[some] = np.reshape(found.log_evidence, -1)
+                for cells, array in zip(beliefs, _moments(found), strict=True):
+                    numbers = np.moveaxis(array, 1, -1).reshape(rows, cells.cells, -1)
+                    cells.fill(numbers, some)
         if lost:
             warnings.warn(doubt(held=False), LostWarning, stacklevel=levels_to_user())
         elif bent := few._misfit():
             warnings.warn(bent, LinearisationWarning, stacklevel=levels_to_user())
         return PosteriorOnCard.lying(
-            self._beliefs(known),
+            self._shown(*beliefs),
             frozen(log_evidence.reshape(self._lead)),
             partial(self._come_home, log_evidence),
         )
@@ -170,62 +192,81 @@ class _Filter:
                 self._solved(self._bind(np.array([run])))
             raise
 
-    def _swept(self) -> Known:
-        """The beliefs, as a sweep on the card leaves them."""
-        wide = self._widened()
-        for judge in judged():  # whose traces the few runs at home judge
-            with quiet(), judge:
-                plan = ChainPlan.make(
-                    self._graph, wide, self._call.lineariser, probe=False, judge=judge
-                )
-                plan = replace(
-                    plan,
-                    sensors=[
-                        lying.with_missing(sensor) if sensor.variable in self._missing else sensor
-                        for sensor in plan.sensors
-                    ],
-                )
-                for family in plan.families:
-                    if cancellation(family):
-                        raise _refused(f"the points of {family.lineariser!r} lie close together")
-                try:
-                    return lying.sweep(plan, self._places, self._device)
-                except Uncompiled as error:
-                    raise _refused(str(error)) from error
-        raise AssertionError  # there is a judge
+    def _swept(self, beliefs: tuple[CardCells, ...]) -> tuple[Mask, bool, Array]:
+        """Sweep all runs on the card, in parts for whose arrays there is room.
 
-    def _widened(self) -> BoundEvidence:
-        """The evidence of all runs, with arrays that stand in for those on the card."""
+        The results are which runs have their digits, whether one of these was ever lost, and the
+        log-evidence, (runs,).
+        """
+        chain, own, runs, first = self._chain(), self._device, self._runs, 0
+        fine, lost, log_evidence = np.zeros(runs, dtype=bool), False, np.zeros(runs)
+        most = self._most(chain, beliefs)
+        while first < runs:
+            part = slice(first, min(first + most, runs))
+            fixed, loose = (each.most for each in self._laid(chain, beliefs, part)[1:])
+            try:
+                with own.room(fixed) as place, own.room(loose) as other:
+                    arenas = Arena(own, place, fixed), Arena(own, other, loose)
+                    laid, *_ = self._laid(chain, beliefs, part, *arenas)
+                    fine[part], gone = laid.swept(own, part.stop - first)
+                    lost |= bool((gone & fine[part]).any())
+                    log_evidence[part] = self._added(laid.density, part.stop - first)
+            except OutOfMemory:
+                if most == 1:
+                    raise
+                most = -(-most // 2)
+                continue
+            first = part.stop
+        return fine, lost, log_evidence
 
-        def inputs(key: Variable | None, own: Any) -> dict[Variable, Array]:
-            return {parent: stand(key, parent, values) for parent, values in own.items()}
+    def _chain(self) -> ResidentChain:
+        """The sweeps, told by two runs."""
+        runs = np.minimum([0, 1], self._runs - 1)
 
-        def stand(key: Variable | None, of: Variable, values: Array) -> Array:
-            lies = self._places.get((of, of))
-            if key is not None:
-                lies = self._places.get((key, of), lies)
-            return values if lies is None else lies.like(values[0, 0], len(values), self._runs)
+        def home(lies: Numbers) -> Array:
+            return self._home(runs, lies) if lies.runs else np.stack([self._home(None, lies)] * 2)
 
-        readings = tuple(
-            replace(
-                reading,
-                values=(values := stand(reading.cpd.child, reading.cpd.child, reading.values)),
-                taken=reading.taken
-                if values is reading.values
-                else np.broadcast_to(True, values.shape),
-                inputs=inputs(reading.cpd.child, reading.inputs),
-            )
-            for reading in self._bound.readings
-        )
-        transition = tuple(inputs(None, own) for own in self._bound.transition)
-        return replace(
-            self._bound,
-            lead=self._lead,
-            transition=transition,
-            readings=readings,
-            unread=(),
-            form=None,
-        )
+        evidence = brought(self._evidence, self._places, home)
+        rest = _ALONE, self._places, self._missing
+        try:
+            return ResidentChain(self._graph, self._call, evidence, *rest)
+        except Left as error:
+            raise _refused(str(error)) from error
+
+    def _most(self, chain: ResidentChain, beliefs: tuple[CardCells, ...]) -> int:
+        """How many runs are swept at once; an OutOfMemory where there is no room for one."""
+        most, free = self._runs, (1.0 - _SPARE) * self._device.free()
+        while sum(each.most for each in self._laid(chain, beliefs, slice(0, most))[1:]) > free:
+            if most == 1:
+                raise OutOfMemory("a single run needs more memory than is free")
+            most = -(-most // 2)
+        return most
+
+    def _laid(
+        self,
+        chain: ResidentChain,
+        beliefs: tuple[CardCells, ...],
+        part: slice,
+        fixed: Arena | None = None,
+        loose: Arena | None = None,
+    ) -> tuple[Laid, Arena, Arena]:
+        """The sweeps over a part of the runs, in arenas that have no end unless they are given."""
+        fixed, loose = fixed or Arena(), loose or Arena()
+        given = {owner: self._cells(owner, part.start) for owner in chain.given}
+        mean, cov = (each.of(part.start) for each in beliefs)
+        runs = part.stop - part.start
+        laid = chain.lie_among(fixed, loose, given, (mean, cov), Lying(runs, 1, runs))
+        return laid, fixed, loose
+
+    def _cells(self, owner: Owner, run: int) -> Cells:
+        """Where numbers of the user's lie from a run on, and the first row that is read."""
+        child, of = owner
+        lies = self._places.get(owner) or self._places[of, of]
+        # Plain arrays begin at step 1; those of sightings have a row for each.
+        skipped = 0 if owner in self._places else self._first.get(child, 1) - 1
+        down, across, cell = lies.distances
+        first = lies.address + NUMBER * (skipped * down + run * across)
+        return Cells(first, across, down, cell)
 
     def _bind(self, runs: Integers | None) -> BoundEvidence:
         """The evidence of some runs, None for all, brought home and checked."""
@@ -242,24 +283,31 @@ class _Filter:
         found.status._warn()
         return found
 
-    def _home(self, runs: Integers | None, lies: Lying) -> Array:
+    def _home(self, runs: Integers | None, lies: Numbers) -> Array:
         """Numbers of some runs, None for all, copied to this machine's memory."""
         with self._device.current():
             if lies.runs is None or runs is None:
                 return _whole(self._device, lies)
             return np.stack([_of_run(self._device, lies.of(int(run))) for run in runs])
 
-    def _look(self, lies: Lying) -> Array:
+    def _look(self, lies: Numbers) -> Array:
         """What is found among the numbers of each run; see `kernels.look`."""
         runs = 1 if lies.runs is None else lies.runs
         down, across, cell = lies.distances
         given = lies.address, down, across, cell, lies.rows, lies.shape[-1]
         return self._by_run(kernels.look(self._device), given, runs)
 
-    def _added(self, density: Cells) -> Array:
-        """The sums of the rows of each run."""
-        given = density.memory.address, *density.distances, density.rows, 1
-        return self._by_run(kernels.add(self._device), given, density.runs)
+    def _added(self, density: Cells, runs: int) -> Array:
+        """The sums over the steps of each run."""
+        given = (
+            density.address,
+            density.down,
+            density.across,
+            density.cell,
+            self._graph.steps + 1,
+            1,
+        )
+        return self._by_run(kernels.add(self._device), given, runs)
 
     def _by_run(self, kernel: Any, given: tuple[int, ...], runs: int) -> Array:
         found, own = np.empty(runs), self._device
@@ -285,35 +333,30 @@ class _Filter:
     def _is_sensor(self, variable: Variable) -> bool:
         return any(cpd.child == variable for cpd in self._model.observation)
 
-    def _require_alike(self, known: Known, few: ChainOutcome, left: Mask) -> None:
-        """Refuse beliefs of the card's that are not those found at home."""
-        mean = np.asarray(few._swept.mean)
-        std = deviation(few._swept.cov)
+    def _require_alike(self, there: CardCells, few: ChainOutcome, fine: Mask) -> None:
+        """Refuse means of the card's that are not those found at home."""
+        mean, cov = _moments(few)
+        std = deviation(cov)
         for k, run in enumerate(self._sample.tolist()):
-            if left[run]:
-                continue
-            there = known.mean.copy(slice(run, run + 1))[..., 0]
-            apart = np.abs(there - mean[:, k])
-            if not (apart <= _AGREES * std[:, k] + _SAME * np.abs(mean[:, k])).all():
+            off = np.abs(there.copy(slice(run, run + 1))[..., 0] - mean[:, k])
+            alike = (off <= _AGREES * std[:, k] + _SAME * np.abs(mean[:, k])).all()
+            if fine[run] and not alike:
                 raise ExecutorError(
                     f"the card's beliefs of run {run} are not those that this machine finds: a "
                     f"function may not be what its trace says, or the card's code is wrong; {_HOME}"
                 )
 
-    def _beliefs(self, known: Known) -> CardBeliefs:
+    def _shown(self, mean: CardCells, cov: CardCells) -> CardBeliefs:
         """The beliefs by variable."""
         layout, found = self._graph.layout, {}
-        size, rows = layout.slice_size, known.mean.rows
+        size, rows = layout.slice_size, mean.rows
         for variable in layout.slice:
-            skipped = 0 if variable in layout.states else 1
-            d, first = (
-                variable.dimension,
-                int(np.arange(size)[positions(layout.slice, [variable])][0]),
-            )
+            skipped, d = 0 if variable in layout.states else 1, variable.dimension
+            place = int(np.arange(size)[layout.places[variable]][0])
             each = []
-            for cells, own in ((known.mean, (1,)), (known.cov, (size, 1))):
-                down, across, cell = (NUMBER * k for k in cells.distances)
-                begin = skipped * down + cell * first * sum(own)
+            for cells, own in ((mean, (1,)), (cov, (size, 1))):
+                _, across, down, cell = (NUMBER * k for k in cells.of(0))
+                begin = skipped * down + place * cell * sum(own)
                 shape = *self._lead, rows - skipped, *(d for _ in own)
                 strides = *(across for _ in self._lead), down, *(cell * k for k in own)
                 each.append(CardArray(cells.memory, begin, shape, strides))
@@ -325,18 +368,17 @@ class _Filter:
         with _driver_told(), self._device.current():
             self._device.settle()
             bound = self._bind(None)
-        graph = self._given or compile(self._model, self._steps, compiled=self._call.compiled)
-        found = self._infer(graph, bound, self._call)
+        found = self._infer(self._graph, bound, self._call)
         now = np.asarray(found.log_evidence).reshape(-1)
         if not np.allclose(now, log_evidence, rtol=_SAME, atol=_SAME):
             raise EvidenceError(
                 "the evidence on the card is not what it was when the call was made: look at the "
-                "posterior before you write there, or filter a copy"
+                "posterior before you write there, or give a copy"
             )
         return found
 
 
-def _whole(own: Device, lies: Lying) -> Array:
+def _whole(own: Device, lies: Numbers) -> Array:
     """All numbers, copied to this machine's memory with all that lies between them."""
     pairs = zip(lies.strides, lies.shape, strict=True)
     extent = sum(stride * (length - 1) for stride, length in pairs) + NUMBER
@@ -345,7 +387,7 @@ def _whole(own: Device, lies: Lying) -> Array:
     return np.lib.stride_tricks.as_strided(room, lies.shape, lies.strides)
 
 
-def _of_run(own: Device, lies: Lying) -> Array:
+def _of_run(own: Device, lies: Numbers) -> Array:
     """The numbers of one run, (rows, d), copied to this machine's memory, and nothing else."""
     found = np.empty(lies.shape)
     (rows, size), (down, cell) = lies.shape, lies.strides
@@ -357,21 +399,18 @@ def _of_run(own: Device, lies: Lying) -> Array:
     return found
 
 
-def _put(known: Known, found: ChainOutcome, runs: slice) -> None:
-    """Put the beliefs of some runs, found at home, on the card."""
-    swept, count = found._swept, runs.stop - runs.start
-    arrays = swept.mean, swept.cov, swept.log_density
-    for cells, array in zip((known.mean, known.cov, known.density), arrays, strict=True):
-        rows = np.moveaxis(np.asarray(array), 1, -1)
-        cells.fill(rows.reshape(cells.rows, cells.cells, count), runs)
+def _moments(found: ChainOutcome) -> tuple[Array, Array]:
+    """The means (T+1, runs, n) and covariances of an outcome."""
+    beliefs = found._swept if found._smoothed is None else found._smoothed
+    return beliefs.mean, beliefs.cov
 
 
 def _require_asked(
     model: DynamicBayesianNetwork, evidence: Mapping[Variable, Any], call: Call
 ) -> None:
     """Refuse calls, models and evidence that are not for a card's own memory."""
-    if not isinstance(call.schedule, Filtering):
-        raise _refused("a filter alone takes it there")
+    if type(call.schedule) not in (Filtering, Smoothing):
+        raise _refused(f"filters, and smoothers of all steps, take it there, not {call.schedule!r}")
     if model.lead:
         raise _refused(f"the priors have runs of their own, {model.lead}")
     require_gaussian((*model.prior, *model.transition, *model.observation), "Gaussian beliefs")
@@ -389,7 +428,7 @@ def _require_asked(
                 )
 
 
-def _require_own(own: Device, lies: Lying) -> None:
+def _require_own(own: Device, lies: Numbers) -> None:
     try:
         own.require_own(lies.address)
     except OSError as error:
@@ -401,7 +440,7 @@ def _require_own(own: Device, lies: Lying) -> None:
 
 
 def _refused(why: str) -> EvidenceError:
-    return EvidenceError(f"evidence that lies on a card is filtered there as it is: {why}; {_HOME}")
+    return EvidenceError(f"evidence that lies on a card is not taken there: {why}; {_HOME}")
 
 
 @contextmanager
@@ -411,8 +450,8 @@ def _driver_told() -> Iterator[None]:
         yield
     except OutOfMemory as error:
         raise ExecutorError(
-            f"beliefs that stay on the card do not fit there: {error}; filter fewer runs at once, "
+            f"beliefs that stay on the card do not fit there: {error}; give fewer runs at once, "
             f"or {_HOME}"
         ) from error
     except OSError as error:
-        raise ExecutorError(f"evidence could not be filtered on the card: {error}") from error
+        raise ExecutorError(f"evidence could not be swept on the card: {error}") from error

@@ -1,14 +1,14 @@
 """Filters and smoothers of runs whose readings lie on a card already, and whose beliefs stay there.
 
-A chain is told once, by a plan of a few runs whose readings are of no matter, and swept for as many
-as there is room for: of each array that has runs the card gets one of its own, in which the runs
-lie beside each other, and of each other one a copy. Traces are judged at beliefs of a few runs that
-come home.
+A chain is told once, by a plan of a few runs whose numbers are of no matter, and swept for as many
+as there is room for: of each array that has runs the card has one of its own, and of each other one
+a copy. Readings are drawn there, or they and observed parents lie there as the user has them.
+Traces are judged at beliefs of a few runs that come home.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from math import prod
 from typing import Any, NamedTuple
 
@@ -36,6 +36,7 @@ from pgm.beliefs.moments.outcomes.innovations import measured
 from pgm.beliefs.moments.passes.backward import transition
 from pgm.beliefs.moments.passes.forward import Forward
 from pgm.beliefs.moments.steps.plan import ChainPlan
+from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.compile import BalancedGraph, DynamicGraph
 from pgm.evidence import Evidence
 from pgm.kernels.arrays import Array, Integers, Mask, address, quiet, vacant
@@ -46,6 +47,7 @@ from pgm.kernels.machine.studies.sums import Cells
 from pgm.kernels.machine.sweeps import card, told
 from pgm.kernels.machine.sweeps import chain as sweeps
 from pgm.kernels.machine.sweeps.writer import arrays
+from pgm.linearisation.family import Family
 from pgm.schedules.binding import bind_chain
 from pgm.schedules.options import Call
 from pgm.schedules.schedule import ONCE, Filtering, FixedLag, Smoothing
@@ -55,6 +57,8 @@ from pgm.variables import Variable
 Anything = npt.NDArray[Any]
 # An array of the plan that tells a chain: where it lies, and how.
 Key = tuple[int, tuple[int, ...], tuple[int, ...]]
+# A CPD's child, and the variable whose numbers it has: the child's own, or an observed parent's.
+Owner = tuple[Variable, Variable]
 
 
 class Left(Exception):
@@ -83,20 +87,35 @@ class ResidentChain:
         Of a few runs, two or more, whose readings are of no matter.
     thinned : int
         Of a filter one run of so many keeps its predicted beliefs.
+    there : collection of (Variable, Variable), optional
+        The evidence that lies on the card, by its owners; without, readings are drawn there, and
+        the NIS of each sensor is kept.
+    missing : collection of Variable, optional
+        The sensors of whose readings there some are missing, which NaN marks.
     """
 
-    def __init__(self, graph: DynamicGraph, call: Call, evidence: Evidence, thinned: int) -> None:
-        self._judge, self.thinned = Judge(), thinned
+    def __init__(
+        self,
+        graph: DynamicGraph,
+        call: Call,
+        evidence: Evidence,
+        thinned: int,
+        there: Collection[Owner] = (),
+        missing: Collection[Variable] = (),
+    ) -> None:
+        self._judge, self.thinned, self._there = Judge(), thinned, there
         schedule, self.smooths = _schedule(graph, call)
         bound = bind_chain(graph.model, evidence, graph.steps)
         with quiet():
             try:
                 plan = ChainPlan.make(graph, bound, call.lineariser, judge=self._judge)
                 self.plan = plan
+                plan.sensors = [_unseen(s) if s.variable in missing else s for s in plan.sensors]
                 self._require_known()
                 self._key = decisive(plan, stored=False, keep=self.smooths, gate=None)
                 self._record = self._fields(schedule)
                 self._sweeps = list(self._told())
+                self.given = dict(self._given())
                 self._require_filled()
             except Uncompiled as error:
                 raise Left(str(error)) from error
@@ -124,14 +143,16 @@ class ResidentChain:
         plan = self.plan
         lead, size = (plan.steps + 1, plan.runs), plan.layout.slice_size
         for sensor in plan.read:
-            sensor.values = _by_runs(sensor.values, plan.runs)
+            if not self._there or (sensor.variable, sensor.variable) in self._there:
+                sensor.values = _by_runs(sensor.values, plan.runs)
         begin = begun(plan, schedule, keep=self.smooths)
         if any(each.shape[1] != 1 for each in begin):
             raise Left("the belief to begin with depends on the run")
         record: Record = dict(zip(BEGIN, begin, strict=True))
         record |= zip(KNOWN, (*_moments(lead, size), np.zeros(lead)), strict=True)
         record |= zip(PREDICTED, _moments(lead, size), strict=True)
-        record |= squares_of(plan)
+        if not self._there:
+            record |= squares_of(plan)
         if self.smooths:
             record |= zip(SMOOTHED, _moments(lead, size), strict=True)
         return record
@@ -155,8 +176,25 @@ class ResidentChain:
             chain = told_back(plan, table, *owners)
             yield _Sweep(chain, table.numbers, table.arrays)
 
+    def _given(self) -> Iterator[tuple[Owner, Key]]:
+        """The arrays that stand for evidence on the card, by its owners."""
+        plan, sweep = self.plan, self._sweeps[0]
+        chain = sweep.chain
+        assert isinstance(chain, told.Forward)
+        for sensor, form in zip(plan.read, chain.sensors, strict=True):
+            own = sensor.variable, sensor.variable
+            if own in self._there:
+                yield own, _key(sweep.arrays[form.readings.place])
+        families = [link.family for link in plan.transition]
+        families += [sensor.family for sensor in plan.read]
+        for family, row in zip(families, (*chain.motions, *chain.sensors), strict=True):
+            child = family.cpd.child
+            for parent, array in zip(_observed(family), row.inputs, strict=True):
+                if (child, parent) in self._there or (parent, parent) in self._there:
+                    yield (child, parent), _key(sweep.arrays[array.place])
+
     def _require_filled(self) -> None:
-        """Refuse a chain that reads arrays of runs which neither it nor draws fill."""
+        """Refuse a chain that reads arrays of runs which neither it, draws nor the user fill."""
         plan, (ahead, *_) = self.plan, self._sweeps
         assert isinstance(ahead.chain, told.Forward)
         for sensor, form in zip(plan.read, ahead.chain.sensors, strict=True):
@@ -168,7 +206,7 @@ class ResidentChain:
         for family in families if self.smooths else ():
             filled += [family.matrix, family.offset, family.noise]
         filled += [sensor.moved for sensor in plan.read] if self.smooths else []
-        known = set(map(_key, filled))
+        known = {*map(_key, filled), *self.given.values()}
         for sweep in self._sweeps:
             for array in arrays(sweep.chain):
                 found = sweep.arrays[array.place]
@@ -179,7 +217,27 @@ class ResidentChain:
         self, fixed: Arena, loose: Arena, readings: Mapping[Variable, Cells], of: Lying
     ) -> Laid:
         """The chain with its arrays on a card; copies, which stay, are in the `fixed` arena."""
-        return Laid(self, fixed, loose, readings, of)
+        held = {_key(sensor.values): readings[sensor.variable] for sensor in self.plan.read}
+        return Laid(self, fixed, loose, held, of)
+
+    def lie_among(
+        self,
+        fixed: Arena,
+        loose: Arena,
+        given: Mapping[Owner, Cells],
+        beliefs: tuple[Cells, Cells],
+        of: Lying,
+    ) -> Laid:
+        """The chain over evidence that is `given` on a card, with its beliefs there."""
+        held = {self.given[owner]: cells for owner, cells in given.items()}
+        pairs = zip(self._belief, beliefs, strict=True)
+        held |= {_key(self._record[name]): cells for name, cells in pairs}
+        return Laid(self, fixed, loose, held, of)
+
+    @property
+    def _belief(self) -> tuple[str, ...]:
+        """The names in the record of the means and covariances that are asked for."""
+        return SMOOTHED if self.smooths else KNOWN[:2]
 
     def dof(self) -> dict[Variable, Integers]:
         """By sensor with evidence how many components each step's readings have, (T+1,)."""
@@ -218,6 +276,8 @@ class Laid:
     ----------
     belief : tuple of Cells
         The means and covariances that the schedule is asked for.
+    density : Cells
+        The log-densities of each step's measurements.
     squares : mapping
         By sensor that was read, the address of its NIS and the distance between steps.
     """
@@ -227,24 +287,23 @@ class Laid:
         chain: ResidentChain,
         fixed: Arena,
         loose: Arena,
-        readings: Mapping[Variable, Cells],
+        held: Mapping[Key, Cells],
         of: Lying,
     ) -> None:
         self._chain, self._of, self._loose = chain, of, loose
         plan, record = chain.plan, chain._record
-        self._held: dict[Key, Cells] = {
-            _key(sensor.values): readings[sensor.variable] for sensor in plan.read
-        }
+        self._held = dict(held)
         self.ended = [loose.floats(sweeps.TOLD * of.stride) for _ in chain._sweeps]
         heads = zip(chain._sweeps, self.ended, strict=True)
         self._heads = [self._head(sweep, ended, fixed) for sweep, ended in heads]
         self.known = tuple(self._held[_key(record[name])] for name in KNOWN[:2])
         self.predicted = tuple(self._held[_key(record[name])] for name in PREDICTED)
-        names = SMOOTHED if chain.smooths else KNOWN[:2]
-        self.belief = tuple(self._held[_key(record[name])] for name in names)
+        self.belief = tuple(self._held[_key(record[name])] for name in chain._belief)
+        self.density = self._held[_key(record[KNOWN[2]])]
         self.squares = {
             sensor.variable: self._held[_key(record[name])]
             for sensor, name in zip(plan.read, squares_of(plan), strict=True)
+            if name in record
         }
 
     def _head(self, sweep: _Sweep, ended: int, fixed: Arena) -> int:
@@ -254,7 +313,7 @@ class Laid:
         numbers[: told.FIRST] = [0] * told.FIRST
         numbers[told.LAST], numbers[told.RUNS] = plan.steps, of.stride
         numbers[told.ITERATIONS], numbers[told.ENDED] = 1, ended
-        own = {array.place for array in arrays(sweep.chain)}
+        own = {array.place: array for array in arrays(sweep.chain)}
         thin = () if chain.smooths else map(_key, (chain._record[name] for name in PREDICTED))
         thinned = set(thin)
         for place, array in sweep.arrays.items():
@@ -268,6 +327,8 @@ class Laid:
                     stride = of.kept if key in thinned else of.stride
                     held[key] = _cells(self._loose, array.shape[0], array.shape[2:], stride)
                 cells = held[key]
+                if own[place].near and prod(own[place].shape) > 1 and cells.cell != 1:
+                    raise Left("numbers of a run do not lie beside each other, as they were told")
             else:
                 cells = _copied(fixed, array)
             numbers[place : place + told.CELL + 1] = [
@@ -280,7 +341,11 @@ class Laid:
 
     def sweep(self, device: Device, runs: int) -> Mask:
         """Sweep so many runs; whether each has, for certain, the digits that are promised."""
-        fine = np.ones(runs, dtype=bool)
+        return self.swept(device, runs)[0]
+
+    def swept(self, device: Device, runs: int) -> tuple[Mask, Mask]:
+        """Sweep so many runs: which have their digits, as of `sweep`; and which were ever lost."""
+        fine, lost = np.ones(runs, dtype=bool), np.zeros(runs, dtype=bool)
         for sweep, head, ended in zip(self._chain._sweeps, self._heads, self.ended, strict=True):
             device.launch(card.loaded(sweep.chain, device), runs, (head, 0, runs), card.KINDS)
             found = self._loose.get(ended, (sweeps.TOLD, self._of.stride))[:, :runs]
@@ -290,7 +355,8 @@ class Laid:
             else:
                 fine &= (found[sweeps.FAR] == 0.0) & (found[sweeps.MOVING] == 0.0)
                 fine &= found[sweeps.CLOSEST] * certificate.MODERATE > 1.0
-        return fine
+                lost |= found[sweeps.LOST] != 0.0
+        return fine, lost
 
     def judge(self, device: Device, few: Few, fine: Mask) -> None:
         """Judge traces at the beliefs of the runs that come home, so far as they are `fine`."""
@@ -344,6 +410,32 @@ def _as_wide(array: Array, runs: int) -> Array:
     count = min(runs, array.shape[1])
     found[:, :count] = array[:, :count]
     return found
+
+
+class _Unseen(Sensor):
+    """A sensor whose readings lie on a card, where NaN marks what was not taken."""
+
+    @property
+    def marked(self) -> Array:
+        """What stands for the readings."""
+        return self.values
+
+
+def _unseen(sensor: Sensor) -> Sensor:
+    """A sensor of whose readings on a card some are missing, of which no array here tells."""
+    found = object.__new__(_Unseen)
+    none = np.broadcast_to(False, (1, 1, sensor.height))
+    found.__dict__.update(sensor.__dict__, taken=none)
+    return found
+
+
+def _observed(family: Family) -> list[Variable]:
+    """The observed arguments of a CPD's function, in their order."""
+    template = family.template
+    if template is None:
+        return []
+    pairs = zip(template.given, template.places, strict=True)
+    return [parent for parent, place in pairs if place is None]
 
 
 def _schedule(graph: DynamicGraph, call: Call) -> tuple[Filtering, bool]:
