@@ -107,7 +107,8 @@ class LostWarning(UserWarning):
 class LinearisationWarning(UserWarning):
     """Functions that bend too much over a belief for any line; ``posterior.nonlinearity`` says how.
 
-    The first call of a model by a rule looks for them, at the steps with the widest beliefs.
+    The first call of a model by a rule looks for them, at the steps with the widest beliefs; a
+    filter of eight or more runs tells in ``print`` alone.
     """
 
 

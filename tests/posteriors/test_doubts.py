@@ -66,6 +66,13 @@ CURVED = pgm.DynamicBayesianNetwork(
 )
 
 
+CURVED_WIDE = pgm.DynamicBayesianNetwork(
+    [pgm.GaussianCPD(x, 3.0, 4.0)],
+    walk.transition,
+    [pgm.NonlinearGaussianCPD(z, given=x, function=np.square, cov=1.0)],
+)
+
+
 def is_lost(posterior):
     """Page's test of innovations by the textbook, run by run, and of a gate's rejections."""
     found, steps = posterior.innovations[z], posterior.graph.steps + 1
@@ -190,9 +197,16 @@ def test_of_many_runs_more_than_one_in_twenty_are_to_be_wrong(wide, compiled):
     still = pgm.LinearGaussianCPD(x, given={x.previous: 1.0}, cov=1e-8)
     model = squares.replace(prior=[pgm.GaussianCPD(x, 3.0, cov)], transition=[still])
     readings = {z: np.full((40, 5, 1), 9.0)}
-    assert doubted(pgm.filter, model, readings, compiled=compiled) == (wide == 3)
+    assert doubted(pgm.smooth, model, readings, compiled=compiled) == (wide == 3)
     wrong = (pgm.filter(model, readings, compiled=compiled).nonlinearity[z] > 0.5).any(axis=1)
     assert wrong.sum() == wide
+
+
+def test_a_filter_of_many_runs_is_not_swept_again_for_a_warning():
+    readings = {z: np.full((40, 3, 1), 9.0)}
+    assert not doubted(pgm.filter, afresh(CURVED_WIDE), readings)
+    assert doubted(pgm.smooth, afresh(CURVED_WIDE), readings)
+    assert "linearised where no line is right" in repr(pgm.filter(CURVED_WIDE, readings))
 
 
 def test_a_function_that_fails_over_the_belief_does_not_keep_a_posterior_from_being_shown():

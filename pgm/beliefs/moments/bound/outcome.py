@@ -48,6 +48,9 @@ class BoundOutcome(ChainOutcome):
     def _held(self) -> bool | None:
         return None if self.associations else self._went.held
 
+    def _misfit(self) -> str:
+        return ""  # the call before was not bound, and has looked
+
     @property
     def _beliefs(self) -> Beliefs:
         return self._made.beliefs

@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from pgm.beliefs.moments.outcomes.nonlinear import Linearised, linearised
+from pgm.beliefs.moments.passes.forward import Filtered
 from pgm.errors import PgmError
 
 if TYPE_CHECKING:
@@ -75,10 +76,11 @@ def misfit(posterior: ChainOutcome) -> str:
     """The text of a warning that no line fits some function, empty if none is known not to.
 
     Functions are evaluated for that, so that the first call of a model by a rule looks alone, at
-    the rows with the widest beliefs.
+    the rows with the widest beliefs. A filter of many runs, which has not kept the beliefs over
+    which it linearised, is not swept again for it.
     """
     plan, layout = posterior._planned, posterior.graph.layout
-    if (plan.steps + 1) * plan.runs > _MOST:
+    if (plan.steps + 1) * plan.runs > _MOST or isinstance(posterior._swept, Filtered):
         return ""
     rules = [type(each.lineariser) for each in plan.families if not each.exact]
     rule = posterior.kind, posterior.status.iterations == 1, *rules
@@ -86,8 +88,7 @@ def misfit(posterior: ChainOutcome) -> str:
         return ""
     layout.looked_at.add(rule)
     try:
-        found = linearised(posterior)
-        wrong = any(_is_wrong(each) for each in found.values())
+        wrong = any(_is_wrong(each) for each in linearised(posterior).values())
     except PgmError:  # of a function that fails over a belief, which a summary tells
         return ""
     if not wrong:
