@@ -178,6 +178,8 @@ class CardBlocks:
             self._careful[name] = self._careful.get(name, 0) + len(added.fine)
             return None
         sums = sums_of(added, first, self._sure)
+        if self._methods[name].iterates:
+            sums = sums._replace(unsettled=added.unsettled)
         if not len(careful):
             return sums
         sample = self._asked.drawn.sample(first)

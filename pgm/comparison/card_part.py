@@ -74,6 +74,7 @@ class Forms(NamedTuple):
 class Added(NamedTuple):
     """The sums of a method over a block, of those of its runs that are `fine`.
 
+    unsettled: How many of these have not settled in their iterations.
     known, mean, spread: (steps, cells); as of `studies.sums.Moments`.
     pairs: (cells, 6); as of `studies.card.Summed`.
     most, last: By state and run, (states, runs).
@@ -81,6 +82,7 @@ class Added(NamedTuple):
     """
 
     fine: Mask
+    unsettled: int
     known: Array
     mean: Array
     spread: Array
@@ -186,15 +188,16 @@ class Part:
         found: dict[int, dict[str, Added]] = {each: {} for each in firsts}
         for name, (chain, judges, sums) in self._methods.items():
             fine = chain.sweep(own, runs)
+            unsettled = chain.unsettled(runs)
             chain.judge(own, few, fine)
             for form, head in judges:
                 kernel = kernels.loaded(kernels.judging, kernels.JUDGE, own, form)
                 own.launch(kernel, runs, (head, 0, runs), kernels.KINDS)
-            for block, each in zip(firsts, self._added(own, sums, fine), strict=True):
+            for block, each in zip(firsts, self._added(own, sums, fine, unsettled), strict=True):
                 found[block][name] = each
         return found
 
-    def _added(self, own: Device, sums: _Sums, fine: Mask) -> Iterator[Added]:
+    def _added(self, own: Device, sums: _Sums, fine: Mask, unsettled: Mask) -> Iterator[Added]:
         """The sums over each block, of the runs that are fine."""
         s, loose, runs = sums.given, self._loose, len(fine)
         blocks, width, kinds = -(-runs // s.block), s.width, kernels.KINDS
@@ -218,6 +221,7 @@ class Part:
             rows = slice(k * s.block, min((k + 1) * s.block, runs))
             yield Added(
                 fine[rows],
+                int(np.count_nonzero(fine[rows] & unsettled[rows])),
                 known[k],
                 mean[k],
                 spread[k],

@@ -131,7 +131,7 @@ def study(
         do the blocks, draws and sums among them; of fewer blocks than threads, sweeps have the
         others. All digits are those of one thread.
         On a card, ``Compiled(device="cuda")``, runs are drawn and summed as well, where there is
-        neither an executor nor an oracle, for methods that linearise once and have no gate;
+        neither an executor nor an oracle, for filters and for smoothers of one iteration;
         `Study.compilation` says which these were.
     executor : concurrent.futures.Executor, optional
         As for `infer`: a process pool, a thread pool, a Dask client's ``get_executor()``, an MPI

@@ -48,6 +48,15 @@ def robot(sight=sight, noise=None, several=False):
     )
 
 
+def steered():
+    """A robot whose control is hidden."""
+    model, v = robot(several=True), pgm.Variable("v")
+    first, beside = model.transition
+    steering = pgm.LinearGaussianCPD(v, {u: 1.0}, cov=0.01)
+    moved = pgm.NonlinearGaussianCPD(x, (x.previous, v), move, cov=first.cov)
+    return model.replace(transition=[steering, moved, beside])
+
+
 INPUTS = {
     u: np.linspace(-0.3, 0.3, T)[:, None],
     z: pgm.sightings(step=[4, 1, 1, 0], given={m: [[2.0], [4.0], [6.0], [8.0]]}),
@@ -128,6 +137,36 @@ def test_filters_of_several_states(rule, card):
     found = studied(robot(several=True), methods)
     assert found.compilation == "drawn, swept and summed on a card: F, again"
     assert_same(found, studied(robot(several=True), methods, False))
+
+
+@pytest.mark.parametrize(
+    ("tolerance", "damping"),
+    [(5e-3, 0.0), pytest.param(1e-6, 0.3, marks=pytest.mark.slow)],
+)
+def test_iterated_filters_too(tolerance, damping, card, parts):
+    schedule = pgm.Filtering(iterations=2, tolerance=tolerance, damping=damping)
+    found = studied(robot(), {"IEKF": schedule})
+    assert found.compilation.endswith("on a card: IEKF")
+    other = studied(robot(), {"IEKF": schedule}, False)
+    assert_same(found, other)
+    assert 0 < found["IEKF"].unsettled == other["IEKF"].unsettled
+    assert len(parts) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rule", [pgm.Taylor(), pgm.Unscented()], ids=str)
+def test_smoothers_of_several_states(rule, card):
+    methods = {"RTS": (rule, pgm.Smoothing())}
+    found = studied(robot(several=True), methods)
+    assert found.compilation.endswith("on a card: RTS")
+    assert_same(found, studied(robot(several=True), methods, False))
+
+
+@pytest.mark.slow
+def test_filters_with_a_hidden_control(card):
+    found = studied(steered(), {"F": pgm.Taylor()})
+    assert found.compilation.endswith("on a card: F")
+    assert_same(found, studied(steered(), {"F": pgm.Taylor()}, False))
 
 
 @pytest.mark.parametrize(
@@ -276,9 +315,14 @@ def words(model, methods, inputs=INPUTS):
 @pytest.mark.parametrize(
     ("method", "why"),
     [
-        (pgm.Filtering(iterations=3), "it iterates"),
+        (pgm.Smoothing(iterations=3), "it linearises all steps again"),
+        (
+            pgm.Filtering(iterations=3, damping=pgm.LevenbergMarquardt()),
+            "its steps are controlled",
+        ),
+        (pgm.Filtering(gate=0.9), "it has a gate"),
         (pgm.FixedLag(2), "it has a lag"),
-        (pgm.Smoothing(), "it smooths several CPDs a step, or controls"),
+        (pgm.Smoothing(), "it smooths hidden controls"),
         (pgm.Unscented(alpha=1e-3), "the weights of its points cancel"),
         (pgm.Particles(100, seed=1), "it is a family of beliefs"),
         (lambda function, at: pgm.Cubature()(function, at), "it is linearised by"),
@@ -286,7 +330,7 @@ def words(model, methods, inputs=INPUTS):
     ids=str,
 )
 def test_methods_that_a_card_cannot_do_are_told(method, why, card):
-    told = words(robot(several=True), {"EKF": pgm.Taylor(), "it": method})
+    told = words(steered(), {"EKF": pgm.Taylor(), "it": method})
     assert told.startswith("drawn, swept and summed on a card: EKF; it drawn and summed by the ")
     assert why in told
 

@@ -20,6 +20,7 @@ from pgm.kernels.machine.emitter.processor import llvm
 from pgm.kernels.machine.studies import card, draws, sums
 from pgm.kernels.machine.studies.rows import Child, Form, Resident
 from pgm.kernels.machine.studies.sums import Cells, Given
+from pgm.kernels.machine.studies.transitions import COMPOSE, Part, Transition, composing
 
 needs_libdevice()
 LATE = (8, 0)
@@ -219,6 +220,39 @@ def test_beliefs_are_judged_as_numpy_does():
     assert_array_equal(rows[..., 5], held)
 
 
+def test_transitions_of_several_cpds_are_composed():
+    """Of three CPDs, the second on what the first has made, by the inverse of a joint matrix."""
+    rng, runs, steps = np.random.default_rng(8), 2, 2
+    shapes = ((0, 1), 2, 2), ((2, 3), 4, 1), ((4, 1, 2), 5, 2)
+    laws, cells, parts = [], [], []
+    for k, (parents, child, height) in enumerate(shapes):
+        own = 1 if k == 1 else runs  # one that all runs share
+        law = rng.normal(size=(own, steps, height, len(parents)))
+        root = rng.normal(size=(own, steps, height, height))
+        kind = Runs.SAME if own == 1 else Runs.BESIDE
+        parts.append(Part(parents, child, height, kind, kind))
+        laws.append((law, root @ root.swapaxes(-1, -2)))
+        for each in laws[-1]:
+            lying, width = np.ascontiguousarray(each.reshape(own, -1).T), each[0, 0].size
+            cells.append((lying, Cells(lying.ctypes.data, own > 1, width * own, own)))
+    out = [np.zeros((steps, width, runs)) for width in (5 * 2, 5 * 5)]
+    cells += [(each, Cells(each.ctypes.data, 1, len(each[0]) * runs, runs)) for each in out]
+    form = Transition(2, tuple(parts))
+    table = card.table(OwnArena(), steps, *(place for _, place in cells))
+    launched(composing(form, LATE), COMPOSE, (table, 0, runs))
+    for run, step in np.ndindex(runs, steps):
+        # x = A x + e of all components, with the states as e: (I − A)⁻¹.
+        within, spread = np.zeros((7, 7)), np.zeros((7, 7))
+        for (parents, child, height), (law, noise) in zip(shapes, laws, strict=True):
+            own = slice(child, child + height)
+            within[own, parents] = law[run % len(law), step]
+            spread[own, own] = noise[run % len(noise), step]
+        total = np.linalg.inv(np.eye(7) - within)
+        matrix, cov = (each[step, :, run] for each in out)
+        assert_allclose(matrix.reshape(5, 2), total[2:, :2], rtol=1e-13, atol=1e-13)
+        assert_allclose(cov.reshape(5, 5), (total @ spread @ total.T)[2:, 2:], atol=1e-12)
+
+
 def test_a_few_runs_are_picked():
     values, out = np.arange(24.0).reshape(4, 6), np.zeros((4, 2))
     table = card.table(OwnArena(), values.ctypes.data, 6, 2, 4, out.ctypes.data)
@@ -233,6 +267,8 @@ KERNELS = {
     card.PICK: card.picking,
 } | {name: lambda at, name=name: card.summing(name, at) for name in ("by_step", "by_run")}
 KERNELS[card.BY_BLOCK] = lambda at: card.summing(card.BY_BLOCK, at)
+PARTS = [Part(parents, k, 1, Runs.SAME, Runs.BESIDE) for k, parents in enumerate(((0,), (0, 1)), 1)]
+KERNELS[COMPOSE] = lambda at: composing(Transition(1, tuple(PARTS)), at)
 
 
 @pytest.mark.parametrize("capability", CAPABILITIES, ids=str)

@@ -19,12 +19,15 @@ from pgm.beliefs.moments.compiled.groups import groups_of
 from pgm.beliefs.moments.compiled.judged import judge
 from pgm.beliefs.moments.compiled.key import decisive
 from pgm.beliefs.moments.compiled.named_table import NamedTable
+from pgm.beliefs.moments.compiled.rows import places
 from pgm.beliefs.moments.compiled.sweep import (
     BEGIN,
     KNOWN,
     PREDICTED,
     SMOOTHED,
     begun,
+    is_iterated,
+    settings,
     squares_of,
     told_ahead,
     told_back,
@@ -42,13 +45,18 @@ from pgm.evidence import Evidence
 from pgm.kernels.arrays import Array, Integers, Mask, address, quiet, vacant
 from pgm.kernels.machine.emitter.arena import Arena
 from pgm.kernels.machine.emitter.driver import Device
+from pgm.kernels.machine.emitter.memory import Runs
 from pgm.kernels.machine.studies import card as kernels
 from pgm.kernels.machine.studies.sums import Cells
+from pgm.kernels.machine.studies.transitions import COMPOSE, Part, Transition, composing
 from pgm.kernels.machine.sweeps import card, told
 from pgm.kernels.machine.sweeps import chain as sweeps
 from pgm.kernels.machine.sweeps.writer import arrays
+from pgm.kernels.moments import Conditional
 from pgm.linearisation.family import Family
+from pgm.resources import NUMBER
 from pgm.schedules.binding import bind_chain
+from pgm.schedules.damping import LevenbergMarquardt
 from pgm.schedules.options import Call
 from pgm.schedules.schedule import ONCE, Filtering, FixedLag, Smoothing
 from pgm.tracing import Judge
@@ -82,7 +90,7 @@ class ResidentChain:
     ----------
     graph : DynamicGraph
     call : Call
-        Of a schedule that linearises once, without a gate.
+        Of a filter, or of a smoother that linearises once, without a gate.
     evidence : mapping
         Of a few runs, two or more, whose readings are of no matter.
     thinned : int
@@ -104,7 +112,9 @@ class ResidentChain:
         missing: Collection[Variable] = (),
     ) -> None:
         self._judge, self.thinned, self._there = Judge(), thinned, there
-        schedule, self.smooths = _schedule(graph, call)
+        self._schedule, self.smooths = _schedule(graph, call)
+        if there and self.iterations > 1:
+            raise Left("it iterates")
         bound = bind_chain(graph.model, evidence, graph.steps)
         with quiet():
             try:
@@ -113,7 +123,7 @@ class ResidentChain:
                 plan.sensors = [_unseen(s) if s.variable in missing else s for s in plan.sensors]
                 self._require_known()
                 self._key = decisive(plan, stored=False, keep=self.smooths, gate=None)
-                self._record = self._fields(schedule)
+                self._record, self._moved = self._fields(), self._transition()
                 self._sweeps = list(self._told())
                 self.given = dict(self._given())
                 self._require_filled()
@@ -127,8 +137,10 @@ class ResidentChain:
             raise Left("a prior is flat")
         if close_points.largest(close_points.families(plan)):
             raise Left("the weights of its points cancel, of which the digits are judged here")
-        if self.smooths and not layout.single:
-            raise Left("it smooths several CPDs a step, or controls")
+        if not plan.steps:
+            raise Left("it has no steps")
+        if self.smooths and layout.control_places.size:
+            raise Left("it smooths hidden controls")
         if any(sensor.robust for sensor in plan.read):
             raise Left("noise is robust")
         if groups_of(plan, None, stored=False, controlled=False):
@@ -138,14 +150,24 @@ class ResidentChain:
             raise Left(why)
         require_affine_prior(plan)
 
-    def _fields(self, schedule: Filtering) -> Record:
+    @property
+    def iterated(self) -> bool:
+        """Whether sensors are linearised again."""
+        return is_iterated(self.plan, self._schedule)
+
+    @property
+    def iterations(self) -> int:
+        """How often sensors are linearised at the most."""
+        return self._schedule.iterations
+
+    def _fields(self) -> Record:
         """The arrays by name that sweeps read or fill beside those of CPDs and sensors."""
         plan = self.plan
         lead, size = (plan.steps + 1, plan.runs), plan.layout.slice_size
         for sensor in plan.read:
             if not self._there or (sensor.variable, sensor.variable) in self._there:
                 sensor.values = _by_runs(sensor.values, plan.runs)
-        begin = begun(plan, schedule, keep=self.smooths)
+        begin = begun(plan, self._schedule, keep=self.smooths)
         if any(each.shape[1] != 1 for each in begin):
             raise Left("the belief to begin with depends on the run")
         record: Record = dict(zip(BEGIN, begin, strict=True))
@@ -153,9 +175,39 @@ class ResidentChain:
         record |= zip(PREDICTED, _moments(lead, size), strict=True)
         if not self._there:
             record |= squares_of(plan)
+        if self.iterated:
+            record["settings"] = settings(self._schedule)
+            record["residuals"] = np.zeros((self.iterations + 1, plan.runs))
         if self.smooths:
             record |= zip(SMOOTHED, _moments(lead, size), strict=True)
         return record
+
+    def _transition(self) -> Conditional | None:
+        """The transition as the way back reads it, of which several CPDs are composed before."""
+        plan, layout = self.plan, self.plan.layout
+        if not self.smooths or layout.single:
+            return transition(plan) if self.smooths else None
+        lead, size, states = (plan.steps, plan.runs), layout.slice_size, layout.state_size
+        own = (size, states), (size,), (size, size)
+        return Conditional(*(vacant(lead, each) for each in own))
+
+    @property
+    def composed(self) -> tuple[Transition, list[Array], Sequence[Array]] | None:
+        """The form of a transition of several CPDs, their F and Q, and the matrices that are found.
+
+        None where one CPD is the transition, or there is no way back.
+        """
+        plan, layout, moved = self.plan, self.plan.layout, self._moved
+        if moved is None or layout.single:
+            return None
+        parts, laws = list[Part](), list[Array]()
+        for link in plan.transition:
+            family, own = link.family, (link.family.matrix, link.family.noise)
+            kinds = (Runs.BESIDE if _has_runs(each, plan.runs) else Runs.SAME for each in own)
+            parents = places(link.parents, layout.state_size + layout.slice_size)
+            parts.append(Part(parents, link.child.start, family.shape[2], *kinds))
+            laws += own
+        return Transition(layout.state_size, tuple(parts)), laws, (moved.matrix, moved.cov)
 
     def _told(self) -> Iterator[_Sweep]:
         plan, record = self.plan, self._record
@@ -167,11 +219,11 @@ class ResidentChain:
         cpds: dict[str, Any] = {"stored": False, "keep": self.smooths, "controlled": False}
         chain: sweeps.Chain = told_ahead(plan, table, (), **cpds, gate=None, thinned=thinned)
         yield _Sweep(chain, table.numbers, table.arrays)
-        if self.smooths:
+        if self._moved is not None:
             behind = {name: record[name] for name in SMOOTHED}
             before, after = (tuple(record[name] for name in each) for each in (PREDICTED, KNOWN))
             swept = Forward(before[0], before[1], after[0], after[1], after[2])
-            owners = swept, transition(plan), behind
+            owners = swept, self._moved, behind
             table = NamedTable(plan, 1, owners, behind)
             chain = told_back(plan, table, *owners)
             yield _Sweep(chain, table.numbers, table.arrays)
@@ -206,6 +258,7 @@ class ResidentChain:
         for family in families if self.smooths else ():
             filled += [family.matrix, family.offset, family.noise]
         filled += [sensor.moved for sensor in plan.read] if self.smooths else []
+        filled += self._moved or ()
         known = {*map(_key, filled), *self.given.values()}
         for sweep in self._sweeps:
             for array in arrays(sweep.chain):
@@ -249,7 +302,7 @@ class ResidentChain:
         It raises a `Left` where one is wrong, or its function has changed.
         """
         with quiet():
-            judge(self.plan, known, predicted, done)
+            judge(self.plan, known, predicted, done, again=self.iterations > 1)
             right = self._judge.passes()
             # Those of the next runs are others, of the same traces.
             self._judge = Judge()
@@ -293,9 +346,15 @@ class Laid:
         self._chain, self._of, self._loose = chain, of, loose
         plan, record = chain.plan, chain._record
         self._held = dict(held)
-        self.ended = [loose.floats(sweeps.TOLD * of.stride) for _ in chain._sweeps]
-        heads = zip(chain._sweeps, self.ended, strict=True)
+        self._residuals = loose.floats((chain.iterations + 1) * of.stride)
+        self._ended = [loose.floats(sweeps.TOLD * of.stride) for _ in chain._sweeps]
+        heads = zip(chain._sweeps, self._ended, strict=True)
         self._heads = [self._head(sweep, ended, fixed) for sweep, ended in heads]
+        self._composing: tuple[Transition, int] | None = None
+        if chain.composed is not None:
+            form, laws, found = chain.composed
+            cells = [self._placed(each, fixed) for each in (*laws, *found)]
+            self._composing = form, kernels.table(fixed, plan.steps, *cells)
         self.known = tuple(self._held[_key(record[name])] for name in KNOWN[:2])
         self.predicted = tuple(self._held[_key(record[name])] for name in PREDICTED)
         self.belief = tuple(self._held[_key(record[name])] for name in chain._belief)
@@ -309,35 +368,35 @@ class Laid:
     def _head(self, sweep: _Sweep, ended: int, fixed: Arena) -> int:
         """The address of a sweep's table."""
         chain, plan, of = self._chain, self._chain.plan, self._of
-        numbers, held = list(sweep.numbers), self._held
+        numbers = list(sweep.numbers)
         numbers[: told.FIRST] = [0] * told.FIRST
         numbers[told.LAST], numbers[told.RUNS] = plan.steps, of.stride
-        numbers[told.ITERATIONS], numbers[told.ENDED] = 1, ended
+        numbers[told.ITERATIONS], numbers[told.ENDED] = chain.iterations, ended
         own = {array.place: array for array in arrays(sweep.chain)}
-        thin = () if chain.smooths else map(_key, (chain._record[name] for name in PREDICTED))
-        thinned = set(thin)
         for place, array in sweep.arrays.items():
-            if place not in own:
-                numbers[place] = fixed.put(array)
-                continue
-            cells = None
-            if _has_runs(array, plan.runs):
-                key = _key(array)
-                if key not in held:
-                    stride = of.kept if key in thinned else of.stride
-                    held[key] = _cells(self._loose, array.shape[0], array.shape[2:], stride)
-                cells = held[key]
-                if own[place].near and prod(own[place].shape) > 1 and cells.cell != 1:
+            if place in own:
+                cells, form = self._placed(array, fixed), own[place]
+                if form.near and prod(form.shape) > 1 and cells.cell != 1:
                     raise Left("numbers of a run do not lie beside each other, as they were told")
+                address, across, down, cell = cells
+                numbers[place : place + told.CELL + 1] = address, down, across, cell
+            elif place == told.RESIDUALS:
+                numbers[place] = self._residuals
             else:
-                cells = _copied(fixed, array)
-            numbers[place : place + told.CELL + 1] = [
-                cells.address,
-                cells.down,
-                cells.across,
-                cells.cell,
-            ]
+                numbers[place] = fixed.put(array)
         return fixed.put(np.array(numbers, dtype=np.int64))
+
+    def _placed(self, array: Anything, fixed: Arena) -> Cells:
+        """Where an array of the plan lies on the card; one that all runs share is copied."""
+        chain, of = self._chain, self._of
+        if not _has_runs(array, chain.plan.runs):
+            return _copied(fixed, array)
+        key = _key(array)
+        if key not in self._held:
+            kept = not chain.smooths and key in (_key(chain._record[name]) for name in PREDICTED)
+            stride = of.kept if kept else of.stride
+            self._held[key] = _cells(self._loose, array.shape[0], array.shape[2:], stride)
+        return self._held[key]
 
     def sweep(self, device: Device, runs: int) -> Mask:
         """Sweep so many runs; whether each has, for certain, the digits that are promised."""
@@ -345,8 +404,15 @@ class Laid:
 
     def swept(self, device: Device, runs: int) -> tuple[Mask, Mask]:
         """Sweep so many runs: which have their digits, as of `sweep`; and which were ever lost."""
+        chain = self._chain
         fine, lost = np.ones(runs, dtype=bool), np.zeros(runs, dtype=bool)
-        for sweep, head, ended in zip(self._chain._sweeps, self._heads, self.ended, strict=True):
+        if chain.iterated:
+            self._loose.renew(self._residuals, np.zeros((chain.iterations + 1, self._of.stride)))
+        for sweep, head, ended in zip(chain._sweeps, self._heads, self._ended, strict=True):
+            if self._composing is not None and isinstance(sweep.chain, told.Backward):
+                form, place = self._composing
+                kernel = kernels.loaded(composing, COMPOSE, device, form)
+                device.launch(kernel, runs, (place, 0, runs), kernels.KINDS)
             device.launch(card.loaded(sweep.chain, device), runs, (head, 0, runs), card.KINDS)
             found = self._loose.get(ended, (sweeps.TOLD, self._of.stride))[:, :runs]
             fine &= found[sweeps.LEFT] == 0.0
@@ -357,6 +423,14 @@ class Laid:
                 fine &= found[sweeps.CLOSEST] * certificate.MODERATE > 1.0
                 lost |= found[sweeps.LOST] != 0.0
         return fine, lost
+
+    def unsettled(self, runs: int) -> Mask:
+        """Which of so many runs have not settled in their iterations."""
+        if not self._chain.iterated:
+            return np.zeros(runs, dtype=bool)
+        row = self._residuals + NUMBER * self._chain.iterations * self._of.stride
+        found: Mask = self._loose.get(row, (runs,)) != 0.0
+        return found
 
     def judge(self, device: Device, few: Few, fine: Mask) -> None:
         """Judge traces at the beliefs of the runs that come home, so far as they are `fine`."""
@@ -451,8 +525,10 @@ def _schedule(graph: DynamicGraph, call: Call) -> tuple[Filtering, bool]:
         raise Left("it has a lag")
     else:
         raise Left(f"it has the schedule {schedule!r}")
-    if schedule.iterations > 1:
-        raise Left("it iterates")
+    if schedule.iterations > 1 and smooths:
+        raise Left("it linearises all steps again")
+    if schedule.iterations > 1 and isinstance(schedule.damping, LevenbergMarquardt):
+        raise Left("its steps are controlled")
     if schedule.gate is not None:
         raise Left("it has a gate")
     return (found or ONCE), smooths
