@@ -138,6 +138,10 @@ class PosteriorOnCard(Posterior[Any]):
         found: Outcome[Any] = self.__dict__["_home"]()
         return found
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """What comes home is copied and pickled, as any other posterior is."""
+        return Posterior, (self._outcome, self._entered, self._verdict)
+
     @property
     def log_evidence(self) -> Array:
         """The log-evidence, which has come home."""

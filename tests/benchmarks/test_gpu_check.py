@@ -44,19 +44,20 @@ def test_without_a_card_it_says_so_and_stops(driver, words, monkeypatch, capsys)
     assert len(told.splitlines()) == 1
 
 
-def test_with_a_card_answers_and_times_are_told(no_study, monkeypatch, capsys):
+@pytest.mark.parametrize("models", [1, pytest.param(4, marks=pytest.mark.slow)])
+def test_with_a_card_answers_and_times_are_told(models, no_study, monkeypatch, capsys):
     driver = install(monkeypatch, Driver())
     monkeypatch.setattr(gpu_check, "DUE", 1e9)
-    assert gpu_check.main(["--models", "4", "--runs", "3", "--steps", "4"]) == 0
+    assert gpu_check.main(["--models", str(models), "--runs", "2", "--steps", "2"]) == 0
     told = capsys.readouterr().out
     assert "an interpreter, compute capability 8.0" in told
-    assert "4 drawn models: at most" in told
-    assert "3 robots over 4 steps:" in told
+    assert f"{models} drawn models: at most" in told
+    assert "2 robots over 2 steps:" in told
     for how in ("run by run", "step by step"):
-        assert f"3 robots over 4 steps, whose readings lie on the card {how}: a whole call" in told
+        assert f"2 robots over 2 steps, whose readings lie on the card {how}: a whole call" in told
     assert "JAX's filter is not timed: " in told
     assert len(driver.launched) > 7
-    assert no_study == [(3, 4)]
+    assert no_study == [(2, 2)]
 
 
 def test_answers_that_differ_are_told(no_study, monkeypatch, capsys):

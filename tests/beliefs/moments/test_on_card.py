@@ -1,6 +1,7 @@
 """Evidence that lies on a card, and beliefs that stay there, by a fake driver's memory."""
 
 import gc
+import pickle
 import re
 import sys
 from functools import partial
@@ -100,6 +101,7 @@ def test_smoothers(turned, driver):
     assert str(found.kind) == "smoothed"
 
 
+@pytest.mark.slow
 def test_runs_that_a_smoother_leaves(driver):
     model = plain(sensor=SIGHT.cpd(cov=1e-9 * np.eye(2)))
     evidence = recording("sharp readings")
@@ -107,6 +109,7 @@ def test_runs_that_a_smoother_leaves(driver):
     assert_on_card(found, pgm.smooth(model, evidence, compiled=False), 1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("call", [pgm.filter, pgm.smooth])
 def test_memory_that_holds_some_runs_at_once(call, monkeypatch):
     """Evidence and beliefs of all runs are there, and what sweeps need beside them, of some."""
@@ -140,6 +143,24 @@ def test_numbers_that_all_runs_have(driver):
     evidence = few()
     found = pgm.filter(plain(), put(driver, evidence, {u, z, m}), compiled=CARD)
     assert_on_card(found, pgm.filter(plain(), evidence, compiled=False))
+
+
+@pytest.mark.parametrize("call", [pgm.filter, pgm.smooth])
+def test_linear_motion_and_readings(call, driver):
+    """Inputs on the card, and others of the same CPD at home."""
+    rng = np.random.default_rng(4)
+    bias, slip = pgm.Variable("bias"), pgm.Variable("slip", components=("east", "north"))
+    moved = {x.previous: 0.9 * np.eye(3), u: rng.normal(size=(3, 2)), slip: rng.normal(size=(3, 2))}
+    seen = {x: rng.normal(size=(2, 3)), bias: [[1.0], [-2.0]]}
+    model = pgm.DynamicBayesianNetwork(
+        plain().prior,
+        [pgm.LinearGaussianCPD(x, moved, offset=[0.1, 0.2, 0.3], cov=0.1 * np.eye(3))],
+        [pgm.LinearGaussianCPD(z, seen, cov=0.2 * np.eye(2))],
+    )
+    evidence = {u: rng.normal(size=(4, 5, 2)), slip: rng.normal(size=(5, 2))}
+    evidence |= {bias: rng.normal(size=(4, 5, 1)), z: rng.normal(size=(4, 5, 2))}
+    found = call(model, put(driver, evidence, {u, bias, z}), compiled=CARD)
+    assert_on_card(found, call(model, evidence, compiled=False))
 
 
 @pytest.mark.slow
@@ -302,6 +323,21 @@ def test_the_program_of_the_guide(driver, monkeypatch):
     assert_allclose(names["tracked"].log_evidence, due.log_evidence, rtol=1e-12)
 
 
+def test_what_comes_home_is_pickled(driver):
+    model = pgm.DynamicBayesianNetwork(
+        plain().prior,
+        [pgm.LinearGaussianCPD(x, {x.previous: 0.9 * np.eye(3)}, cov=0.1 * np.eye(3))],
+        [pgm.LinearGaussianCPD(z, {x: np.ones((2, 3))}, cov=0.2 * np.eye(2))],
+    )
+    found = pgm.filter(model, put(driver, {z: np.ones((2, 3, 2))}, {z}), compiled=CARD)
+    copied = pickle.loads(pickle.dumps(found))
+    assert_array_equal(copied[x].mean, found[x].mean)
+    with pytest.raises(pgm.EvidenceError, match="lie in this machine's memory"):
+        print(copied.on_card)
+    with pytest.raises(TypeError, match=r"neither copied nor pickled: \.home\(\)"):
+        pickle.dumps(found.on_card[x].mean)
+
+
 # What is refused
 
 
@@ -330,12 +366,6 @@ def test_other_calls(options, words, driver):
 
 def test_other_models(driver):
     evidence = few()
-    moved = plain(pgm.LinearGaussianCPD(x, {x.previous: np.eye(3), u: np.zeros((3, 2))}, cov=1.0))
-    refused(
-        "linear in an input; make it a NonlinearGaussianCPD",
-        put(driver, evidence, {u, z}),
-        model=moved,
-    )
     noisy = MODELS["noise by control"]
     refused("noise of .* depends on its inputs", put(driver, evidence, {u, z}), model=noisy)
     assert turning_noise  # of which that noise is

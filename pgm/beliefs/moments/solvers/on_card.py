@@ -23,7 +23,7 @@ from pgm.beliefs.moments.solvers.card_cells import CardCells
 from pgm.beliefs.moments.solvers.resident import Laid, Left, Lying, Owner, ResidentChain
 from pgm.beliefs.moments.solvers.run import run as run_chain
 from pgm.compile import DynamicGraph, compile
-from pgm.cpds import CPD, NonlinearGaussianCPD
+from pgm.cpds import CPD
 from pgm.errors import (
     EvidenceError,
     ExecutorError,
@@ -148,14 +148,9 @@ class _There:
                 raise _refused(f"{parent!r} has to be in the given= of the sightings of {sensor!r}")
 
     def _require_known(self, cpd: CPD) -> None:
-        """Refuse a CPD of whose inputs NumPy would make something, if these lie on the card."""
-        child = cpd.child
-        for parent in cpd.parents:
-            if (child, parent) not in self._places and (parent, parent) not in self._places:
-                continue
-            if not isinstance(cpd, NonlinearGaussianCPD):
-                raise _refused(f"{cpd!r} is linear in an input; make it a NonlinearGaussianCPD")
-            if parent in getattr(cpd.cov, "given", ()):
+        """Refuse a CPD whose noise depends on inputs that lie on the card."""
+        for parent in getattr(getattr(cpd, "cov", None), "given", ()):
+            if (cpd.child, parent) in self._places or (parent, parent) in self._places:
                 raise _refused(f"the noise of {cpd!r} depends on its inputs")
 
     def posterior(self) -> PosteriorOnCard:

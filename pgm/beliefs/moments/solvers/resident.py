@@ -9,8 +9,10 @@ Traces are judged at beliefs of a few runs that come home.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from math import prod
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -41,6 +43,7 @@ from pgm.beliefs.moments.passes.forward import Forward
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.compile import BalancedGraph, DynamicGraph
+from pgm.cpds import AffineCPD
 from pgm.evidence import Evidence
 from pgm.kernels.arrays import Array, Integers, Mask, address, quiet, vacant
 from pgm.kernels.machine.emitter.arena import Arena
@@ -67,6 +70,10 @@ Anything = npt.NDArray[Any]
 Key = tuple[int, tuple[int, ...], tuple[int, ...]]
 # A CPD's child, and the variable whose numbers it has: the child's own, or an observed parent's.
 Owner = tuple[Variable, Variable]
+
+
+# A row of a CPD of the transition, or of a sensor.
+AnyRow = TypeVar("AnyRow", bound=told.Row)
 
 
 class Left(Exception):
@@ -217,7 +224,13 @@ class ResidentChain:
         table = NamedTable(plan, 1, (*links, *sensors, *plan.read, ahead), ahead)
         thinned = 1 if self.smooths else self.thinned
         cpds: dict[str, Any] = {"stored": False, "keep": self.smooths, "controlled": False}
-        chain: sweeps.Chain = told_ahead(plan, table, (), **cpds, gate=None, thinned=thinned)
+        found = told_ahead(plan, table, (), **cpds, gate=None, thinned=thinned)
+        motions, read = (each.family for each in plan.transition), (s.family for s in plan.read)
+        chain: sweeps.Chain = replace(
+            found,
+            motions=tuple(map(partial(self._fed, table), motions, found.motions)),
+            sensors=tuple(map(partial(self._fed, table), read, found.sensors)),
+        )
         yield _Sweep(chain, table.numbers, table.arrays)
         if self._moved is not None:
             behind = {name: record[name] for name in SMOOTHED}
@@ -227,6 +240,27 @@ class ResidentChain:
             table = NamedTable(plan, 1, owners, behind)
             chain = told_back(plan, table, *owners)
             yield _Sweep(chain, table.numbers, table.arrays)
+
+    def _fed(self, table: NamedTable, family: Family, row: AnyRow) -> AnyRow:
+        """A row of a CPD, to which linear inputs that lie on the card are added there."""
+        cpd = family.cpd
+        if not isinstance(cpd, AffineCPD):
+            return row
+        known = _observed(family)
+        if not any(self._lies(cpd.child, parent) for parent in known):
+            return row
+        if cpd.steps is not None:
+            raise Left(f"{cpd!r} has numbers of its own at each step")
+        return replace(
+            row,
+            inputs=tuple(table.array(family.inputs[parent]) for parent in known),
+            shifts=tuple(table.array(cpd.matrices[parent][None, None]) for parent in known),
+            offset=table.array(cpd.offset[None, None]),
+        )
+
+    def _lies(self, child: Variable, parent: Variable) -> bool:
+        """Whether the numbers of a CPD's observed parent lie on the card."""
+        return (child, parent) in self._there or (parent, parent) in self._there
 
     def _given(self) -> Iterator[tuple[Owner, Key]]:
         """The arrays that stand for evidence on the card, by its owners."""
@@ -241,8 +275,8 @@ class ResidentChain:
         families += [sensor.family for sensor in plan.read]
         for family, row in zip(families, (*chain.motions, *chain.sensors), strict=True):
             child = family.cpd.child
-            for parent, array in zip(_observed(family), row.inputs, strict=True):
-                if (child, parent) in self._there or (parent, parent) in self._there:
+            for parent, array in zip(_observed(family), row.inputs, strict=False):
+                if self._lies(child, parent):
                     yield (child, parent), _key(sweep.arrays[array.place])
 
     def _require_filled(self) -> None:
@@ -504,10 +538,10 @@ def _unseen(sensor: Sensor) -> Sensor:
 
 
 def _observed(family: Family) -> list[Variable]:
-    """The observed arguments of a CPD's function, in their order."""
+    """The observed parents of a CPD, in the order in which sweeps are told of them."""
     template = family.template
     if template is None:
-        return []
+        return [parent for parent in family.cpd.given if parent in family.inputs]
     pairs = zip(template.given, template.places, strict=True)
     return [parent for parent, place in pairs if place is None]
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from importlib import import_module
-from typing import Any
+from typing import Any, Never
 
 from pgm.kernels.machine.emitter.kinds import Kind, symbol
 
@@ -34,6 +34,9 @@ class Held:
 
     def __init__(self, address: int, device: Device) -> None:
         self.address, self.device = address, device
+
+    def __reduce__(self) -> Never:
+        raise TypeError("memory of a card is neither copied nor pickled: .home() copies an array")
 
 
 class Device:
