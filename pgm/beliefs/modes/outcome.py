@@ -11,7 +11,7 @@ import numpy as np
 from pgm.clustergraph import Cluster, ClusterGraph
 from pgm.compile import DynamicGraph
 from pgm.display import Summary
-from pgm.errors import GraphError, Unanswered
+from pgm.errors import GraphError, PgmError, Unanswered
 from pgm.factors import Gaussian, GaussianMixture
 from pgm.factors.scope import Scope
 from pgm.kernels.arrays import Array, Integers
@@ -19,7 +19,7 @@ from pgm.kernels.stochastic import Dense
 from pgm.posteriors.belief_kind import SMOOTHED
 from pgm.posteriors.belief_kind import Kind as Knows
 from pgm.posteriors.figures import Figures
-from pgm.posteriors.outcome import MODES, Outcome
+from pgm.posteriors.outcome import MODES, QUESTIONS, Outcome
 from pgm.posteriors.status import Status
 from pgm.posteriors.summaries import of_network, over_time
 from pgm.variables import Variable
@@ -241,6 +241,14 @@ class ModesOutcome(Outcome[GaussianMixture]):
     def sample(self, count: int, rng: np.random.Generator) -> dict[Variable, Array]:
         """So many draws for each run, each of a mode by its weight: as of the modes' outcomes."""
         return self._found.sample(count, rng)
+
+    def refusal(self, question: str) -> PgmError:
+        """The error for what modes cannot answer, and one linearisation can."""
+        what, error = QUESTIONS[question]
+        return error(
+            f"{what}: {self.beliefs} have none; a posterior of one linearisation, of pgm.filter, "
+            "pgm.smooth or pgm.infer, may have them"
+        )
 
 
 class ChainModes(ModesOutcome):

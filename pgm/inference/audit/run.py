@@ -188,9 +188,9 @@ def _advice(posterior: Any) -> str:
         )
     if isinstance(posterior, Posterior) and posterior.log_evidence_kind in ("modes", "draws"):
         return (
-            f"{posterior._title} has several modes, which no audit draws from: draws= of "
-            "pgm.Gaussians(count, starts=..., draws=...) weighs them itself, and "
-            "status.effective tells how well"
+            f"{posterior._title} has several modes, which no audit draws from. Draws have judged "
+            "them already, if it is of pgm.estimate: posterior.verdict tells how well; and draws= "
+            "of pgm.Gaussians(count, starts=..., draws=...) weighs modes"
         )
     if isinstance(posterior, Posterior):
         return (

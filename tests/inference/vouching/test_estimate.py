@@ -428,3 +428,12 @@ def test_a_run_that_a_way_refuses_keeps_its_answer_alone(together, answered):
     search = SimpleNamespace(together=together)
     _, found = climbing._tried(way, search, None, [], np.arange(5), 1000, None)
     assert found == answered
+
+
+@pytest.mark.parametrize("question", ["innovations", "lost", "filtered", "nonlinearity", "weights"])
+def test_modes_name_the_posteriors_that_have_what_they_lack(question):
+    found = pgm.estimate(squares, {z: [[9.0], [9.1]]}, effort=200)
+    with pytest.raises(pgm.PgmError, match=r"several modes have none; a posterior of one lin"):
+        getattr(found, question)
+    with pytest.raises(pgm.PgmError, match=r"posterior\.verdict tells how well"):
+        pgm.audit(found, rng=1)
