@@ -224,6 +224,8 @@ def sums_of(added: Added, first: int, sure: Mapping[Variable, float]) -> Sums:
 def _draws(asked: Asked) -> CardDraws:
     """The draws of a study by a card; a `Left` says why there are none."""
     drawn = asked.drawn
+    if not drawn.counted:
+        raise Left("each run is drawn by a generator of its own")
     for state in asked.states:
         if state.dimension > LARGEST:
             raise Left(f"{state!r} has more than {LARGEST} components")

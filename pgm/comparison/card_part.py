@@ -16,7 +16,8 @@ from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.machine.emitter.arena import Arena
 from pgm.kernels.machine.emitter.driver import Device
 from pgm.kernels.machine.studies import card as kernels
-from pgm.kernels.machine.studies.sums import Cells
+from pgm.kernels.machine.studies.card_sums import TOLD, Summed, summing
+from pgm.kernels.machine.studies.sums import LANES, Cells
 from pgm.networks.card_draws import CardDraws
 from pgm.resources import NUMBER
 from pgm.variables import Variable
@@ -152,7 +153,8 @@ class Part:
             due[forms.cells["nis", sensor]] = dof[sensor] > 0
         known, mean, spread = (loose.floats(of.kept * steps * width) for _ in range(3))
         total, number, most, last = (loose.floats(width * of.stride) for _ in range(4))
-        given = kernels.Summed(
+        apart = of.kept * steps * width * LANES
+        given = Summed(
             steps,
             of.stride,
             of.apart,
@@ -161,6 +163,8 @@ class Part:
             due,
             whole,
             self._counts,
+            loose.floats(TOLD * apart),
+            apart,
             known,
             mean,
             spread,
@@ -202,12 +206,8 @@ class Part:
         s, loose, runs = sums.given, self._loose, len(fine)
         blocks, width, kinds = -(-runs // s.block), s.width, kernels.KINDS
         loose.renew(s.counts, fine.astype(np.float64))
-        for name, given, end in (
-            (kernels.BY_STEP, runs, blocks * width * s.steps),
-            (kernels.BY_RUN, 0, width * s.stride),
-            (kernels.BY_BLOCK, runs, blocks * width),
-        ):
-            kernel = kernels.loaded(kernels.summing, name, own, name)
+        for name, given, end in s.launches(runs):
+            kernel = kernels.loaded(summing, name, own, name)
             own.launch(kernel, end, (sums.table, given, end), kinds)
         shape = blocks, s.steps, width
         known, mean, spread = (loose.get(each, shape) for each in (s.known, s.mean, s.spread))
@@ -243,6 +243,6 @@ class _Method(NamedTuple):
 class _Sums(NamedTuple):
     """Where the sums of a method lie, the address of their table, and of what they are."""
 
-    given: kernels.Summed
+    given: Summed
     table: int
     forms: Forms

@@ -194,7 +194,7 @@ def test_how_many_blocks_are_a_part_is_no_matter(card, parts, monkeypatch):
 def test_little_memory_takes_more_parts(parts, monkeypatch):
     drivers.device.cache_clear()
     with monkeypatch.context() as patched:
-        install(patched, Driver(memory=25_000))
+        install(patched, Driver(memory=42_000))
         found = studied(robot(), {"F": pgm.Taylor()})
     drivers.device.cache_clear()
     assert parts == [3, 3, 2]
@@ -360,6 +360,23 @@ def test_noise_that_is_not_gaussian_is_drawn_by_the_processor(card):
     model = robot(noise=pgm.StudentT(4.0))
     told = words(model, {"F": pgm.Taylor()})
     assert told == "F drawn and summed by the processor: the noise of fix is StudentT(dof=4.0)"
+
+
+def test_runs_that_are_drawn_one_by_one_are_told(card):
+    mode = pgm.Discrete("mode", states=("a", "b"))
+    moves = {k: pgm.LinearGaussianCPD(w, {w.previous: 1.0}, cov=1.0 + k) for k in range(2)}
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.TableCPD(mode, table=[0.5, 0.5]), pgm.GaussianCPD(w, 0.0, 1.0)],
+        [
+            pgm.TableCPD(mode, given=mode.previous, table=[[0.9, 0.1], [0.3, 0.7]]),
+            pgm.SwitchingCPD(w, mode, moves),
+        ],
+        [pgm.LinearGaussianCPD(fix, {w: 1.0}, cov=0.3)],
+    )
+    given = {"evidence": {}, "runs": 3}
+    found = studied(model, {"IMM": pgm.Filtering()}, **given)
+    assert "IMM drawn and summed by the processor: each run is drawn" in found.compilation
+    assert_same(found, studied(model, {"IMM": pgm.Filtering()}, False, **given), atol=1e-10)
 
 
 def test_functions_that_cannot_be_traced_are_told(card):

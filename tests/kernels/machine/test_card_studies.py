@@ -17,7 +17,7 @@ from pgm.kernels.machine.emitter.card import Card, printed, thread
 from pgm.kernels.machine.emitter.memory import Runs
 from pgm.kernels.machine.emitter.module import Module
 from pgm.kernels.machine.emitter.processor import llvm
-from pgm.kernels.machine.studies import card, draws, sums
+from pgm.kernels.machine.studies import card, card_sums, draws, sums
 from pgm.kernels.machine.studies.rows import Child, Form, Resident
 from pgm.kernels.machine.studies.sums import Cells, Given
 from pgm.kernels.machine.studies.transitions import COMPOSE, Part, Transition, composing
@@ -117,9 +117,9 @@ def summed(values, block, counts, due=None, whole=None):
     size = steps * runs * 8
     cells = [(lying.ctypes.data + k * size, runs) for k in range(width)]
     shapes = [(blocks, steps, width)] * 3 + [(width, runs)] * 4 + [(blocks, width, 6)]
-    out = [np.full(shape, np.nan) for shape in shapes]
+    out, apart = [np.full(shape, np.nan) for shape in shapes], blocks * steps * width * sums.LANES
     counts = np.asarray(counts, dtype=float)
-    given = card.Summed(
+    given = card_sums.Summed(
         steps,
         runs,
         block,
@@ -128,15 +128,13 @@ def summed(values, block, counts, due=None, whole=None):
         np.ones((width, steps)) if due is None else due,
         np.zeros(width) if whole is None else whole,
         counts.ctypes.data,
+        arena.floats(card_sums.TOLD * apart),
+        apart,
         *(each.ctypes.data for each in out),
     )
     table = card.table(arena, *given)
-    for name, first, last in (
-        (card.BY_STEP, runs, blocks * width * steps),
-        (card.BY_RUN, 0, width * runs),
-        (card.BY_BLOCK, runs, blocks * width),
-    ):
-        launched(card.summing(name, LATE), name, (table, first, last))
+    for name, first, last in given.launches(runs):
+        launched(card_sums.summing(name, LATE), name, (table, first, last))
     return out
 
 
@@ -265,8 +263,9 @@ KERNELS = {
     card.DRAW: lambda at: card.drawing(card.Drawing((AFFINE,), (AFFINE,), (AFFINE,)), at),
     card.JUDGE: lambda at: card.judging(card.Judging((0, 2, 3), 4, (False, True, False)), at),
     card.PICK: card.picking,
-} | {name: lambda at, name=name: card.summing(name, at) for name in ("by_step", "by_run")}
-KERNELS[card.BY_BLOCK] = lambda at: card.summing(card.BY_BLOCK, at)
+}
+NAMES = card_sums.BY_LANE, card_sums.OFF, card_sums.BY_STEP, card_sums.BY_RUN, card_sums.BY_BLOCK
+KERNELS |= {name: lambda at, name=name: card_sums.summing(name, at) for name in NAMES}
 PARTS = [Part(parents, k, 1, Runs.SAME, Runs.BESIDE) for k, parents in enumerate(((0,), (0, 1)), 1)]
 KERNELS[COMPOSE] = lambda at: composing(Transition(1, tuple(PARTS)), at)
 
