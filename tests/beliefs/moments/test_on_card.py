@@ -14,8 +14,8 @@ from card import forget, needs_libdevice, with_a
 from cuda_arrays import CudaArray, DlpackArray
 from fake_driver import Driver
 from numpy.testing import assert_allclose, assert_array_equal
-from robots import m, sighted, u, x
-from zoo import MODELS, RULES, SIGHT, command, near_noise, plain, recording, turning_noise
+from robots import Q, m, sighted, u, x
+from zoo import MODELS, RULES, SIGHT, bias, command, drifting, near_noise, plain, recording
 
 import pgm
 from pgm.evidence import Sightings
@@ -149,7 +149,7 @@ def test_numbers_that_all_runs_have(driver):
 def test_linear_motion_and_readings(call, driver):
     """Inputs on the card, and others of the same CPD at home."""
     rng = np.random.default_rng(4)
-    bias, slip = pgm.Variable("bias"), pgm.Variable("slip", components=("east", "north"))
+    slip = pgm.Variable("slip", components=("east", "north"))
     moved = {x.previous: 0.9 * np.eye(3), u: rng.normal(size=(3, 2)), slip: rng.normal(size=(3, 2))}
     seen = {x: rng.normal(size=(2, 3)), bias: [[1.0], [-2.0]]}
     model = pgm.DynamicBayesianNetwork(
@@ -160,6 +160,21 @@ def test_linear_motion_and_readings(call, driver):
     evidence = {u: rng.normal(size=(4, 5, 2)), slip: rng.normal(size=(5, 2))}
     evidence |= {bias: rng.normal(size=(4, 5, 1)), z: rng.normal(size=(4, 5, 2))}
     found = call(model, put(driver, evidence, {u, bias, z}), compiled=CARD)
+    assert_on_card(found, call(model, evidence, compiled=False))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("call", [pgm.filter, pgm.smooth])
+def test_several_states(call, driver):
+    motion = pgm.NonlinearGaussianCPD(x, (x.previous, bias, u), drifting, Q)
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(bias, [0.01], 0.01), *plain().prior],
+        [pgm.LinearGaussianCPD(bias, {bias.previous: 0.9}, cov=1e-4), motion],
+        plain().observation,
+    )
+    evidence = recording("plain")
+    found = call(model, put(driver, evidence, {u, z, m}), compiled=CARD)
+    assert found.on_card[bias].cov.shape == (3, 9, 1, 1)
     assert_on_card(found, call(model, evidence, compiled=False))
 
 
@@ -368,7 +383,6 @@ def test_other_models(driver):
     evidence = few()
     noisy = MODELS["noise by control"]
     refused("noise of .* depends on its inputs", put(driver, evidence, {u, z}), model=noisy)
-    assert turning_noise  # of which that noise is
 
     def branching(x, m):
         return SIGHT.function(x, m) if (x[..., 0] > -1e9).all() else x[..., :2]
