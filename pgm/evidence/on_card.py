@@ -152,6 +152,7 @@ def _lying(variable: Variable, array: Any) -> Numbers:
             f"(rows, {size}) or (runs, rows, {size}) was due, the last axis its components "
             f"({listed(variable.components)})",
         )
+    shape, strides = (tuple(map(int, each)) for each in (shape, strides))
     if 0 in shape:
         raise _refused(variable, "and is empty", "leave it out, or give it as an array of NumPy's")
     whole = not any(each % NUMBER for each in (*strides, address))

@@ -145,11 +145,11 @@ class PosteriorOnCard(Posterior[Any]):
     @property
     def log_evidence(self) -> Array:
         """The log-evidence, which has come home."""
-        found: Array = self.__dict__["_log_evidence"]
-        return found
+        found: Array | None = self.__dict__.get("_log_evidence")
+        return super().log_evidence if found is None else found
 
     @property
     def on_card(self) -> CardBeliefs:
         """The beliefs that lie on the card."""
-        found: CardBeliefs = self.__dict__["_beliefs"]
-        return found
+        found: CardBeliefs | None = self.__dict__.get("_beliefs")
+        return super().on_card if found is None else found

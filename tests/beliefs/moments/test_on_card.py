@@ -1,5 +1,6 @@
 """Evidence that lies on a card, and beliefs that stay there, by a fake driver's memory."""
 
+import dataclasses
 import gc
 import pickle
 import re
@@ -345,12 +346,25 @@ def test_what_comes_home_is_pickled(driver):
         [pgm.LinearGaussianCPD(z, {x: np.ones((2, 3))}, cov=0.2 * np.eye(2))],
     )
     found = pgm.filter(model, put(driver, {z: np.ones((2, 3, 2))}, {z}), compiled=CARD)
-    copied = pickle.loads(pickle.dumps(found))
-    assert_array_equal(copied[x].mean, found[x].mean)
-    with pytest.raises(pgm.EvidenceError, match="lie in this machine's memory"):
-        print(copied.on_card)
+    for copied in (pickle.loads(pickle.dumps(found)), dataclasses.replace(found)):
+        assert_array_equal(copied[x].mean, found[x].mean)
+        assert_allclose(copied.log_evidence, found.log_evidence, rtol=1e-12)
+        with pytest.raises(pgm.EvidenceError, match="lie in this machine's memory"):
+            print(copied.on_card)
     with pytest.raises(TypeError, match=r"neither copied nor pickled: \.home\(\)"):
         pickle.dumps(found.on_card[x].mean)
+
+
+def test_readings_that_a_library_expands_over_the_runs(driver):
+    """A stride of zero from run to run, as PyTorch's `expand` makes it."""
+    evidence = few()
+    seen = evidence[z]
+    wide = np.broadcast_to(np.asarray(seen.values)[0], np.shape(seen.values))
+    lying = CudaArray(driver, wide[0])
+    lying.shape, lying.told = wide.shape, {"strides": (0, 16, 8)}
+    given = [pgm.sightings(each, step=seen.step, given=seen.given) for each in (lying, wide)]
+    found = pgm.filter(plain(), {**evidence, z: given[0]}, compiled=CARD)
+    assert_on_card(found, pgm.filter(plain(), {**evidence, z: given[1]}, compiled=False))
 
 
 # What is refused
