@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from pgm.beliefs.moments.solvers.resident import Left, ResidentChain
+from pgm.beliefs.moments.solvers.laid import Left
+from pgm.beliefs.moments.solvers.resident import ResidentChain
 from pgm.comparison.card_part import Added, Asked, Part
 from pgm.comparison.drawn_runs import DrawnRuns, of_runs
 from pgm.comparison.packed_tallies import PackedTallies

@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pgm.beliefs.moments.solvers.resident import Few, Laid, Lying, ResidentChain
+from pgm.beliefs.moments.solvers.laid import Few, Laid, Lying
+from pgm.beliefs.moments.solvers.resident import ResidentChain
 from pgm.comparison.drawn_runs import DrawnRuns
 from pgm.comparison.packed_tallies import Key
 from pgm.compile import DynamicGraph

@@ -7,7 +7,7 @@ from fake_driver import Driver, install
 from numpy.testing import assert_allclose, assert_array_equal
 
 import pgm
-from pgm.beliefs.moments.solvers import resident
+from pgm.beliefs.moments.solvers import laid
 from pgm.comparison import card_blocks, drawn_runs, studying
 from pgm.comparison.study_methods import methods_of
 from pgm.compile.machine import Squared
@@ -271,12 +271,12 @@ def test_runs_that_need_care_are_done_by_themselves(card, parts, monkeypatch):
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
 def test_care_of_some_runs_of_a_block_or_of_all(share, card, monkeypatch):
-    def sweep(self, device, runs, plain=resident.Laid.sweep):
+    def sweep(self, device, runs, plain=laid.Laid.sweep):
         fine = plain(self, device, runs)
         fine[[1, 5, 6]] = False
         return fine
 
-    monkeypatch.setattr(resident.Laid, "sweep", sweep)
+    monkeypatch.setattr(laid.Laid, "sweep", sweep)
     monkeypatch.setattr(card_blocks, "_MANY", share)
     found = studied(robot(), {"F": pgm.Taylor()})
     told = "3 runs" if share else "8 runs"
@@ -396,7 +396,7 @@ def test_functions_that_change_are_found(late, card, monkeypatch):
     def changes(x, m):
         return sight(x, m) * scale[0]
 
-    owner, name = (resident.Laid, "sweep") if late else (card_draws.LaidDraws, "draw")
+    owner, name = (laid.Laid, "sweep") if late else (card_draws.LaidDraws, "draw")
     plain = getattr(owner, name)
 
     def done(*given):

@@ -20,7 +20,8 @@ from pgm.beliefs.moments.compiled.sweep import stretches
 from pgm.beliefs.moments.outcomes.doubts import doubt, is_held
 from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
 from pgm.beliefs.moments.solvers.card_cells import CardCells
-from pgm.beliefs.moments.solvers.resident import Laid, Left, Lying, Owner, ResidentChain
+from pgm.beliefs.moments.solvers.laid import Laid, Left, Lying
+from pgm.beliefs.moments.solvers.resident import Owner, ResidentChain
 from pgm.beliefs.moments.solvers.run import run as run_chain
 from pgm.compile import DynamicGraph, compile
 from pgm.cpds import CPD

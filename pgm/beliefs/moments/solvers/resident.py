@@ -11,11 +11,9 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from math import prod
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from pgm.beliefs.moments.compiled.groups import groups_of
 from pgm.beliefs.moments.compiled.judged import judge
@@ -40,24 +38,32 @@ from pgm.beliefs.moments.digits import certificate, close_points
 from pgm.beliefs.moments.outcomes.innovations import measured
 from pgm.beliefs.moments.passes.backward import transition
 from pgm.beliefs.moments.passes.forward import Forward
+from pgm.beliefs.moments.solvers.laid import (
+    Composed,
+    Key,
+    Laid,
+    Left,
+    Lying,
+    Sweep,
+    Told,
+    has_runs,
+    key_of,
+)
 from pgm.beliefs.moments.steps.plan import ChainPlan
 from pgm.beliefs.moments.steps.sensor import Sensor
 from pgm.compile import BalancedGraph, DynamicGraph
 from pgm.cpds import AffineCPD
 from pgm.evidence import Evidence
-from pgm.kernels.arrays import Array, Integers, Mask, address, quiet, vacant
+from pgm.kernels.arrays import Array, Integers, Mask, quiet, vacant
 from pgm.kernels.machine.emitter.arena import Arena
-from pgm.kernels.machine.emitter.driver import Device
 from pgm.kernels.machine.emitter.memory import Runs
-from pgm.kernels.machine.studies import card as kernels
 from pgm.kernels.machine.studies.sums import Cells
-from pgm.kernels.machine.studies.transitions import COMPOSE, Part, Transition, composing
-from pgm.kernels.machine.sweeps import card, told
+from pgm.kernels.machine.studies.transitions import Part, Transition
 from pgm.kernels.machine.sweeps import chain as sweeps
+from pgm.kernels.machine.sweeps import told
 from pgm.kernels.machine.sweeps.writer import arrays
 from pgm.kernels.moments import Conditional
 from pgm.linearisation.family import Family
-from pgm.resources import NUMBER
 from pgm.schedules.binding import bind_chain
 from pgm.schedules.damping import LevenbergMarquardt
 from pgm.schedules.options import Call
@@ -65,27 +71,10 @@ from pgm.schedules.schedule import ONCE, Filtering, FixedLag, Smoothing
 from pgm.tracing import Judge
 from pgm.variables import Variable
 
-Anything = npt.NDArray[Any]
-# An array of the plan that tells a chain: where it lies, and how.
-Key = tuple[int, tuple[int, ...], tuple[int, ...]]
 # A CPD's child, and the variable whose numbers it has: the child's own, or an observed parent's.
 Owner = tuple[Variable, Variable]
-
-
 # A row of a CPD of the transition, or of a sensor.
 AnyRow = TypeVar("AnyRow", bound=told.Row)
-
-
-class Left(Exception):
-    """Work that is left to the processor, and why."""
-
-
-class _Sweep(NamedTuple):
-    """A chain that was told: its numbers, and its arrays by the places of their addresses."""
-
-    chain: sweeps.Chain
-    numbers: Sequence[int]
-    arrays: Mapping[int, Anything]
 
 
 class ResidentChain:
@@ -199,24 +188,22 @@ class ResidentChain:
         return Conditional(*(vacant(lead, each) for each in own))
 
     @property
-    def composed(self) -> tuple[Transition, list[Array], Sequence[Array]] | None:
-        """The form of a transition of several CPDs, their F and Q, and the matrices that are found.
-
-        None where one CPD is the transition, or there is no way back.
-        """
+    def composed(self) -> Composed | None:
+        """The transition of several CPDs; see `Told`."""
         plan, layout, moved = self.plan, self.plan.layout, self._moved
         if moved is None or layout.single:
             return None
         parts, laws = list[Part](), list[Array]()
         for link in plan.transition:
             family, own = link.family, (link.family.matrix, link.family.noise)
-            kinds = (Runs.BESIDE if _has_runs(each, plan.runs) else Runs.SAME for each in own)
+            kinds = (Runs.BESIDE if has_runs(each, plan.runs) else Runs.SAME for each in own)
             parents = places(link.parents, layout.state_size + layout.slice_size)
             parts.append(Part(parents, link.child.start, family.shape[2], *kinds))
             laws += own
-        return Transition(layout.state_size, tuple(parts)), laws, (moved.matrix, moved.cov)
+        form = Transition(layout.state_size, tuple(parts))
+        return Composed(form, laws, (moved.matrix, moved.cov))
 
-    def _told(self) -> Iterator[_Sweep]:
+    def _told(self) -> Iterator[Sweep]:
         plan, record = self.plan, self._record
         ahead = {name: array for name, array in record.items() if name not in SMOOTHED}
         links = (link.family for link in plan.transition)
@@ -231,7 +218,7 @@ class ResidentChain:
             motions=tuple(map(partial(self._fed, table), motions, found.motions)),
             sensors=tuple(map(partial(self._fed, table), read, found.sensors)),
         )
-        yield _Sweep(chain, table.numbers, table.arrays)
+        yield Sweep(chain, table.numbers, table.arrays)
         if self._moved is not None:
             behind = {name: record[name] for name in SMOOTHED}
             before, after = (tuple(record[name] for name in each) for each in (PREDICTED, KNOWN))
@@ -239,7 +226,7 @@ class ResidentChain:
             owners = swept, self._moved, behind
             table = NamedTable(plan, 1, owners, behind)
             chain = told_back(plan, table, *owners)
-            yield _Sweep(chain, table.numbers, table.arrays)
+            yield Sweep(chain, table.numbers, table.arrays)
 
     def _fed(self, table: NamedTable, family: Family, row: AnyRow) -> AnyRow:
         """A row of a CPD, to which linear inputs that lie on the card are added there."""
@@ -270,21 +257,21 @@ class ResidentChain:
         for sensor, form in zip(plan.read, chain.sensors, strict=True):
             own = sensor.variable, sensor.variable
             if own in self._there:
-                yield own, _key(sweep.arrays[form.readings.place])
+                yield own, key_of(sweep.arrays[form.readings.place])
         families = [link.family for link in plan.transition]
         families += [sensor.family for sensor in plan.read]
         for family, row in zip(families, (*chain.motions, *chain.sensors), strict=True):
             child = family.cpd.child
             for parent, array in zip(_observed(family), row.inputs, strict=False):
                 if self._lies(child, parent):
-                    yield (child, parent), _key(sweep.arrays[array.place])
+                    yield (child, parent), key_of(sweep.arrays[array.place])
 
     def _require_filled(self) -> None:
         """Refuse a chain that reads arrays of runs which neither it, draws nor the user fill."""
         plan, (ahead, *_) = self.plan, self._sweeps
         assert isinstance(ahead.chain, told.Forward)
         for sensor, form in zip(plan.read, ahead.chain.sensors, strict=True):
-            if _key(ahead.arrays[form.readings.place]) != _key(sensor.values):
+            if key_of(ahead.arrays[form.readings.place]) != key_of(sensor.values):
                 raise Left(f"readings of {sensor.variable!r} are not as they are drawn")
         families = [link.family for link in plan.transition]
         families += [sensor.family for sensor in plan.read]
@@ -293,19 +280,19 @@ class ResidentChain:
             filled += [family.matrix, family.offset, family.noise]
         filled += [sensor.moved for sensor in plan.read] if self.smooths else []
         filled += self._moved or ()
-        known = {*map(_key, filled), *self.given.values()}
+        known = {*map(key_of, filled), *self.given.values()}
         for sweep in self._sweeps:
             for array in arrays(sweep.chain):
                 found = sweep.arrays[array.place]
-                if _has_runs(found, plan.runs) and _key(found) not in known:
+                if has_runs(found, plan.runs) and key_of(found) not in known:
                     raise Left("evidence of CPDs depends on the run")
 
     def lie(
         self, fixed: Arena, loose: Arena, readings: Mapping[Variable, Cells], of: Lying
     ) -> Laid:
         """The chain with its arrays on a card; copies, which stay, are in the `fixed` arena."""
-        held = {_key(sensor.values): readings[sensor.variable] for sensor in self.plan.read}
-        return Laid(self, fixed, loose, held, of)
+        held = {key_of(sensor.values): readings[sensor.variable] for sensor in self.plan.read}
+        return Laid(self.as_told, fixed, loose, held, of)
 
     def lie_among(
         self,
@@ -318,8 +305,22 @@ class ResidentChain:
         """The chain over evidence that is `given` on a card, with its beliefs there."""
         held = {self.given[owner]: cells for owner, cells in given.items()}
         pairs = zip(self._belief, beliefs, strict=True)
-        held |= {_key(self._record[name]): cells for name, cells in pairs}
-        return Laid(self, fixed, loose, held, of)
+        held |= {key_of(self._record[name]): cells for name, cells in pairs}
+        return Laid(self.as_told, fixed, loose, held, of)
+
+    @property
+    def as_told(self) -> Told:
+        """The chain as this plan tells it."""
+        return Told(
+            self.plan,
+            self._sweeps,
+            self._record,
+            self._belief,
+            self.iterations,
+            self.iterated,
+            self.composed,
+            self.judge,
+        )
 
     @property
     def _belief(self) -> tuple[str, ...]:
@@ -346,178 +347,6 @@ class ResidentChain:
             key = decisive(self.plan, stored=False, keep=self.smooths, gate=None)
         if not right or key != self._key:
             raise Left("a function has other values than its trace")
-
-
-class Lying(NamedTuple):
-    """How runs lie on a card: the room for them, and for those that come home, one of so many."""
-
-    stride: int
-    kept: int
-    apart: int
-
-
-class Laid:
-    """A chain whose arrays lie on a card.
-
-    Attributes
-    ----------
-    belief : tuple of Cells
-        The means and covariances that the schedule is asked for.
-    density : Cells
-        The log-densities of each step's measurements.
-    squares : mapping
-        By sensor that was read, the address of its NIS and the distance between steps.
-    """
-
-    def __init__(
-        self,
-        chain: ResidentChain,
-        fixed: Arena,
-        loose: Arena,
-        held: Mapping[Key, Cells],
-        of: Lying,
-    ) -> None:
-        self._chain, self._of, self._loose = chain, of, loose
-        plan, record = chain.plan, chain._record
-        self._held = dict(held)
-        self._residuals = loose.floats((chain.iterations + 1) * of.stride)
-        self._ended = [loose.floats(sweeps.TOLD * of.stride) for _ in chain._sweeps]
-        heads = zip(chain._sweeps, self._ended, strict=True)
-        self._heads = [self._head(sweep, ended, fixed) for sweep, ended in heads]
-        self._composing: tuple[Transition, int] | None = None
-        if chain.composed is not None:
-            form, laws, found = chain.composed
-            cells = [self._placed(each, fixed) for each in (*laws, *found)]
-            self._composing = form, kernels.table(fixed, plan.steps, *cells)
-        self.known = tuple(self._held[_key(record[name])] for name in KNOWN[:2])
-        self.predicted = tuple(self._held[_key(record[name])] for name in PREDICTED)
-        self.belief = tuple(self._held[_key(record[name])] for name in chain._belief)
-        self.density = self._held[_key(record[KNOWN[2]])]
-        self.squares = {
-            sensor.variable: self._held[_key(record[name])]
-            for sensor, name in zip(plan.read, squares_of(plan), strict=True)
-            if name in record
-        }
-
-    def _head(self, sweep: _Sweep, ended: int, fixed: Arena) -> int:
-        """The address of a sweep's table."""
-        chain, plan, of = self._chain, self._chain.plan, self._of
-        numbers = list(sweep.numbers)
-        numbers[: told.FIRST] = [0] * told.FIRST
-        numbers[told.LAST], numbers[told.RUNS] = plan.steps, of.stride
-        numbers[told.ITERATIONS], numbers[told.ENDED] = chain.iterations, ended
-        own = {array.place: array for array in arrays(sweep.chain)}
-        for place, array in sweep.arrays.items():
-            if place in own:
-                cells, form = self._placed(array, fixed), own[place]
-                if form.near and prod(form.shape) > 1 and cells.cell != 1:
-                    raise Left("numbers of a run do not lie beside each other, as they were told")
-                address, across, down, cell = cells
-                numbers[place : place + told.CELL + 1] = address, down, across, cell
-            elif place == told.RESIDUALS:
-                numbers[place] = self._residuals
-            else:
-                numbers[place] = fixed.put(array)
-        return fixed.put(np.array(numbers, dtype=np.int64))
-
-    def _placed(self, array: Anything, fixed: Arena) -> Cells:
-        """Where an array of the plan lies on the card; one that all runs share is copied."""
-        chain, of = self._chain, self._of
-        if not _has_runs(array, chain.plan.runs):
-            return _copied(fixed, array)
-        key = _key(array)
-        if key not in self._held:
-            kept = not chain.smooths and key in (_key(chain._record[name]) for name in PREDICTED)
-            stride = of.kept if kept else of.stride
-            self._held[key] = _cells(self._loose, array.shape[0], array.shape[2:], stride)
-        return self._held[key]
-
-    def sweep(self, device: Device, runs: int) -> Mask:
-        """Sweep so many runs; whether each has, for certain, the digits that are promised."""
-        return self.swept(device, runs)[0]
-
-    def swept(self, device: Device, runs: int) -> tuple[Mask, Mask]:
-        """Sweep so many runs: which have their digits, as of `sweep`; and which were ever lost."""
-        chain = self._chain
-        fine, lost = np.ones(runs, dtype=bool), np.zeros(runs, dtype=bool)
-        if chain.iterated:
-            self._loose.renew(self._residuals, np.zeros((chain.iterations + 1, self._of.stride)))
-        for sweep, head, ended in zip(chain._sweeps, self._heads, self._ended, strict=True):
-            if self._composing is not None and isinstance(sweep.chain, told.Backward):
-                form, place = self._composing
-                kernel = kernels.loaded(composing, COMPOSE, device, form)
-                device.launch(kernel, runs, (place, 0, runs), kernels.KINDS)
-            device.launch(card.loaded(sweep.chain, device), runs, (head, 0, runs), card.KINDS)
-            found = self._loose.get(ended, (sweeps.TOLD, self._of.stride))[:, :runs]
-            fine &= found[sweeps.LEFT] == 0.0
-            if isinstance(sweep.chain, told.Backward):
-                fine &= found[sweeps.KEPT] == 1.0
-            else:
-                fine &= (found[sweeps.FAR] == 0.0) & (found[sweeps.MOVING] == 0.0)
-                fine &= found[sweeps.CLOSEST] * certificate.MODERATE > 1.0
-                lost |= found[sweeps.LOST] != 0.0
-        return fine, lost
-
-    def unsettled(self, runs: int) -> Mask:
-        """Which of so many runs have not settled in their iterations."""
-        if not self._chain.iterated:
-            return np.zeros(runs, dtype=bool)
-        row = self._residuals + NUMBER * self._chain.iterations * self._of.stride
-        found: Mask = self._loose.get(row, (runs,)) != 0.0
-        return found
-
-    def judge(self, device: Device, few: Few, fine: Mask) -> None:
-        """Judge traces at the beliefs of the runs that come home, so far as they are `fine`."""
-        chain, of = self._chain, self._of
-        plan, size = chain.plan, chain.plan.layout.slice_size
-        own, done = ((size,), (size, size)), np.zeros(plan.runs, dtype=bool)
-        some = fine[:: of.apart]
-        done[: len(some)] = some
-        rows = plan.steps + 1
-        known = [few.of(device, c, rows, each) for c, each in zip(self.known, own, strict=True)]
-        if chain.smooths:
-            ahead = [
-                few.of(device, c, rows, each) for c, each in zip(self.predicted, own, strict=True)
-            ]
-        else:
-            ahead = [
-                _as_read(self._loose.get(c.address, (rows, prod(each), of.kept)), each)
-                for c, each in zip(self.predicted, own, strict=True)
-            ]
-        known, ahead = ([_as_wide(a, plan.runs) for a in each] for each in (known, ahead))
-        chain.judge(known, ahead, done)
-
-
-class Few:
-    """One of so many runs of arrays on a card, which come home."""
-
-    def __init__(self, arena: Arena, of: Lying, longest: int) -> None:
-        self._arena, self._of = arena, of
-        self._room, self._table = arena.floats(longest * of.kept), arena.floats(5)
-
-    def of(self, device: Device, cells: Cells, rows: int, own: tuple[int, ...]) -> Array:
-        """An array (rows, kept runs, own axes)."""
-        of, count = self._of, rows * prod(own)
-        numbers = [cells.address, cells.cell, of.kept, of.apart, self._room]
-        self._arena.renew(self._table, np.array(numbers, dtype=np.int64))
-        kernel = kernels.loaded(kernels.picking, kernels.PICK, device)
-        device.launch(kernel, count, (self._table, 0, count), kernels.KINDS)
-        return _as_read(self._arena.get(self._room, (rows, prod(own), of.kept)), own)
-
-
-def _as_read(cells: Array, own: tuple[int, ...]) -> Array:
-    """An array (rows, own axes, runs), flat along its own axes, as (rows, runs, own axes)."""
-    found: Array = np.moveaxis(cells, -1, 1).reshape(len(cells), cells.shape[-1], *own)
-    return found
-
-
-def _as_wide(array: Array, runs: int) -> Array:
-    """An array of some of so many runs, by runs, with those that are not there as zeros."""
-    found = vacant((len(array), runs), array.shape[2:])
-    found[...] = 0.0
-    count = min(runs, array.shape[1])
-    found[:, :count] = array[:, :count]
-    return found
 
 
 class _Unseen(Sensor):
@@ -577,24 +406,3 @@ def _by_runs(values: Array, runs: int) -> Array:
     found = vacant((len(values), runs), values.shape[2:])
     found[...] = values
     return found
-
-
-def _key(array: Anything) -> Key:
-    return address(array), array.shape, array.strides
-
-
-def _has_runs(array: Anything, runs: int) -> bool:
-    return array.shape[1] == runs and array.strides[1] != 0
-
-
-def _cells(arena: Arena, rows: int, own: tuple[int, ...], stride: int) -> Cells:
-    """Room for an array of runs that lie beside each other."""
-    count = prod(own)
-    return Cells(arena.floats(rows * count * stride), 1, count * stride, stride)
-
-
-def _copied(arena: Arena, array: Anything) -> Cells:
-    """A copy of an array that all runs share, whose cells are next to each other."""
-    rows = 1 if array.strides[0] == 0 else array.shape[0]
-    own: Anything = np.ascontiguousarray(array[:rows, :1])
-    return Cells(arena.put(own), 0, 0 if rows == 1 else own[0].size, 1)
