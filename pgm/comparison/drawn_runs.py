@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
 from types import MappingProxyType
@@ -9,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pgm.cpds import CPD
+from pgm.cpds import CPD, MixtureCPD, SwitchingCPD, TableCPD
 from pgm.cpds.conditional import ConditionalGaussian
 from pgm.cpds.losses import Cauchy, Huber, StudentT, TruncatedLeastSquares
 from pgm.errors import EvidenceError, ModelError
@@ -17,9 +18,9 @@ from pgm.evidence import Evidence, Sightings, bind, sightings
 from pgm.factors.scope import listed
 from pgm.networks import DynamicBayesianNetwork, Sample
 from pgm.networks.compiled_draws import drawn_compiled
-from pgm.networks.counted import CountedDraws
+from pgm.networks.counted import CASES, CountedDraws
 from pgm.networks.sampling import draw_steps
-from pgm.variables import Variable
+from pgm.variables import Discrete, Variable
 
 # The most runs of a block. Neither it nor `ROOM` is for users: the last digits of a study's
 # figures depend on how its runs are divided, and so it is divided in the same way everywhere.
@@ -148,8 +149,10 @@ def drawn_runs(
         )
     hidden = (*model.states, *model.controls)
     size = sum(variable.dimension or 1 for variable in hidden)
-    # Means and covariances, of filter, smoother and what is between them.
-    each = 4 * (bound.steps + 1) * size * (size + 1)
+    # Means and covariances, of filter, smoother and what is between them; of mixtures one for each
+    # pair of joint states.
+    pairs = math.prod(v.size for v in hidden if isinstance(v, Discrete)) ** 2
+    each = 4 * (bound.steps + 1) * size * (size + 1) * pairs
     block = MOST
     while block > 1 and block * each > ROOM:
         block //= 2
@@ -160,4 +163,9 @@ def drawn_runs(
 
 def _is_counted(cpd: CPD) -> bool:
     """Whether a CPD asks a generator for no more than counters give."""
+    if isinstance(cpd, SwitchingCPD) or type(cpd) is MixtureCPD:
+        parts = cpd.cases.values() if isinstance(cpd, SwitchingCPD) else cpd.parts
+        return len(parts) < CASES and all(map(_is_counted, parts))
+    if isinstance(cpd, TableCPD):
+        return True
     return isinstance(cpd, ConditionalGaussian) and isinstance(cpd.noise, _NOISES)

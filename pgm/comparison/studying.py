@@ -96,10 +96,10 @@ def study(
     ----------
     model : DynamicBayesianNetwork
         Its continuous states are judged. Gaussian CPDs, whose noise may be `StudentT`, `Cauchy` or
-        `Huber`, are drawn for all runs of a block together. If there are others (`SwitchingCPD`,
-        `MixtureCPD`, `TableCPD`, `SampledCPD`, or noise of your own), run k is ``model.sample`` by
-        a generator of its own, ``Generator(Philox(SeedSequence(seed, spawn_key=(k,))))``, which
-        takes milliseconds.
+        `Huber`, tables, and those of both that switch or are mixed, are drawn for all runs of a
+        block together. If there are others, like a `SampledCPD` or noise of your own, run k is
+        ``model.sample`` by a generator of its own,
+        ``Generator(Philox(SeedSequence(seed, spawn_key=(k,))))``.
     evidence : mapping of Variable, optional
         Values of the inputs, of all runs, and when sensors read, as for
         `DynamicBayesianNetwork.sample`: ``{u: controls, z: pgm.sightings(step=..., given=...)}``.

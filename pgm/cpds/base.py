@@ -20,7 +20,7 @@ from pgm.factors.arrays import Shape, clash, flat
 from pgm.factors.axes import as_known
 from pgm.factors.scope import Scope, as_scope, as_value, listed, namesake, one_name_each
 from pgm.immutable import Immutable
-from pgm.kernels.arrays import Array, Mask
+from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.resources import require_memory
 from pgm.variables import Discrete, Variable
 
@@ -42,6 +42,17 @@ class Known:
     lead: Shape
     shape: Shape
     step: npt.ArrayLike | None
+
+
+def of_case(rng: np.random.Generator, number: int, which: Integers) -> np.random.Generator:
+    """What the case of a CPD draws by that holds at some of the draws (m,), by their flat places.
+
+    Of draws that are counted (`pgm.networks.counted`) each case has its own.
+    """
+    if isinstance(rng, np.random.Generator):
+        return rng
+    found: np.random.Generator = rng.of_case(number, which)
+    return found
 
 
 def as_parents(cpd: CPD, given: Any) -> Known:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from pgm.arguments import public
 from pgm.boundary import as_floats, as_tuple
 from pgm.cpds import by_step
-from pgm.cpds.base import CPD, Known, Moved, Values
+from pgm.cpds.base import CPD, Known, Moved, Values, of_case
 from pgm.cpds.conditional import ConditionalGaussian, Noise
 from pgm.cpds.gaussian import GaussianCPD
 from pgm.display import Listing, few, number
@@ -174,7 +174,8 @@ class MixtureCPD(CPD):
             step = known.step
             if step is not None and np.ndim(step):
                 step = np.broadcast_to(np.asarray(step), shape)[rows]
-            drawn[rows] = part._draw(Known(own, count, count, step), rng)
+            by = of_case(rng, k, np.flatnonzero(rows))
+            drawn[rows] = part._draw(Known(own, count, count, step), by)
         return drawn
 
     def _over(self, moved: Moved) -> dict[str, Any]:

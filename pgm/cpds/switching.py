@@ -14,7 +14,7 @@ import numpy as np
 from pgm.arguments import public
 from pgm.boundary import as_tuple
 from pgm.cpds import by_step
-from pgm.cpds.base import CPD, Known, Moved, Values
+from pgm.cpds.base import CPD, Known, Moved, Values, of_case
 from pgm.display import Listing, few
 from pgm.errors import ModelError
 from pgm.factors.axes import States
@@ -146,8 +146,9 @@ class SwitchingCPD(CPD):
     def _draw(self, known: Known, rng: np.random.Generator, size: tuple[int, ...] = ()) -> Values:
         shape = (*size, *known.shape)
         drawn = np.empty((math.prod(shape), self.child.dimension))
+        numbers = {part: k for k, part in enumerate(self.cases.values())}
         for part, rows, own in self._parted(known, known.shape, shape):
-            drawn[rows] = part._draw(own, rng)
+            drawn[rows] = part._draw(own, of_case(rng, numbers[part], rows))
         return drawn.reshape(*shape, self.child.dimension)
 
     def _parted(

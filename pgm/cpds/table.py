@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from pgm.arguments import public
 from pgm.boundary import as_floats
-from pgm.cpds.base import CPD, Known, Moved, Values
+from pgm.cpds.base import CPD, Known, Moved, Values, of_case
 from pgm.cpds.structured import as_transition, is_structured, rounding
 from pgm.display import Listing, called, count
 from pgm.errors import ModelError
@@ -317,7 +317,8 @@ class TableCPD(CPD):
             found = np.empty(places[0].shape, dtype=np.intp)
             for k in np.unique(places[1]):
                 here = places[1] == k
-                found[here] = self._maps[int(k)].draw(places[0][here], last)
+                by = of_case(last, int(k), np.flatnonzero(here))
+                found[here] = self._maps[int(k)].draw(places[0][here], by)
             return found
         first, second, child = np.broadcast_arrays(*places, last)
         entries = np.empty(first.shape)

@@ -7,11 +7,16 @@ Each request for n numbers a run has counters of its own, as `pgm.kernels.philox
 of run k; `row` is a step, or the place of a reading in the evidence; `variable` is the place of the
 child among the network's variables; `request` counts what one CPD asks for at one row, as noise and
 its scale. Runs that follow each other have counters that do so, too: one call makes their words.
+
+A case of a CPD, which holds in some runs, has requests of its own, of which numbers are made for
+all runs: so those of a run do not depend on which cases hold in others.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -21,6 +26,8 @@ from pgm.kernels.arrays import Array, Integers
 
 # As many runs as machine code works on together.
 _FEW = 8
+# More cases than a CPD may have whose draws are counted, and more than its requests.
+CASES = 2**12
 
 
 class CountedDraws:
@@ -40,13 +47,19 @@ class CountedDraws:
 
 
 class Stream:
-    """The methods of a `numpy.random.Generator` that CPDs with Gaussian and robust noise ask for.
+    """The methods of a `numpy.random.Generator` that CPDs whose draws are counted ask for.
 
-    Results have the axes (*rows, runs) first.
+    Results have the axes (*rows, runs) first. Requests are counted from `case` · 2¹² on.
     """
 
-    def __init__(self, draws: CountedDraws, variable: int, rows: Integers) -> None:
-        self.draws, self.variable, self.rows, self.requests = draws, variable, rows, 0
+    def __init__(self, draws: CountedDraws, variable: int, rows: Integers, case: int = 0) -> None:
+        self.draws, self.variable, self.rows = draws, variable, rows
+        self.case, self.requests = case, case * CASES
+
+    def of_case(self, number: int, which: Integers) -> CaseStream:
+        """The draws of a case, at those of the flattened rows and runs where it holds, (m,)."""
+        case = self.case * CASES + number + 1
+        return CaseStream(Stream(self.draws, self.variable, self.rows, case), which)
 
     def random(self, size: tuple[int, ...]) -> Array:
         """Uniform numbers in (0, 1)."""
@@ -93,3 +106,33 @@ class Stream:
     def chisquare(self, df: float, size: tuple[int, ...]) -> Array:
         """χ² numbers with `df` degrees of freedom."""
         return philox.chi_squares(self.random(size), df)
+
+
+class CaseStream:
+    """The draws of one case of a CPD, whose results have the axis of rows and runs (m,) first."""
+
+    def __init__(self, stream: Stream, which: Integers) -> None:
+        self.stream, self.which = stream, which
+
+    def of_case(self, number: int, which: Integers) -> CaseStream:
+        """The draws of a case within the case, at some of its rows and runs."""
+        return CaseStream(self.stream.of_case(number, which).stream, self.which[which])
+
+    def _some(self, draw: Callable[[tuple[int, ...]], Array], size: tuple[int, ...]) -> Array:
+        """Some of the numbers of all rows and runs."""
+        own = size[1:]
+        whole = draw((*self.stream.rows.shape, self.stream.draws.runs, *own))
+        found: Array = whole.reshape(-1, *own)[self.which]
+        return found
+
+    def random(self, size: tuple[int, ...]) -> Array:
+        """Uniform numbers in (0, 1)."""
+        return self._some(self.stream.random, size)
+
+    def standard_normal(self, size: tuple[int, ...]) -> Array:
+        """Standard normal numbers."""
+        return self._some(self.stream.standard_normal, size)
+
+    def chisquare(self, df: float, size: tuple[int, ...]) -> Array:
+        """χ² numbers with `df` degrees of freedom."""
+        return self._some(partial(self.stream.chisquare, df), size)

@@ -1,15 +1,17 @@
-"""Studies of models whose runs are drawn one by one: switching, mixtures, any density."""
+"""Studies of models that switch, have mixtures, or any density."""
 
 import numpy as np
 import pytest
 from comparison.test_study_workers import require_same
 from numpy.testing import assert_allclose, assert_array_equal
+from scipy.special import ndtri
 
 import pgm
 from pgm.comparison import drawn_runs
 from pgm.comparison.studying import _FEW
 from pgm.errors import FileError, ModelError
 from pgm.examples import walk, x, z
+from pgm.networks.counted import CASES
 
 mode = pgm.Discrete("mode", states=("calm", "gusty"))
 SWITCHING = pgm.DynamicBayesianNetwork(
@@ -48,14 +50,46 @@ def study():
     return switching(_FEW + 8)
 
 
-def test_a_run_has_a_generator_of_its_own(study):
+def test_a_run_is_drawn_by_its_own_counters(study):
+    """A case's noise is of requests of its own, whichever cases hold in other runs."""
+    key, place = np.random.Philox(3).state["state"]["key"], SWITCHING.variables.index
+
+    def uniform(run, step, variable, request):
+        counter = [run, step, place(variable), request]
+        word = np.random.Philox(key=key, counter=counter).random_raw()
+        return (int(word) >> 12) / 2**52 + 2.0**-53
+
     for k in (0, 7, _FEW + 7):
-        seeds = np.random.SeedSequence(3, spawn_key=(k,))
-        rng = np.random.Generator(np.random.Philox(seeds))
-        due, found = SWITCHING.sample(steps=T, rng=rng), study.run(k)
-        for variable in (x, z, mode):
-            assert_array_equal(found[variable], due[variable])
-        assert_array_equal(found.evidence[z], due[z])
+        run = study.run(k)
+        modes = [int(uniform(k, 0, mode, 0) > 0.5)]
+        for step in range(1, T + 1):
+            modes.append(int(uniform(k, step, mode, 0) > (0.9, 0.2)[modes[-1]]))
+        assert_array_equal(run[mode], modes)
+        noise = [
+            ndtri(uniform(k, step, x, CASES * (1 + now))) * (0.1, 4.0)[now] ** 0.5
+            for step, now in enumerate(modes)
+        ]
+        assert_allclose(np.diff(run[x][:, 0]), noise[1:], rtol=1e-9, atol=1e-12)
+
+
+def test_the_law_of_the_draws():
+    drawn = drawn_runs.drawn_runs(SWITCHING, {}, T, 1000, 4).sample(0)
+    gusty = drawn[mode][:, 1:] == 1
+    moves = np.diff(drawn[x][..., 0], axis=1)
+    for variance, which in ((0.1, ~gusty), (4.0, gusty)):
+        assert_allclose(moves[which].var(), variance, rtol=5 * np.sqrt(2.0 / which.sum()))
+    stay = (drawn[mode][:, 1:] == 1)[drawn[mode][:, :-1] == 1].mean()
+    assert abs(stay - 0.8) < 5 * np.sqrt(0.16 / 2000)
+
+
+def test_other_densities_have_a_generator_for_each_run():
+    model = walk.replace(observation=[LAPLACE])
+    found = pgm.study(model, steps=3, runs=6, methods={"PF": pgm.Particles(500, seed=1)}, seed=3)
+    for k in (0, 5):
+        rng = np.random.Generator(np.random.Philox(np.random.SeedSequence(3, spawn_key=(k,))))
+        due, run = model.sample(steps=3, rng=rng), found.run(k)
+        assert_array_equal(run[x], due[x])
+        assert_array_equal(run.evidence[z], due[z])
 
 
 def test_figures_are_plain_means_over_runs():
@@ -97,13 +131,14 @@ def test_blocks_and_files_change_no_draw(study, tmp_path, monkeypatch):
     longer = switching(_FEW + 8, **given)
     for name in ("rmse", "nees"):
         one, other = (getattr(each["one"], name).by_step for each in (longer, study))
-        assert_array_equal(one, other)
+        assert_allclose(one, other, rtol=1e-12)
     require_same(switching(_FEW + 8, compiled=False, methods=METHODS), study)
     monkeypatch.setattr(drawn_runs, "MOST", 4)
     with pytest.raises(FileError, match="block"):
         switching(_FEW + 8, **given)
     few = switching(10, methods={"one": pgm.Filtering()})
-    assert_array_equal(few.run(9)[x], study.run(9)[x])
+    assert_array_equal(few.run(9)[mode], study.run(9)[mode])
+    assert_allclose(few.run(9)[x], study.run(9)[x], rtol=1e-12)
 
 
 @pytest.mark.parametrize("sensor", [OUTLIERS, LAPLACE], ids=["mixture", "any density"])
