@@ -179,6 +179,12 @@ def test_smoothers_too(rule, card, parts):
     assert_same(found, studied(robot(), methods, False))
 
 
+def test_a_single_run(card):
+    found = studied(robot(), {"F": pgm.Taylor()}, runs=1)
+    assert found.compilation.endswith("on a card: F")
+    assert_same(found, studied(robot(), {"F": pgm.Taylor()}, False, runs=1))
+
+
 def test_how_many_blocks_are_a_part_is_no_matter(card, parts, monkeypatch):
     """Bit for bit, in a study of more runs, in parts, and with little memory."""
     methods = {"F": pgm.Taylor()}
@@ -333,6 +339,17 @@ def test_methods_that_a_card_cannot_do_are_told(method, why, card):
     told = words(steered(), {"EKF": pgm.Taylor(), "it": method})
     assert told.startswith("drawn, swept and summed on a card: EKF; it drawn and summed by the ")
     assert why in told
+
+
+def test_large_slices_of_several_cpds_are_told(card):
+    wide, model = pgm.Variable("wide", components=tuple("abcdefghijk")), robot()
+    still = pgm.LinearGaussianCPD(wide, {wide.previous: np.eye(11)}, cov=np.eye(11))
+    model = model.replace(
+        prior=[*model.prior, pgm.GaussianCPD(wide, np.zeros(11), np.eye(11))],
+        transition=[*model.transition, still],
+    )
+    told = words(model, {"RTS": pgm.Smoothing()})
+    assert told.endswith("it smooths several CPDs a step of more than 12 components")
 
 
 def test_groups_of_sightings_are_told(card):

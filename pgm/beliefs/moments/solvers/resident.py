@@ -57,6 +57,7 @@ from pgm.evidence import Evidence
 from pgm.kernels.arrays import Array, Integers, Mask, quiet, vacant
 from pgm.kernels.machine.emitter.arena import Arena
 from pgm.kernels.machine.emitter.memory import Runs
+from pgm.kernels.machine.studies.beliefs import LARGEST
 from pgm.kernels.machine.studies.sums import Cells
 from pgm.kernels.machine.studies.transitions import Part, Transition
 from pgm.kernels.machine.sweeps import chain as sweeps
@@ -137,6 +138,8 @@ class ResidentChain:
             raise Left("it has no steps")
         if self.smooths and layout.control_places.size:
             raise Left("it smooths hidden controls")
+        if self.smooths and not layout.single and layout.slice_size > LARGEST:
+            raise Left(f"it smooths several CPDs a step of more than {LARGEST} components")
         if any(sensor.robust for sensor in plan.read):
             raise Left("noise is robust")
         if groups_of(plan, None, stored=False, controlled=False):
