@@ -33,6 +33,11 @@ class Method(NamedTuple):
         return Call(self.schedule, self.lineariser)
 
     @property
+    def alone(self) -> bool:
+        """Whether a family of beliefs has each run by itself, and not all runs of a block."""
+        return self.belief is not None and not self.belief._by_block
+
+    @property
     def iterates(self) -> bool:
         """Whether its iterations may end before they settle."""
         schedule = self.schedule

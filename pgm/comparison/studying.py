@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
 # A right belief leaves out the truth once in a million, by this region.
 _SURE = 1.0 - 1e-6
-# The most runs of a block where a family of beliefs has each by itself.
+# The most runs of a block of a family of beliefs, or of runs that are drawn one by one.
 _FEW = 32
 
 
@@ -108,8 +108,8 @@ def study(
         By name, a lineariser, which filters; a schedule, `Filtering`, `FixedLag` or `Smoothing`,
         which has `Taylor`; or a pair of both, ``(pgm.Unscented(), pgm.Smoothing())``. In place of a
         lineariser may stand a family of beliefs, ``pgm.Particles(2000, seed=1)``. It has each run
-        by itself, run k with its seed plus k. Mixtures and draws are judged by means and
-        covariances.
+        by itself, run k with its seed plus k; mixtures, ``pgm.Gaussians(mix=True)``, have many
+        together. Mixtures and draws are judged by means and covariances.
     seed : int
         A whole number from 0.
     states : collection of Variable, optional
@@ -338,13 +338,13 @@ def _of_method(
 ) -> Iterator[Sums]:
     """The sums of a method over a block whose first run has this number.
 
-    Where some run fails the halves of the block are tried by themselves, down to single runs. A
-    family of beliefs has each run by itself, with a seed of its own.
+    Where some run fails the halves of the block are tried by themselves, down to single runs. Most
+    families of beliefs have each run by itself, with a seed of its own.
 
     judges: The oracle's beliefs of each run.
     """
     count = len(sample[asked.states[0]])
-    if count == 1 or method.belief is None:
+    if count == 1 or not method.alone:
         try:
             posterior = _inferred(method, sample, first, asked)
             with far():

@@ -157,6 +157,10 @@ class Gaussians(BeliefFamily[Any]):
         given += [f"{name}={value}" for name, value in settings.items() if value]
         return f"{type(self).__name__}({', '.join(given)})"
 
+    @property
+    def _by_block(self) -> bool:
+        return not self.starts  # which are themselves so many runs
+
     def require(self, model: DynamicBayesianNetwork) -> None:
         """Refuse a network of discrete variables alone, whose tables are exact."""
         if model.discrete:

@@ -100,6 +100,11 @@ class BeliefFamily(ByAttributes, Generic[B]):
                 "from pgm.BeliefFamily"
             )
 
+    @property
+    def _by_block(self) -> bool:
+        """Whether a study has many runs together, for less than one by one take."""
+        return False
+
     def require(self, model: DynamicBayesianNetwork) -> None:
         """Refuse, by a `ModelError`, a network that it cannot carry.
 
