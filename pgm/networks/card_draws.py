@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pgm.cpds.conditional import ConditionalGaussian
 from pgm.cpds.gaussian import GaussianCPD
 from pgm.evidence import BoundEvidence
 from pgm.kernels import philox
@@ -57,6 +58,9 @@ class CardDraws:
 
     def __init__(self, model: DynamicBayesianNetwork, bound: BoundEvidence, seed: int) -> None:
         self.model, self.bound, self._seed = model, bound, seed
+        for cpd in model.cpds:
+            if not isinstance(cpd, ConditionalGaussian):
+                raise Left(f"{cpd!r} is not Gaussian")
         hidden = (*model.states, *model.controls)
         self.rows = {v: (bound.steps + 1, v.dimension) for v in hidden}
         self.rows |= {r.cpd.child: (len(r.step), r.cpd.child.dimension) for r in bound.readings}

@@ -379,7 +379,7 @@ def test_noise_that_is_not_gaussian_is_drawn_by_the_processor(card):
     assert told == "F drawn and summed by the processor: the noise of fix is StudentT(dof=4.0)"
 
 
-def test_runs_that_are_drawn_one_by_one_are_told(card):
+def test_models_that_switch_are_drawn_by_the_processor(card):
     mode = pgm.Discrete("mode", states=("a", "b"))
     moves = {k: pgm.LinearGaussianCPD(w, {w.previous: 1.0}, cov=1.0 + k) for k in range(2)}
     model = pgm.DynamicBayesianNetwork(
@@ -392,8 +392,18 @@ def test_runs_that_are_drawn_one_by_one_are_told(card):
     )
     given = {"evidence": {}, "runs": 3}
     found = studied(model, {"IMM": pgm.Filtering()}, **given)
-    assert "IMM drawn and summed by the processor: each run is drawn" in found.compilation
+    assert "IMM drawn and summed by the processor: TableCPD(mode)" in found.compilation
     assert_same(found, studied(model, {"IMM": pgm.Filtering()}, False, **given), atol=1e-10)
+
+
+def test_runs_that_are_drawn_one_by_one_are_told(card):
+    drawn = drawn_runs.drawn_runs(robot(), INPUTS, T, 4, 5)._replace(counted=False)
+    graph = pgm.compile(robot(), T, compiled=Squared(device="cuda"))
+    asked = studying._Asked(graph, graph, (x,), 0.95)
+    told = studying._on_card(drawn, methods_of({"F": pgm.Taylor()}, robot()), asked).words
+    assert (
+        told == "F drawn and summed by the processor: each run is drawn by a generator of its own"
+    )
 
 
 def test_functions_that_cannot_be_traced_are_told(card):
