@@ -10,7 +10,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -20,6 +19,7 @@ from pgm.beliefs.moments.compiled.sweep import stretches
 from pgm.beliefs.moments.outcomes.doubts import doubt, is_held
 from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
 from pgm.beliefs.moments.solvers.card_cells import CardCells
+from pgm.beliefs.moments.solvers.card_evidence import CardEvidence, by_run
 from pgm.beliefs.moments.solvers.laid import Laid, Left, Lying
 from pgm.beliefs.moments.solvers.resident import Owner, ResidentChain
 from pgm.beliefs.moments.solvers.run import run as run_chain
@@ -34,11 +34,11 @@ from pgm.errors import (
     levels_to_user,
 )
 from pgm.evidence import BoundEvidence, Reading
-from pgm.evidence.on_card import Numbers, brought, is_there, lying_of
+from pgm.evidence.on_card import is_there
 from pgm.evidence.values import Constant, Sightings
-from pgm.kernels.arrays import Array, Integers, Mask, address, deviation, frozen
+from pgm.kernels.arrays import Array, Integers, Mask, deviation, frozen
 from pgm.kernels.machine.emitter.arena import Arena
-from pgm.kernels.machine.emitter.driver import Device, OutOfMemory, device
+from pgm.kernels.machine.emitter.driver import OutOfMemory
 from pgm.kernels.machine.studies.sums import Cells
 from pgm.kernels.machine.sweeps import lying as kernels
 from pgm.networks import DynamicBayesianNetwork
@@ -46,7 +46,6 @@ from pgm.posteriors.on_card import CardArray, CardBeliefs, CardMoments, Posterio
 from pgm.posteriors.outcome import Outcome
 from pgm.resources import NUMBER
 from pgm.schedules.argument_checks import require_gaussian
-from pgm.schedules.binding import bind_chain
 from pgm.schedules.options import Call
 from pgm.schedules.schedule import Filtering, Smoothing
 from pgm.variables import Variable
@@ -100,31 +99,14 @@ class _There:
         infer: Infer,
         graph: DynamicGraph | None,
     ) -> None:
-        self._model, self._evidence, self._call, self._infer = model, dict(evidence), call, infer
-        self._device, self._places = device(), lying_of(evidence)
-        with self._device.current():
-            self._device.settle()
-            for lies in self._places.values():
-                _require_own(self._device, lies)
-        found = {lies.runs: lies for lies in self._places.values() if lies.runs is not None}
-        if len(found) > 1:
-            one, other = list(found.values())[:2]
-            raise EvidenceError(
-                f"evidence for {one.variable!r} has {one.runs} runs on the card, and for "
-                f"{other.variable!r} {other.runs}; all of them were due to have as many"
-            )
-        self._lead = tuple(found)
-        self._runs = next(iter(found), 1)
-        flags = {key: self._look(lies) for key, lies in self._places.items()}
-        self._steps = steps
-        self._require_finite(flags)
-        self._missing = {z for (z, of), each in flags.items() if z == of and each.any()}
-        few = np.linspace(0, self._runs - 1, min(self._runs, _SAMPLE))
+        self._model, self._call, self._infer = model, call, infer
+        self._evidence = there = CardEvidence(model, evidence, steps)
+        self._device, self._places = there.device, there.places
+        few = np.linspace(0, there.runs - 1, min(there.runs, _SAMPLE))
         self._sample: Integers = np.unique(few.round().astype(np.intp))
-        self._bound = self._bind(self._sample)
-        self._steps = self._bound.steps
-        self._graph = graph or compile(model, self._steps, compiled=call.compiled)
-        self._here = compile(model, self._steps, compiled=False)
+        self._bound = there.bind(self._sample)
+        self._graph = graph or compile(model, self._bound.steps, compiled=call.compiled)
+        self._here = compile(model, self._bound.steps, compiled=False)
         asked = sorted(set(call.asked(self._graph)) - {"lineariser", "compiled"})
         if asked:
             raise _refused(f"{asked[0]} is not taken")
@@ -157,13 +139,13 @@ class _There:
     def posterior(self) -> PosteriorOnCard:
         """The beliefs, on the card."""
         few, size = self._few(), self._graph.layout.slice_size
-        own, rows, runs = self._device, self._graph.steps + 1, self._runs
+        own, rows, runs = self._device, self._graph.steps + 1, self._evidence.runs
         beliefs = tuple(CardCells.empty(own, rows, count, runs) for count in (size, size**2))
         with own.current():
             fine, lost, log_evidence = self._swept(beliefs)
             self._require_alike(beliefs[0], few, fine)
             for some in stretches(~fine):
-                found = self._solved(self._bind(np.arange(some.start, some.stop)))
+                found = self._solved(self._evidence.bind(np.arange(some.start, some.stop)))
                 lost |= not is_held(found)
                 log_evidence[some] = np.reshape(found.log_evidence, -1)
                 for cells, array in zip(beliefs, _moments(found), strict=True):
@@ -175,7 +157,7 @@ class _There:
             warnings.warn(bent, LinearisationWarning, stacklevel=levels_to_user())
         return PosteriorOnCard.lying(
             self._shown(*beliefs),
-            frozen(log_evidence.reshape(self._lead)),
+            frozen(log_evidence.reshape(self._evidence.lead)),
             partial(self._come_home, log_evidence),
         )
 
@@ -185,7 +167,7 @@ class _There:
             return self._solved(self._bound)
         except PgmError:
             for run in self._sample:
-                self._solved(self._bind(np.array([run])))
+                self._solved(self._evidence.bind(np.array([run])))
             raise
 
     def _swept(self, beliefs: tuple[CardCells, ...]) -> tuple[Mask, bool, Array]:
@@ -194,7 +176,7 @@ class _There:
         The results are which runs have their digits, whether one of these was ever lost, and the
         log-evidence, (runs,).
         """
-        chain, own, runs, first = self._chain(), self._device, self._runs, 0
+        chain, own, runs, first = self._chain(), self._device, self._evidence.runs, 0
         fine, lost, log_evidence = np.zeros(runs, dtype=bool), False, np.zeros(runs)
         most = self._most(chain, beliefs)
         while first < runs:
@@ -217,13 +199,8 @@ class _There:
 
     def _chain(self) -> ResidentChain:
         """The sweeps, told by two runs."""
-        runs = np.minimum([0, 1], self._runs - 1)
-
-        def home(lies: Numbers) -> Array:
-            return self._home(runs, lies) if lies.runs else np.stack([self._home(None, lies)] * 2)
-
-        evidence = brought(self._evidence, self._places, home)
-        rest = _ALONE, self._places, self._missing
+        evidence = self._evidence.brought(np.minimum([0, 1], self._evidence.runs - 1))
+        rest = _ALONE, self._places, self._evidence.missing
         try:
             return ResidentChain(self._graph, self._call, evidence, *rest)
         except Left as error:
@@ -231,7 +208,7 @@ class _There:
 
     def _most(self, chain: ResidentChain, beliefs: tuple[CardCells, ...]) -> int:
         """How many runs are swept at once; an OutOfMemory where there is no room for one."""
-        most, free = self._runs, (1.0 - _SPARE) * self._device.free()
+        most, free = self._evidence.runs, (1.0 - _SPARE) * self._device.free()
         while sum(each.most for each in self._laid(chain, beliefs, slice(0, most))[1:]) > free:
             if most == 1:
                 raise OutOfMemory("a single run needs more memory than is free")
@@ -264,14 +241,6 @@ class _There:
         first = lies.address + NUMBER * (skipped * down + run * across)
         return Cells(first, across, down, cell)
 
-    def _bind(self, runs: Integers | None) -> BoundEvidence:
-        """The evidence of some runs, None for all, brought home and checked."""
-        here = brought(self._evidence, self._places, partial(self._home, runs))
-        bound = bind_chain(self._model, here, self._steps, identities=True, among=True)
-        if runs is None or not self._lead:
-            return bound
-        return replace(bound, first_run=int(runs[0]))
-
     def _solved(self, bound: BoundEvidence) -> ChainOutcome:
         """The beliefs given evidence at home, without machine code, as functions are."""
         call = self._call
@@ -279,55 +248,11 @@ class _There:
         found.status._warn()
         return found
 
-    def _home(self, runs: Integers | None, lies: Numbers) -> Array:
-        """Numbers of some runs, None for all, copied to this machine's memory."""
-        with self._device.current():
-            if lies.runs is None or runs is None:
-                return _whole(self._device, lies)
-            return np.stack([_of_run(self._device, lies.of(int(run))) for run in runs])
-
-    def _look(self, lies: Numbers) -> Array:
-        """What is found among the numbers of each run; see `kernels.look`."""
-        runs = 1 if lies.runs is None else lies.runs
-        down, across, cell = lies.distances
-        given = lies.address, down, across, cell, lies.rows, lies.shape[-1]
-        return self._by_run(kernels.look(self._device), given, runs)
-
     def _added(self, density: Cells, runs: int) -> Array:
         """The sums over the steps of each run."""
-        given = (
-            density.address,
-            density.down,
-            density.across,
-            density.cell,
-            self._graph.steps + 1,
-            1,
-        )
-        return self._by_run(kernels.add(self._device), given, runs)
-
-    def _by_run(self, kernel: Any, given: tuple[int, ...], runs: int) -> Array:
-        found, own = np.empty(runs), self._device
-        with own.current(), own.room(found.nbytes) as out:
-            own.launch(kernel, runs, (*given, out, runs), kernels.KINDS)
-            own.get(out, address(found), found.nbytes)
-        return found
-
-    def _require_finite(self, flags: Mapping[tuple[Variable, Variable], Array]) -> None:
-        """Refuse what is no evidence, as evidence at home is, by the first such run."""
-        for (key, of), each in flags.items():
-            worst = kernels.MISSING if key == of and self._is_sensor(key) else kernels.FINITE
-            bad = np.flatnonzero(each > worst)
-            if bad.size:
-                where = f" (run {bad[0]})" if self._lead else ""
-                try:
-                    self._bind(bad[:1])
-                except EvidenceError as error:
-                    told = {"variable": error.variable, "step": error.step}
-                    raise EvidenceError(f"{error}{where}", **told) from error
-                raise EvidenceError(f"evidence for {of!r} is not finite{where}", variable=of)
-
-    def _is_sensor(self, variable: Variable) -> bool:
-        return any(cpd.child == variable for cpd in self._model.observation)
+        across, down, cell = density[1:]
+        given = density.address, down, across, cell, self._graph.steps + 1, 1
+        return by_run(self._device, kernels.add(self._device), given, runs)
 
     def _require_alike(self, there: CardCells, few: ChainOutcome, fine: Mask) -> None:
         """Refuse means of the card's that are not those found at home."""
@@ -353,8 +278,8 @@ class _There:
             for cells, own in ((mean, (1,)), (cov, (size, 1))):
                 _, across, down, cell = (NUMBER * k for k in cells.of(0))
                 begin = skipped * down + place * cell * sum(own)
-                shape = *self._lead, rows - skipped, *(d for _ in own)
-                strides = *(across for _ in self._lead), down, *(cell * k for k in own)
+                shape = *self._evidence.lead, rows - skipped, *(d for _ in own)
+                strides = *(across for _ in self._evidence.lead), down, *(cell * k for k in own)
                 each.append(CardArray(cells.memory, begin, shape, strides))
             found[variable] = CardMoments(*each)
         return CardBeliefs(found)
@@ -363,7 +288,7 @@ class _There:
         """The outcome of a call with the same evidence, brought home."""
         with _driver_told(), self._device.current():
             self._device.settle()
-            bound = self._bind(None)
+            bound = self._evidence.bind(None)
         found = self._infer(self._graph, bound, self._call)
         now = np.asarray(found.log_evidence).reshape(-1)
         if not np.allclose(now, log_evidence, rtol=_SAME, atol=_SAME):
@@ -372,27 +297,6 @@ class _There:
                 "posterior before you write there, or give a copy"
             )
         return found
-
-
-def _whole(own: Device, lies: Numbers) -> Array:
-    """All numbers, copied to this machine's memory with all that lies between them."""
-    pairs = zip(lies.strides, lies.shape, strict=True)
-    extent = sum(stride * (length - 1) for stride, length in pairs) + NUMBER
-    room = np.empty(extent // NUMBER if 0 not in lies.shape else 0)
-    own.get(lies.address, address(room), room.nbytes)
-    return np.lib.stride_tricks.as_strided(room, lies.shape, lies.strides)
-
-
-def _of_run(own: Device, lies: Numbers) -> Array:
-    """The numbers of one run, (rows, d), copied to this machine's memory, and nothing else."""
-    found = np.empty(lies.shape)
-    (rows, size), (down, cell) = lies.shape, lies.strides
-    whole = size == 1 or (cell == NUMBER and down >= NUMBER * size)
-    for k in range(1 if whole else size):
-        width = NUMBER * (size if whole else 1)
-        place = lies.address + k * cell
-        own.get(place, address(found[:, k:]), width, rows, NUMBER * size, down)
-    return found
 
 
 def _moments(found: ChainOutcome) -> tuple[Array, Array]:
@@ -422,17 +326,6 @@ def _require_asked(
                     f"evidence for {of!r} beside it has runs of its own, in this machine's memory: "
                     "put it on the card as well"
                 )
-
-
-def _require_own(own: Device, lies: Numbers) -> None:
-    try:
-        own.require_own(lies.address)
-    except OSError as error:
-        raise EvidenceError(
-            f"evidence for {lies.variable!r} does not lie on the card that sweeps, the first that "
-            f"CUDA_VISIBLE_DEVICES shows: {error}",
-            variable=lies.variable,
-        ) from error
 
 
 def _refused(why: str) -> EvidenceError:
