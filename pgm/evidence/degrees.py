@@ -26,7 +26,7 @@ def seem_degrees(angles: Array) -> bool:
     if angles.shape[-1] < 2 or not angles.size:
         return False
     low, high = np.fmin.reduce(angles, axis=None), np.fmax.reduce(angles, axis=None)
-    if not (high - low > _HALF and max(high, -low) <= _CIRCLE):
+    if not (max(high, -low) <= _CIRCLE and high - low > _HALF):
         return False
     if angles.ndim == 1:
         angles = angles[np.isfinite(angles)]

@@ -90,3 +90,12 @@ def test_a_reading_that_float64_cannot_hold_is_refused_by_its_run():
     posterior = pgm.infer(pgm.compile(examples.square), {examples.y: huge[:, 0]})
     with pytest.raises(pgm.NumericalError, match="beyond the range of float64 in run 1: a meas"):
         posterior.log_evidence  # noqa: B018
+
+
+def test_angles_that_are_infinite_throughout_are_refused_alone():
+    """Without a warning of the look whether they are degrees."""
+    heading = pgm.Variable("heading", angles=("heading",))
+    sensor = pgm.LinearGaussianCPD(heading, {x: 1.0}, cov=1.0)
+    model = pgm.DynamicBayesianNetwork([PRIOR], [WALK], [sensor])
+    with pytest.raises(pgm.EvidenceError, match="heading has infinite entries"):
+        pgm.filter(model, {heading: np.full((3, 1), np.inf)})
