@@ -26,7 +26,7 @@ from pgm.comparison.oracle import (
 from pgm.comparison.reference import Reference
 from pgm.comparison.row import FAILURES, Name, Row, failed, of_track, proper, scored
 from pgm.comparison.table import Comparison
-from pgm.comparison.weakness import Judged, marked
+from pgm.comparison.weakness import Judged, hidden, marked
 from pgm.compile import DynamicGraph, compile
 from pgm.display import titled
 from pgm.errors import EvidenceError, ModelError, PgmError
@@ -86,7 +86,12 @@ def compare(
     it, and the text below says why:
 
     - the error itself is not to be trusted: weights of a Pareto shape above .7, fewer than ten
-      effective draws, an audit that is not trusted, or runs with other seeds that disagree;
+      effective draws, an audit that is not trusted, runs with other seeds that disagree, or an
+      estimate that is not vouched for;
+    - the KL, in some run, is no more than the bound on an estimate's own error,
+      ``estimate.verdict.within``;
+    - nothing tells the error: a posterior of nonlinear functions that is linearised, or a family of
+      your own that draws, and takes no other seed;
     - 1.96 errors are not less than the differences between rows, which it is to show;
     - another oracle disagrees with it by more than the row's KL.
 
@@ -264,7 +269,10 @@ def _judged(
     judging = {oracle: refs[key] for oracle, refs in found.items() if key in refs}
     kept = _kept(belief, judging)
     each = {oracle: judge(reference, belief, kept) for oracle, reference in judging.items()}
-    judgements = {oracle: judgement for oracle, (judgement, _) in each.items()}
+    judgements = {
+        oracle: replace(judgement, weak=hidden(judging[oracle], belief, kept))
+        for oracle, (judgement, _) in each.items()
+    }
     row = scored(name, belief, truth, kept, judgements, **rest)
     return _Draft(row, {oracle: parts for oracle, (_, parts) in each.items()})
 

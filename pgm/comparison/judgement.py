@@ -31,7 +31,7 @@ class Judgement(Shown):
         bias is subtracted, so that the KL of a right belief may be just below zero.
     error_by_step : ndarray
         (T+1,): the standard errors of `kl_by_step`, as the oracle's draws leave it: zero of an
-        oracle without draws, NaN where it tells none.
+        oracle without draws, NaN where it tells none, as an estimate, whose verdict has a bound.
     error : float
         The standard error of `kl`. Errors of two steps depend on each other, which it counts in.
     weak : str

@@ -31,6 +31,7 @@ from pgm.kernels.arrays import Array
 from pgm.posteriors.belief_kind import FILTERED, SMOOTHED
 from pgm.posteriors.outcome import marginal
 from pgm.posteriors.status import Status
+from pgm.posteriors.verdict import Verdict
 from pgm.variables import Variable
 
 
@@ -193,16 +194,31 @@ def _referred(posterior: Any, state: Variable, compared: Compared, seconds: floa
     kind = str(getattr(posterior, "log_evidence_kind", ""))
     status = getattr(posterior, "status", None)
     few = isinstance(belief, ParticleBelief) and bool(getattr(status, "few", False))
+    doubt = "fewer than ten of its particles are effective at a step" if few else ""
+    told = [status._title] if isinstance(status, Status) and status._told else []
+    verdict = getattr(posterior, "verdict", None)
+    bound = None
+    if isinstance(verdict, Verdict):
+        bound, told = verdict.within, [verdict.headline, *told]
+        if not verdict.vouched.all():
+            doubt = f"an estimate that is {verdict.headline}"
+    elif kind in _NEARLY:
+        doubt = f"its beliefs are approximate ({kind}), and nothing tells by how much"
     return Reference(
         gaussian,
         _apart(belief, gaussian, state).reshape(-1, count).mean(axis=0),
         error=0.0 if _without_draws(belief, kind) else np.nan,
-        doubt="fewer than ten of its particles are effective at a step" if few else "",
+        doubt=doubt,
+        within=bound,
         seconds=seconds,
         log_evidence=np.nan if evidence is None else float(np.mean(evidence)),
         log_evidence_kind=kind,
-        status=status._title if isinstance(status, Status) and status._told else "",
+        status="; ".join(told),
     )
+
+
+# Kinds of the log-evidence of beliefs that are not exact, and have no figures of their error.
+_NEARLY = "linearised", "laplace", "linearised bound", "bound", "unnormalised", "merged", "modes"
 
 
 def _without_draws(belief: Any, kind: str) -> bool:

@@ -22,6 +22,8 @@ class Reference(NamedTuple):
         ...); None of an oracle that is not made of groups.
     error: The Monte Carlo error without groups: 0 without draws, NaN where it is not known.
     doubt: Why the errors cannot be trusted, in words; empty where they can.
+    within: (*runs,), in nats: the bound that an estimate's verdict puts on its error; None of an
+        oracle without a verdict.
     seconds: Of the oracle's calls; NaN if it was given.
     log_evidence: The mean over runs; NaN if the oracle has none.
     status: The figures of its family of beliefs, such as a grid, in words; empty without any.
@@ -32,6 +34,7 @@ class Reference(NamedTuple):
     spread: Spread | None = None
     error: float = 0.0
     doubt: str = ""
+    within: Array | None = None
     seconds: float = np.nan
     log_evidence: float = np.nan
     log_evidence_kind: str = ""

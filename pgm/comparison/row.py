@@ -161,6 +161,8 @@ class Row(Shown):
         ]
         rows = [(name, number(value)) for name, value in figures if not np.isnan(value)]
         parts: list[str | Listing] = [Listing(("", ""), rows)] if rows else []
+        if self.weak:
+            parts.append(f"? the oracle is too weak for it: {self.weak}")
         return Summary(self._title, [*parts, *([self.error] if self.error else [])])
 
     def __getstate__(self) -> dict[str, Any]:

@@ -15,8 +15,6 @@ from pgm.resources import FRAMES, optional
 from pgm.variables import Variable
 
 _NONE = "–"
-# Why an oracle's own KL may be NaN.
-UNKNOWN = "NaN of beliefs that tell none by non_gaussianity(), as draws, which have no density"
 # Failures that are told.
 FAILED = 3
 
@@ -186,18 +184,22 @@ class Comparison(Shown, Immutable):
             )
         notes += self._weak()
         if self.oracle_rows:
-            own = "KL of the oracle's rows: from its own Gaussian, KL(p ‖ N_p)"
-            unknown = any(np.isnan(row.by_oracle[_oracle(row)].kl) for row in self.oracle_rows)
-            notes.append(own + (f"; {UNKNOWN}" if unknown else ""))
-        blind = [oracle for oracle in self.oracles if self._tells_no_error(oracle)]
-        if blind:
-            notes.append(
-                f"the Monte Carlo error of KL from {', '.join(blind)} is not known: a posterior of "
-                "this family is not run again with other seeds"
-            )
+            notes.append(self._of_oracles())
         if self.oracle_status:
             notes.append(f"the oracle's status: {self.oracle_status}")
         return Summary(self._title, [Listing(heads, kept, names), *notes])
+
+    def _of_oracles(self) -> str:
+        """A line on the KL of the oracles' own rows, and on those of which it is not known."""
+        own = (_oracle(row) for row in self.oracle_rows if np.isnan(row.by_oracle[_oracle(row)].kl))
+        unknown = ", ".join(dict.fromkeys(own))
+        line = "in the row of an oracle p its KL is that from its own Gaussian, KL(p ‖ N_p)"
+        if not unknown:
+            return line
+        return (
+            f"{line}; it is not known of {unknown}: beliefs made of draws, and others without "
+            "non_gaussianity(), have no density to integrate"
+        )
 
     def _columns(self) -> list[list[str]]:
         rows = [*self.rows, *self.oracle_rows]
@@ -229,11 +231,6 @@ class Comparison(Shown, Immutable):
         steps = [np.nan if j.kl_step is None else j.kl_step for j in each]
         most = [shown(j.kl_most) for j in each]
         return _known([("KL [nats]", cells), ("most", most), ("at step", map(shown, steps))])
-
-    def _tells_no_error(self, oracle: str) -> bool:
-        """Whether an oracle that judges some row has no error there, and no doubt either."""
-        every = [row.by_oracle[oracle] for row in self.rows if oracle in row.by_oracle]
-        return any(np.isnan(j.error) and not np.isnan(j.kl) and not j.weak for j in every)
 
     def _weak(self) -> list[str]:
         """Lines that say why oracles are too weak for rows, a line for each reason."""

@@ -154,7 +154,7 @@ def test_particles_are_an_oracle():
         assert_allclose(row.kl_by_step, other.kl_by_step, rtol=0.05, atol=0.01)
     (own,) = found.oracle_rows
     assert np.isnan(own.kl_by_step).all()
-    assert "NaN of beliefs that tell none by" in " ".join(repr(found).split())
+    assert "it is not known of Particles: beliefs made of draws" in " ".join(repr(found).split())
     assert "non_gaussianity()" not in repr(due)
     assert "oracle Particles(100,000" in repr(found)
     assert found.oracle_status == repr(cloud.status)

@@ -259,7 +259,8 @@ def test_a_family_of_ones_own_is_run_with_other_seeds_where_it_can_be():
     assert abs(found.kl) < 3 * found.kl_error
     plain = pgm.compare(examples.walk, given, rows=rows, oracle=EnsembleKalman(400))
     assert np.isnan(plain["exact"].kl_error)
-    assert "the Monte Carlo error of KL from EnsembleKalman is not known" in repr(plain)
+    assert "nothing tells the oracle's own error" in plain["exact"].weak
+    assert "? EnsembleKalman is too weak for exact, smoothed, x" in repr(plain)
 
 
 def test_oracles_that_differ_are_both_marked():
@@ -278,3 +279,79 @@ def test_oracles_that_differ_are_both_marked():
     for name in rows:
         assert "the oracle grid is" in found[name].by_oracle["audit"].weak
     assert "the oracle audit is" in found["estimate"].by_oracle["grid"].weak
+
+
+SQUARED = {examples.z: [[9.0], [4.0]]}
+
+
+def test_an_estimate_marks_what_is_within_its_bound():
+    """The row of itself, and one a little off; not that which has one mode of two."""
+    estimate = pgm.estimate(examples.squares, SQUARED)
+    within = float(estimate.verdict.within)
+    assert estimate.verdict.vouched
+    own = estimate[examples.x].gaussian()
+    # KL of a Gaussian with its mean moved by m deviations is m²/2.
+    near, far = (
+        pgm.Gaussian(
+            examples.x,
+            own.mean + np.sqrt(2.0 * share * within * own.cov[..., 0]),
+            own.cov,
+            steps=own.steps,
+        )
+        for share in (0.9, 1.1)
+    )
+    rows = {"itself": estimate, "near": near, "far": far}
+    found = pgm.compare(examples.squares, SQUARED, rows=rows, oracle={"best": estimate})
+    assert found["near"].kl == pytest.approx(0.9 * within)
+    for name in ("itself", "near"):
+        assert "within which the estimate is known" in found[name].weak
+    assert found["far"].weak == ""
+    assert found.oracle_status.startswith(estimate.verdict.headline)
+    assert "? best is too weak for itself, smoothed, x; near" in repr(found)
+
+
+def test_an_estimate_of_several_runs_marks_by_run():
+    """The bound of each run is that run's: one that is far off does not hide one that is not."""
+    many = {examples.z: [[[9.0], [4.0]], [[0.1], [0.2]]]}
+    estimate = pgm.estimate(examples.squares, many)
+    assert estimate.verdict.vouched.all()
+    own = estimate[examples.x].gaussian()
+    off = np.array([3.0, 0.0])[:, None, None]
+    row = pgm.Gaussian(examples.x, own.mean + off, own.cov, steps=own.steps)
+    found = pgm.compare(examples.squares, many, rows={"off": row}, oracle=estimate)["off"]
+    assert found.kl > estimate.verdict.within.max()
+    assert "in 1 of 2 runs" in found.weak
+
+
+def test_an_estimate_that_is_not_vouched_for_marks_every_row():
+    """Of few draws; and with a flat prior, of which none are weighed: a Gaussian by itself."""
+    model = bent(0.3)
+    flat = model.replace(prior=[pgm.GaussianCPD(a, 0.0, np.inf)])
+    for each in (model, flat):
+        estimate = pgm.estimate(each, READ, steps=T, effort=40)
+        assert not estimate.verdict.vouched
+        found = judged(each, answers(model), estimate)
+        assert [each.weak for each in found.rows] == [
+            f"an estimate that is {estimate.verdict.headline}"
+        ] * 2
+
+
+def test_an_oracle_that_is_not_exact_and_has_no_verdict_marks_every_row():
+    """A linearised smoother's; a grid marks none."""
+    model = bent(0.3)
+    iterated = pgm.smooth(model, READ, steps=T, iterations=20)
+    assert iterated.log_evidence_kind == "laplace"
+    found = judged(model, answers(model), iterated)
+    for row in found.rows:
+        assert row.weak == "its beliefs are approximate (laplace), and nothing tells by how much"
+    assert [row.weak for row in judged(model, answers(model), FINE).rows] == ["", ""]
+
+
+def test_an_exact_estimate_marks_nothing():
+    given = {examples.z: [[2.0], [3.0]]}
+    exact = pgm.estimate(examples.walk, given)
+    off = pgm.Gaussian(examples.x, exact[examples.x].mean + 1e-3, exact[examples.x].cov)
+    rows = {"same": pgm.smooth(examples.walk, given), "off": off}
+    found = pgm.compare(examples.walk, given, rows=rows, oracle=exact)
+    assert [row.weak for row in found.rows] == ["", ""]
+    assert found["same"].kl_error == found["off"].kl_error == 0.0
