@@ -107,8 +107,9 @@ class LostWarning(UserWarning):
 class LinearisationWarning(UserWarning):
     """Functions that bend too much over a belief for any line; ``posterior.nonlinearity`` says how.
 
-    The first call of a model by a rule looks for them, at the steps with the widest beliefs; a
-    filter of eight or more runs tells in ``print`` alone.
+    The first call of a model by a rule looks for them, at the steps with the widest beliefs. A call
+    of more than 20,000 steps, of all runs together, does not look, nor one that has given a
+    `LostWarning`; a filter of eight or more runs tells in ``print`` alone.
     """
 
 

@@ -121,8 +121,10 @@ def filter(
     ConvergenceWarning
         If ``iterations`` of two or more end before they settle, in any run.
     LinearisationWarning
-        If no line fits a function over its belief, in more than one of 20 runs, by the model's
-        first call; `Posterior.nonlinearity` says where.
+        If no line fits a function over its belief, in more than one of 20 runs;
+        `Posterior.nonlinearity` says where. Only the first call of a model by each lineariser
+        looks, and not one of eight or more runs, of more than 20,000 steps of all runs together, or
+        one that gives a `LostWarning`.
     LostWarning
         If a belief is probably wrong at some step of a run; `Posterior.lost` says where.
     PrecisionWarning
@@ -250,8 +252,10 @@ def smooth(
     ConvergenceWarning
         If ``iterations`` of two or more end before they settle, in any run.
     LinearisationWarning
-        If no line fits a function over its belief, in more than one of 20 runs, by the model's
-        first call; `Posterior.nonlinearity` says where.
+        If no line fits a function over its belief, in more than one of 20 runs;
+        `Posterior.nonlinearity` says where. Only the first call of a model by each lineariser
+        looks, and not one of more than 20,000 steps of all runs together, or one that gives a
+        `LostWarning`.
     LostWarning
         If a belief is probably wrong at some step of a run; `Posterior.lost` says where.
     PrecisionWarning
