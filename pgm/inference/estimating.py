@@ -230,8 +230,7 @@ def _outcome(search: Search, sought: Sought, answer: Answer) -> ModesOutcome:
 
 def _verdict(lead: tuple[int, ...], sought: Sought, answer: Answer) -> Verdict:
     """The verdict on the answers of all runs."""
-    unlikely = answer.unlikely & sought.several
-    vouched = sought.agreed & (answer.of > 0) & ~unlikely
+    vouched = sought.agreed & (answer.of > 0) & ~(answer.unlikely & sought.several)
     return Verdict(
         lead,
         vouched=vouched,
@@ -247,5 +246,5 @@ def _verdict(lead: tuple[int, ...], sought: Sought, answer: Answer) -> Verdict:
         recombined=answer.recombined,
         tried_otherwise=sought.otherwise,
         otherwise=answer.otherwise,
-        unlikely=unlikely,
+        unlikely=answer.unlikely,
     )

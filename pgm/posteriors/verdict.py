@@ -53,9 +53,11 @@ class Verdict(Shown, Immutable, NoArray):
     otherwise : ndarray of bool
         Whether the answer has the modes of that rule.
     unlikely : ndarray of bool
-        Whether starts settled at several points, however little their mass, and the measurements
-        fit none of these: all noises together are larger than the model has them once in a million.
-        There may be another mode, with nearly all of the mass; or the model is wrong.
+        Whether the measurements do not fit what was found: all noises together are larger than the
+        model has them once in a million. Where starts settled at one point the model is probably
+        wrong, or readings are outliers; the answer may be vouched for all the same, as that model's
+        own. Where they settled at several, there may also be another mode, with nearly all of the
+        mass, and nothing is vouched for.
     reason : str
         Why no draws were weighed; empty where they were.
 
@@ -131,7 +133,17 @@ class Verdict(Shown, Immutable, NoArray):
             return f"vouched for{where}: exact"
         worst = number(float(self.within[self.vouched].max()), 2)
         of = " or ".join(kinds)
-        return f"vouched for{where}: the {of} of every belief within {worst} nats{rest}"
+        return (
+            f"vouched for{where}: the {of} of every belief within {worst} nats{self._misfit}{rest}"
+        )
+
+    @property
+    def _misfit(self) -> str:
+        """That measurements do not fit the model, of runs that are vouched for."""
+        runs = self.unlikely & self.vouched
+        if not runs.any():
+            return ""
+        return f", by a model that the measurements do not fit{_where(runs)}"
 
     @property
     def _why(self) -> str:

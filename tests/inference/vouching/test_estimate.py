@@ -437,3 +437,19 @@ def test_modes_name_the_posteriors_that_have_what_they_lack(question):
         getattr(found, question)
     with pytest.raises(pgm.PgmError, match=r"posterior\.verdict tells how well"):
         pgm.audit(found, rng=1)
+
+
+def test_a_model_that_measurements_do_not_fit_is_told_of_with_one_mode_too():
+    """The answer is that model's own, and vouched for as such."""
+    curved = pgm.NonlinearGaussianCPD(z, x, lambda x: 30.0 * np.sinh(x / 30.0), cov=2.0)
+    model = walk.replace(observation=[curved])
+    right = model.sample(runs=20, steps=4, rng=1).evidence[z]
+    wrong = np.array([[[0.0], [20.0], [0.0], [20.0]]])
+    found = pgm.estimate(model, {z: np.concatenate([right, wrong])}, effort=1000)
+    verdict = found.verdict
+    assert verdict.unlikely.tolist() == [False] * 20 + [True]
+    assert verdict.vouched.all()
+    assert verdict.modes.max() == 1
+    assert "by a model that the measurements do not fit (in 1 of 21 runs)" in verdict.headline
+    assert "the measurements do not fit" in " ".join(repr(found).split())
+    assert "do not fit" not in repr(pgm.estimate(model, {z: right[0]}, effort=1000))

@@ -67,8 +67,8 @@ def doubt(*, held: bool, whole: bool = True) -> str:
     return (
         "the belief was lost at some steps: innovations are too large for it, or gates reject too "
         f"much; {without}posterior.lost says where, and print(posterior) whether it was linearised "
-        "where no line is right. Smooth with iterations=, try pgm.estimate, or look at the model's "
-        "noise"
+        "where no line is right. If so, smooth with iterations=, or try pgm.estimate; else look at "
+        "the model's noise, and for outliers"
     )
 
 
