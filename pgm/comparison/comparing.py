@@ -13,7 +13,7 @@ from pgm.arguments import public
 from pgm.beliefs.own.family import BeliefFamily, require_family
 from pgm.boundary import as_floats, is_whole
 from pgm.comparison import entries
-from pgm.comparison.entries import Entry, Method, OverTime, Track
+from pgm.comparison.entries import VALUES, Entry, Method, OverTime, Track
 from pgm.comparison.judgement import Judgement, Parts, judge
 from pgm.comparison.oracle import (
     Compared,
@@ -32,18 +32,19 @@ from pgm.display import titled
 from pgm.errors import EvidenceError, ModelError, PgmError
 from pgm.evidence import Evidence
 from pgm.factors import Gaussian
-from pgm.factors.scope import as_scope, labels, listed
+from pgm.factors.scope import as_scope, labels, listed, unknown_name
 from pgm.inference import Filtering, Kind, Smoothing
 from pgm.inference.audit import Audit
+from pgm.io.poses import Poses
 from pgm.kernels.arrays import Array, Mask
 from pgm.linearisers import Cubature, Lineariser, Taylor, Unscented
-from pgm.networks import DynamicBayesianNetwork
+from pgm.networks import DynamicBayesianNetwork, Sample
 from pgm.progress import Progress, counted, reporting
 from pgm.schedules.argument_checks import require_lineariser
 from pgm.schedules.binding import bind_chain
 from pgm.variables import Discrete, Variable
 
-Truth = Mapping[Variable, Any]
+Truth = Mapping[Variable, Any] | Sample
 OneOracle = BeliefFamily[Any] | Audit | Oracle
 
 LINEARISERS: tuple[Lineariser, ...] = (Taylor(), Unscented(), Cubature())
@@ -125,13 +126,14 @@ def compare(
         A `Grid`, `Particles` or another `BeliefFamily` is run on the same model, as filter for
         filters, as smoother for smoothers. A posterior, a grid's, particles' or any `Oracle`, is
         taken as it is, its forward sweep for filters. An `Audit` has the exact smoothed moments. A
-        mapping of states is a truth. Several oracles, a truth among them, each have columns of
-        their own; some oracle must have beliefs of each kind that rows have.
+        mapping of states, or a `Sample`, is a truth. Several oracles, a truth among them, each have
+        columns of their own; some oracle must have beliefs of each kind that rows have.
     repeats : int, optional
         How often particles are run in all, 4 or more, with as many successive seeds: a posterior's,
         too, as one run tells nothing of its error. Their beliefs are pooled.
-    truth : mapping of Variable to array_like, optional
-        By state, (*runs, T+1, d), or (T+1, d) of all runs; NaN where it is not known.
+    truth : mapping of Variable to array_like, or Sample, optional
+        By state, (*runs, T+1, d), or (T+1, d) of all runs; NaN where it is not known. A `Sample`
+        of the model has that of its continuous states.
     states : collection of Variable, optional
         Those compared; without, all of an oracle's, or those of a truth alone.
     steps : int, optional
@@ -173,7 +175,7 @@ def compare(
     )
     for plan in plans.values():
         entries.require_schedule(plan)
-    oracles, truth = _parted(oracle, truth)
+    oracles, true = _parted(oracle, truth)
     if not is_whole(repeats) or repeats < 4:
         raise ModelError(f"repeats is a whole number of runs, 4 or more, not {repeats!r}")
     bound = bind_chain(model, evidence, steps)
@@ -183,9 +185,10 @@ def compare(
             "linearise, and nothing to compare"
         )
     things = _things(rows, model)
-    chosen = as_states(model, states, None if oracles else truth)
+    values = None if true is None else _of_states(true, model)
+    chosen = as_states(model, states, None if oracles else values)
     compared = Compared(compile(model, bound.steps), evidence, bound.lead, chosen, ())
-    true = _truths(truth or {}, compared, model)
+    known = _truths(values or {}, compared, model)
     every = entries.of_methods(methods, plans, compared)
     every += entries.of_rows(things, plans, compared, lambda other: _bound(other, compared))
     _require_different(every)
@@ -198,10 +201,13 @@ def compare(
         drafts = [
             draft
             for entry in counted(every, "rows")
-            for draft in _drafted(entry, compared, found, true)
+            for draft in _drafted(entry, compared, found, known)
         ]
-    own = _disagreements(found, compared, true)
-    title = "; ".join(_described(each) for each in oracles.values())
+    own = _disagreements(found, compared, known)
+    judges = [_described(each) for each in oracles.values()]
+    if judges and known:
+        judges.append(f"the truth of {listed(known)}")
+    title = "; ".join(judges)
     told = [ref.status for refs in found.values() for ref in refs.values() if ref.status]
     status = "; ".join(dict.fromkeys(told))
     rows_found = _weighed(drafts, found, own)
@@ -431,13 +437,16 @@ def _bound(model: DynamicBayesianNetwork, compared: Compared) -> DynamicGraph:
 
 def _parted(oracle: Any, truth: Any) -> tuple[dict[str, OneOracle], Truth | None]:
     """The oracles by name, and the truth, which may stand among them."""
-    if truth is not None and not isinstance(truth, Mapping):
+    if isinstance(truth, Poses):
+        raise ModelError(f"truth= is Poses; {VALUES}")
+    if truth is not None and not isinstance(truth, Mapping | Sample):
         raise ModelError(
-            f"truth= maps states to their values (..., T+1, d), not {type(truth).__name__}"
+            "truth= maps states to their values (..., T+1, d), or is what model.sample() has "
+            f"drawn, not {type(truth).__name__}"
         )
     found: dict[str, Any] = {}
     for name, each in _listed_oracles(oracle):
-        if not isinstance(each, Mapping):
+        if not isinstance(each, Mapping | Sample):
             found[name] = each
             continue
         if truth is not None:
@@ -464,8 +473,22 @@ def _listed_oracles(oracle: Any) -> list[tuple[str, Any]]:
     return list(zip(names, oracle, strict=True))
 
 
+def _of_states(truth: Truth, model: DynamicBayesianNetwork) -> Mapping[Variable, Any]:
+    """The truth by state; of a sample of the model that of its continuous states."""
+    if not isinstance(truth, Sample):
+        return truth
+    for variable in truth.values:
+        if variable not in model.variables:
+            raise ModelError(
+                f"the truth, a sample, has {variable!r}, {unknown_name(variable, model.variables)}",
+                variable=variable,
+            )
+    continuous = [state for state in model.states if not isinstance(state, Discrete)]
+    return {state: truth.values[state] for state in continuous if state in truth.values}
+
+
 def as_states(
-    model: DynamicBayesianNetwork, states: Any, truth: Truth | None
+    model: DynamicBayesianNetwork, states: Any, truth: Mapping[Variable, Any] | None
 ) -> tuple[Variable, ...]:
     """The continuous states that are judged: those named, else those of a truth, or all."""
     continuous = tuple(state for state in model.states if not isinstance(state, Discrete))
@@ -495,7 +518,7 @@ def _require_continuous(role: str, state: Variable, states: Sequence[Variable]) 
 
 
 def _truths(
-    truth: Truth, compared: Compared, model: DynamicBayesianNetwork
+    truth: Mapping[Variable, Any], compared: Compared, model: DynamicBayesianNetwork
 ) -> dict[Variable, Array]:
     found = {}
     shape = (*compared.lead, compared.graph.steps + 1)
@@ -520,7 +543,7 @@ def _truths(
 
 def _title(oracle: Any) -> str:
     """The name of an oracle that was given without one: its family's class, or "oracle"."""
-    if isinstance(oracle, Mapping):
+    if isinstance(oracle, Mapping | Sample):
         return "truth"
     family = family_of_oracle(oracle)
     if family is None:

@@ -34,6 +34,11 @@ from pgm.variables import Variable
 OverTime = Filtering | FixedLag | Smoothing
 Method = Lineariser | BeliefFamily[Any]
 
+# The advice to a user who gives poses.
+VALUES = (
+    "a state's values at its steps are due: "
+    "{x: poses.along(x, times=..., position=..., heading=...)}"
+)
 _WORDS = {Filtering: "filter", Smoothing: "smoother"}
 
 
@@ -130,10 +135,7 @@ def require_row(label: Any, thing: Any, model: DynamicBayesianNetwork) -> None:
         require_family(thing, model)
         return
     if isinstance(thing, Poses):
-        raise ModelError(
-            f"rows= has {label!r}, which is Poses; a state's values at its steps are due: "
-            "{x: poses.along(x, times=..., position=..., heading=...)}"
-        )
+        raise ModelError(f"rows= has {label!r}, which is Poses; {VALUES}")
     if isinstance(thing, OverTime | DynamicBayesianNetwork | RobustNoise | Audit):
         return
     if isinstance(thing, Gaussian | Mapping):

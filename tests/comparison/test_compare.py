@@ -180,6 +180,20 @@ def test_a_truth_may_stand_in_the_oracle_s_place():
     assert "KL" not in repr(found)
 
 
+def test_a_sample_is_a_truth():
+    """As the states that it holds are: its measurements and its discrete states are left out."""
+    model, _, s = switching()
+    sample = model.sample(steps=6, rng=1)
+    plans = {"schedules": [pgm.Filtering()]}
+    due = pgm.compare(model, sample.evidence, truth={s: sample[s]}, **plans)["Taylor", "filter"]
+    for given in ({"truth": sample}, {"oracle": sample}):
+        row = pgm.compare(model, sample.evidence, **given, **plans)["Taylor", "filter"]
+        assert (row.nees, row.log_score) == (due.nees, due.log_score)
+    other = linear().sample({z: EVERY}, steps=T, rng=0)
+    with pytest.raises(ModelError, match="the truth, a sample, has x, "):
+        pgm.compare(model, sample.evidence, truth=other)
+
+
 def test_a_truth_that_is_known_in_part():
     model = linear()
     evidence, truth = drawn(model)

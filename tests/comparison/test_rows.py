@@ -135,6 +135,8 @@ def test_imported_poses_are_a_row_and_a_truth():
     assert_allclose(list(against.rmse.values()), 0.0, atol=1e-9)
     with pytest.raises(ModelError, match=r"'odometry', which is Poses; .*along\(x, times="):
         compared({"odometry": path})
+    with pytest.raises(ModelError, match=r"truth= is Poses; .*along\(x, times="):
+        pgm.compare(MODEL, READ, truth=path, steps=T)
 
 
 def test_errors_over_runs_are_those_of_independent_runs():
@@ -172,6 +174,8 @@ def test_several_oracles_and_a_truth_have_columns_of_their_own():
     head = repr(found).splitlines()[1]
     assert "KL oracle" in head
     assert "KL Audit" in head
+    assert found.oracle.endswith("; the truth of x")
+    assert found.oracle in repr(found).splitlines()[0]
     twice = pgm.compare(MODEL, READ, rows=rows, oracle=[audit, audit], steps=T)
     assert twice.oracles == ("Audit 1", "Audit 2")
     filtered = pgm.compare(
