@@ -47,6 +47,11 @@ class Nonlinearities(EachSensor[Array]):
                 told.append(f"{variable!r} at {count:,} of {int(known.sum()):,}")
         return ", ".join(told)
 
+    def told(self, iterations: int) -> str:
+        """A line on where no line is right, and what to try; empty if nowhere."""
+        wrong = self.wrong
+        return wrong and f"linearised where no line is right: {wrong}; {advice(iterations)}"
+
     def _summary(self) -> Summary:
         lines = []
         for variable, figures in self.items():
@@ -60,3 +65,8 @@ class Nonlinearities(EachSensor[Array]):
                 f"{known.size} above {WRONG}"
             )
         return Summary(self._title, lines)
+
+
+def advice(iterations: int) -> str:
+    """The advice against a linearisation that is wrong after so many iterations."""
+    return "try pgm.estimate" if iterations > 1 else "smooth with iterations=, or try pgm.estimate"

@@ -678,13 +678,14 @@ class Posterior(Labelled, Judged, Shown, NoArray, Generic[B]):
         - whether the schedule converged, and its residuals;
         - the decimal digits that rounding leaves;
         - stretches at which the belief was probably lost, `lost`;
+        - where CPDs were linearised though no line is right, `nonlinearity`;
         - sensors ranked by their innovations, with the NIS at each step in the band of a right
           model;
         - with a truth the RMSE, the NEES and the share of truths inside 95 % regions.
 
         A chain has its path beside them, as `pgm.view` draws it, with the truth and the stretches
-        that were lost. A family that has no innovations has no sections of them. The page asks
-        nothing of a network.
+        that were lost. Of what a family cannot tell, as particles their innovations, a line says
+        that it is not known, and why. The page asks nothing of a network.
 
         Parameters
         ----------

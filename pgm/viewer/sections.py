@@ -16,6 +16,7 @@ from pgm.factors import Gaussian
 from pgm.factors.scope import listed
 from pgm.inference import Posterior
 from pgm.kernels.arrays import Array
+from pgm.posteriors.nonlinearity import WRONG
 from pgm.posteriors.status import ENOUGH_DIGITS
 from pgm.variables import Discrete, Variable
 from pgm.viewer.numbers import SHOWN, Numbers, Ref, Run
@@ -25,6 +26,9 @@ RIGHT, LOOK, UNKNOWN = "right", "look", "unknown"
 # Sensors and states of which curves are drawn, and rows of a table.
 _CURVES, _ROWS = 4, 40
 _Rows = Sequence[Sequence[str]]
+_FIGURES, _CONVERGENCE, _DIGITS = "Figures of the beliefs", "Convergence", "Numerical digits"
+_LOST, _LINES = "Lost stretches", "Linearisation"
+_SENSORS = "Sensors, by their innovations"
 
 
 @dataclass(frozen=True)
@@ -71,24 +75,33 @@ class Section:
 def sections(
     posterior: Posterior[Any], truth: Mapping[Variable, Array], numbers: Numbers
 ) -> list[dict[str, Any]]:
-    """All sections of a report, for JSON; a family that has no answer to one has none of it."""
-    made: list[Callable[[], Section | None]] = [
-        lambda: _verdict(posterior),
-        lambda: _convergence(posterior, numbers),
-        lambda: _digits(posterior),
-        lambda: _lost(posterior),
-        lambda: _sensors(posterior, numbers),
-        lambda: _truth(posterior, truth, numbers),
+    """All sections of a report, for JSON.
+
+    One to which a family has no answer says why in a line; one that does not apply is None.
+    """
+    made: list[tuple[str, Callable[[], Section | None]]] = [
+        ("Verdict", lambda: _verdict(posterior)),
+        (_FIGURES, lambda: _figures(posterior)),
+        (_CONVERGENCE, lambda: _convergence(posterior, numbers)),
+        (_DIGITS, lambda: _digits(posterior)),
+        (_LOST, lambda: _lost(posterior)),
+        (_LINES, lambda: _linearisation(posterior)),
+        (_SENSORS, lambda: _sensors(posterior, numbers)),
+        ("Against the truth", lambda: _truth(posterior, truth, numbers)),
     ]
     found = []
-    for make in made:
+    for title, make in made:
         try:
             section = make()
-        except Unanswered:
-            continue
+        except Unanswered as error:
+            section = _unknown(title, str(error))
         if section is not None:
             found.append(asdict(section))
     return found
+
+
+def _unknown(title: str, why: str) -> Section:
+    return Section(title, UNKNOWN, f"not known: {why}")
 
 
 def stretches(posterior: Posterior[Any]) -> dict[Run, list[tuple[int, int]]]:
@@ -112,20 +125,27 @@ def _verdict(posterior: Posterior[Any]) -> Section | None:
     return Section("Verdict", RIGHT if every else LOOK, verdict.headline, words)
 
 
+def _figures(posterior: Posterior[Any]) -> Section | None:
+    """The figures by which a family of beliefs tells how good they are; None of one without."""
+    status = posterior.status
+    if not status.numbers:
+        return None
+    told, *words = (line.strip() for line in str(status).splitlines())
+    return Section(_FIGURES, UNKNOWN, told.removeprefix("Status(").removesuffix(")"), words)
+
+
 def _convergence(posterior: Posterior[Any], numbers: Numbers) -> Section:
     status = posterior.status
     converged, residuals = np.asarray(status.converged), np.asarray(status.residuals)
     every = bool(converged.all())
-    if status.numbers:
-        told, *words = (line.strip() for line in str(status).splitlines())
-        told = told.removeprefix("Status(").removesuffix(")")
-        return Section("Figures of the beliefs", UNKNOWN, told, words)
+    if status.numbers and not len(residuals):
+        return _unknown(_CONVERGENCE, "these beliefs have the figures above, and no residuals")
     if not len(residuals):
         if every:
             told = "nothing to iterate"
         else:
             told = "linearised once: how far it is from settled is not known"
-        return Section("Convergence", RIGHT if every else UNKNOWN, told)
+        return Section(_CONVERGENCE, RIGHT if every else UNKNOWN, told)
     flat = residuals.reshape(len(residuals), -1)
     last = number(float(flat[-1].max(initial=0.0)), 3)
     runs = f"{int(converged.sum())} of {count(converged.size, 'run')} "
@@ -140,35 +160,40 @@ def _convergence(posterior: Posterior[Any], numbers: Numbers) -> Section:
         _column(numbers, worst),
         log=True,
     )
-    return Section("Convergence", RIGHT if every else LOOK, told, curves=[curve])
+    return Section(_CONVERGENCE, RIGHT if every else LOOK, told, curves=[curve])
 
 
 def _digits(posterior: Posterior[Any]) -> Section | None:
-    """The digits that rounding leaves; None of beliefs that have no means, or count their own."""
+    """The digits that rounding leaves; None of beliefs that have no means."""
     found = posterior.status.digits
     variables = posterior.graph.network.variables
-    if posterior.status.numbers or all(isinstance(v, Discrete) for v in variables):
+    if all(isinstance(v, Discrete) for v in variables):
         return None
+    if posterior.status.numbers and found is None:
+        return _unknown(_DIGITS, "these beliefs have the figures above, and count no digits")
     if found is None:
         told = "rounding to float64 moves no mean by more than 10⁻⁶ deviations"
-        return Section("Numerical digits", RIGHT, told)
+        return Section(_DIGITS, RIGHT, told)
     least = max(float(np.min(found, initial=np.inf)), 0.0)
     told = f"rounding leaves {least:.1f} decimal digits of the mean that it harms most"
     few = int((found < ENOUGH_DIGITS).sum())
     words = ["Digits are counted from a mean's standard deviation: 6 are an error of 10⁻⁶ of it."]
     if few:
         words.append(f"{few} of {count(found.size, 'run')} have fewer than {ENOUGH_DIGITS:.0f}.")
-    return Section("Numerical digits", LOOK if few else RIGHT, told, words)
+    return Section(_DIGITS, LOOK if few else RIGHT, told, words)
 
 
-def _lost(posterior: Posterior[Any]) -> Section:
+def _lost(posterior: Posterior[Any]) -> Section | None:
+    """The stretches at which the belief was lost; None without time."""
+    if posterior.kind is None:
+        return None
     lost = posterior.lost
     words = [
         "A belief is lost where its innovations are larger, or more of its readings rejected, than "
         "its covariances allow: Page's test, which a right model fails once in 10⁶ steps."
     ]
     if not lost:
-        return Section("Lost stretches", RIGHT, "never lost", words)
+        return Section(_LOST, RIGHT, "never lost", words)
     steps, every = int(lost.at.sum()), lost.at.size
     told = f"lost in {count(len(lost.stretches), 'stretch', 'stretches')}, {steps:,} of {every:,} "
     told += "steps"
@@ -183,14 +208,42 @@ def _lost(posterior: Posterior[Any]) -> Section:
         )
         for each in lost.stretches
     ]
-    return Section("Lost stretches", LOOK, told, words, [_sheet(heads, rows)])
+    return Section(_LOST, LOOK, told, words, [_sheet(heads, rows)])
 
 
-def _sensors(posterior: Posterior[Any], numbers: Numbers) -> Section | None:
+def _linearisation(posterior: Posterior[Any]) -> Section | None:
+    """How nonlinear CPDs are where they were linearised; None of tables, which never are."""
+    if all(isinstance(v, Discrete) for v in posterior.graph.network.variables):
+        return None
+    try:
+        found: Any = posterior.nonlinearity
+    except Unanswered:
+        raise
+    except PgmError as error:  # of a function that fails over a belief
+        return _unknown(_LINES, str(error))
+    if not found:
+        return Section(_LINES, RIGHT, "nothing was linearised")
+    wrong = found.told(posterior.status.iterations)
+    words = [
+        "The figure of a reading or a motion says of how many of its components the error of the "
+        f"best line governs, rather than the noise: above {WRONG} no line is to be trusted there."
+    ]
+    heads = ("CPD of", "known", "least", "median", "most", f"above {WRONG}")
+    rows = []
+    for variable, figures in found.items():
+        known = figures[~np.isnan(figures)]
+        ends = (known.min(), np.median(known), known.max()) if known.size else ()
+        shown = [number(float(end), 3) for end in ends] or ["—"] * 3
+        rows.append((repr(variable), f"{known.size:,}", *shown, f"{(known > WRONG).sum():,}"))
+    told = wrong or f"no figure above {WRONG}: lines fit the functions over the beliefs"
+    return Section(_LINES, LOOK if wrong else RIGHT, told, words, [_sheet(heads, rows)])
+
+
+def _sensors(posterior: Posterior[Any], numbers: Numbers) -> Section:
     innovations = posterior.innovations
     ranked = ranking(innovations)
     if not len(ranked):
-        return None
+        return _unknown(_SENSORS, "nothing was measured")
     outside = [row for row in ranked.rows if not bool(row.average.inside)]
     above = sum(float(row.average.value) > float(row.average.high) for row in outside)
     told = f"{count(len(ranked), 'sensor')}, none outside the band of a right model"
@@ -231,9 +284,7 @@ def _sensors(posterior: Posterior[Any], numbers: Numbers) -> Section | None:
         for row in ranked.rows[:_CURVES]
     ]
     state = LOOK if outside else RIGHT
-    return Section(
-        "Sensors, by their innovations", state, told, words, [_sheet(heads, rows)], curves
-    )
+    return Section(_SENSORS, state, told, words, [_sheet(heads, rows)], curves)
 
 
 # Heads of the tables of continuous and discrete variables.

@@ -121,24 +121,73 @@ def test_digits_that_rounding_leaves(tmp_path):
     assert f"leaves {float(posterior.status.digits):.1f} decimal digits" in section["told"]
 
 
+LOST, LINES = "Lost stretches", "Linearisation"
+SENSORS = "Sensors, by their innovations"
+
+
+def kept():
+    return pgm.smooth(posteriors.robot(), posteriors.drive(), keep=[posteriors.x])
+
+
+def estimated():
+    """The estimate of a short drive: a mixture of modes, of which innovations are not told."""
+    return pgm.estimate(posteriors.robot(), posteriors.drive(4))
+
+
 @pytest.mark.parametrize(
-    ("made", "due"),
+    ("made", "known", "unknown"),
     [
-        (posteriors.days, ["Convergence", "Against the truth"]),
-        (posteriors.tree, ["Convergence", "Against the truth"]),
-        (posteriors.lattice, ["Convergence", "Numerical digits", "Against the truth"]),
-        (posteriors.particles, ["Figures of the beliefs", "Against the truth"]),
-        (posteriors.grid, ["Figures of the beliefs", "Against the truth"]),
-        (
-            lambda: pgm.smooth(posteriors.robot(), posteriors.drive(), keep=[posteriors.x]),
-            ["Convergence", "Numerical digits", "Against the truth"],
+        (posteriors.days, ["Convergence"], [LOST, SENSORS]),
+        (posteriors.tree, ["Convergence"], [SENSORS]),
+        (posteriors.lattice, ["Convergence", "Numerical digits"], [LINES, SENSORS]),
+        *(
+            (
+                made,
+                [*first, "Figures of the beliefs"],
+                ["Convergence", "Numerical digits", LOST, LINES, SENSORS],
+            )
+            for made, first in (
+                (posteriors.particles, []),
+                (posteriors.grid, []),
+                (estimated, ["Verdict"]),
+            )
         ),
+        (kept, ["Convergence", "Numerical digits"], [LOST, LINES, SENSORS]),
     ],
 )
-def test_what_a_family_has_no_answer_to_has_no_section(made, due, tmp_path):
-    page = written(made(), tmp_path)
-    assert list(sections_of(page)) == due
+def test_what_a_family_has_no_answer_to_is_said(made, known, unknown, tmp_path):
+    posterior = made()
+    page = written(posterior, tmp_path)
+    found = sections_of(page)
+    assert list(found) == [*known, *unknown, "Against the truth"]
+    for title in unknown:
+        assert found[title]["state"] == "unknown"
+        assert found[title]["told"].startswith("not known: ")
+    with pytest.raises(pgm.EvidenceError) as refused:
+        _ = posterior.innovations
+    assert found[SENSORS]["told"] == f"not known: {refused.value}"
     assert (data_of(page)["chain"] is None) == (made in (posteriors.tree, posteriors.lattice))
+
+
+def test_where_no_line_is_right_is_to_be_looked_at(tmp_path):
+    """As a summary says it; of an iterated smoother lines are right, of a linear model none."""
+    from pgm.examples import squares, walk, z
+
+    once = pgm.filter(squares, {z: [[9.0], [4.0]]})
+    section = sections_of(written(once, tmp_path))[LINES]
+    assert section["state"] == "look"
+    assert section["told"] == (
+        "linearised where no line is right: z at 2 of 2; smooth with iterations=, or try "
+        "pgm.estimate"
+    )
+    assert section["told"] in " ".join(repr(once).split())
+    row = row_of(section)
+    assert (row["CPD of"], row["known"], row["above 0.5"]) == ("z", "2", "2")
+    assert float(row["most"]) == pytest.approx(once.nonlinearity[z].max(), rel=5e-3)
+    settled = pgm.smooth(squares, {z: [[9.0], [4.0]]}, iterations=20)
+    assert sections_of(written(settled, tmp_path))[LINES]["state"] == "right"
+    linear = sections_of(written(pgm.filter(walk, {z: [[9.0]]}), tmp_path))[LINES]
+    assert (linear["state"], linear["told"]) == ("right", "nothing was linearised")
 
 
 def test_states_are_judged_by_the_probability_of_the_true_ones(tmp_path):
@@ -233,7 +282,7 @@ def test_a_report_in_a_browser(browser, tmp_path):
     rows = browser.run(
         "return [...document.querySelectorAll('#glance tr')].map((r) => r.innerText)"
     )
-    assert len(rows) == len(browser.all("#sections section")) == 5
+    assert len(rows) == len(browser.all("#sections section")) == 6
     assert "never lost" in rows[2]
     assert browser.all("#sections figure path.value")
     assert "truth" in browser.text("#path .legend")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from pgm.beliefs.moments.outcomes.nonlinear import Linearised, linearised
 from pgm.beliefs.moments.passes.forward import Filtered
 from pgm.errors import PgmError
+from pgm.posteriors.nonlinearity import advice
 
 if TYPE_CHECKING:
     from pgm.beliefs.moments.outcomes.outcome import ChainOutcome
@@ -34,17 +35,10 @@ def told(posterior: ChainOutcome) -> list[str]:
     if posterior.lost:
         lines.append(f"lost at {posterior.lost.brief}")
     try:
-        wrong = posterior.nonlinearity.wrong
+        wrong = posterior.nonlinearity.told(posterior.status.iterations)
     except PgmError as error:
         return [*lines, f"posterior.nonlinearity: none: {error}"]
-    if wrong:
-        lines.append(f"linearised where no line is right: {wrong}; {_advice(posterior)}")
-    return lines
-
-
-def _advice(posterior: ChainOutcome) -> str:
-    iterated = posterior.status.iterations > 1
-    return "try pgm.estimate" if iterated else "smooth with iterations=, or try pgm.estimate"
+    return [*lines, wrong] if wrong else lines
 
 
 def is_held(posterior: ChainOutcome) -> bool:
@@ -95,7 +89,7 @@ def misfit(posterior: ChainOutcome) -> str:
         return ""
     return (
         "functions bend so much over the beliefs that no line is right: print(posterior) says of "
-        f"which CPDs, and posterior.nonlinearity where; {_advice(posterior)}"
+        f"which CPDs, and posterior.nonlinearity where; {advice(posterior.status.iterations)}"
     )
 
 
