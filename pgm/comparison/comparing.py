@@ -205,7 +205,7 @@ def compare(
         ]
     own = _disagreements(found, compared, known)
     judges = [_described(each) for each in oracles.values()]
-    if judges and known:
+    if judges and known and truth is None:  # which stands among the oracles
         judges.append(f"the truth of {listed(known)}")
     title = "; ".join(judges)
     told = [ref.status for refs in found.values() for ref in refs.values() if ref.status]

@@ -40,7 +40,7 @@ class Comparison(Shown, Immutable):
     runs : tuple of int
         The axes of runs that were averaged.
     oracle : str
-        The oracle in words, or several, and the states whose truth is known; empty without one.
+        The oracle in words, or several, a truth among them; empty without one.
     oracles : tuple of str
         Their names, by which a row has them in ``by_oracle``.
     oracle_status : str
