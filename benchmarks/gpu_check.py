@@ -201,7 +201,7 @@ def beside(work: robots.Robots, log_evidence: Any) -> str:
         seconds = [first, *(_seconds(call) for _ in range(2))]
     except ImportError:
         return "JAX's filter is not timed: jax is not installed (pip install 'jax[cuda13]')"
-    except Exception as error:  # of classes of JAX's own, which has no card, or too little memory
+    except RuntimeError as error:  # as JAX's are, where it has no card, or too little memory
         return f"JAX's filter is not timed: {str(error).splitlines()[0]}"
     off = float(np.abs(np.asarray(found[2]) / log_evidence - 1.0).max())
     return (

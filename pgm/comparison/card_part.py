@@ -52,7 +52,7 @@ class Forms(NamedTuple):
     def of(
         cls, states: Sequence[Variable], read: Sequence[Variable], dof: Mapping[Variable, Integers]
     ) -> Forms:
-        """Those of states that are judged, of sensors that were `read`, and of all with evidence.
+        """The forms of judged states, of sensors `read`, and of all sensors with evidence.
 
         `dof` are the degrees of freedom of sensors by step.
         """

@@ -45,7 +45,7 @@ class Known:
 
 
 def of_case(rng: np.random.Generator, number: int, which: Integers) -> np.random.Generator:
-    """What the case of a CPD draws by that holds at some of the draws (m,), by their flat places.
+    """The generator of a CPD's case, which holds at some of the draws (m,), by their flat places.
 
     Of draws that are counted (`pgm.networks.counted`) each case has its own.
     """

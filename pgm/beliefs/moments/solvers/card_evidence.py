@@ -90,7 +90,7 @@ class CardEvidence:
             ) from error
 
     def _look(self, numbers: Numbers) -> Array:
-        """What is found among the numbers of each run; see `kernels.look`."""
+        """The worst kind of number of each run, (runs,); see `kernels.look`."""
         runs = 1 if numbers.runs is None else numbers.runs
         down, across, cell = numbers.distances
         given = numbers.address, down, across, cell, numbers.rows, numbers.shape[-1]
@@ -122,7 +122,7 @@ class CardEvidence:
 
 
 def by_run(own: Device, kernel: Any, given: tuple[int, ...], runs: int) -> Array:
-    """What a kernel of `kernels` finds of each run, (runs,), `given` all but its last arguments."""
+    """The result of a kernel for each run, (runs,); `given` are all but its last arguments."""
     found = np.empty(runs)
     with own.current(), own.room(found.nbytes) as out:
         own.launch(kernel, runs, (*given, out, runs), kernels.KINDS)

@@ -357,7 +357,7 @@ class _Unseen(Sensor):
 
     @property
     def marked(self) -> Array:
-        """What stands for the readings."""
+        """The values, which stand for the readings."""
         return self.values
 
 

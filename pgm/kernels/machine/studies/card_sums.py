@@ -109,7 +109,7 @@ class _Summed:
         return first, (self.every - first).at_most(self.block)
 
     def told(self, what: int, place: Whole) -> Number:
-        """What the lanes of a sum are told, together."""
+        """The numbers that the lanes of a sum were told, added in pairs."""
         cells = self.code.memory(self.lanes + (self.apart * what + place * LANES))
         return in_pairs([cells.load(lane) for lane in range(LANES)])
 
