@@ -16,7 +16,7 @@ from pgm.arguments import public
 from pgm.boundary import as_generator, as_lengths
 from pgm.clustergraph import Cluster
 from pgm.display import Judged, NoArray, Shown, Summary
-from pgm.errors import EvidenceError
+from pgm.errors import EvidenceError, Unanswered
 from pgm.factors.listing import moments_frame, run_names
 from pgm.factors.scope import Scope, as_scope, listed
 from pgm.kernels.arrays import Array, Integers, deviation
@@ -136,7 +136,7 @@ class Posterior(Labelled, Judged, Shown, NoArray, Generic[B]):
         EvidenceError
             If the beliefs lie in this machine's memory.
         """
-        raise EvidenceError(
+        raise Unanswered(
             "the beliefs lie in this machine's memory; they stay on a card if evidence lies there, "
             'and pgm.filter or pgm.smooth is given compiled=pgm.Compiled(device="cuda")'
         )
