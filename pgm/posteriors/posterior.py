@@ -136,10 +136,7 @@ class Posterior(Labelled, Judged, Shown, NoArray, Generic[B]):
         EvidenceError
             If the beliefs lie in this machine's memory.
         """
-        raise Unanswered(
-            "the beliefs lie in this machine's memory; they stay on a card if evidence lies there, "
-            'and pgm.filter or pgm.smooth is given compiled=pgm.Compiled(device="cuda")'
-        )
+        raise _at_home()
 
     @property
     def status(self) -> Status:
@@ -729,6 +726,8 @@ class Posterior(Labelled, Judged, Shown, NoArray, Generic[B]):
             raise AttributeError(name)
         if name in QUESTIONS:  # which Python asks for again, after an AttributeError
             return self._ask(name)
+        if name == "on_card":  # so it is here
+            raise _at_home()
         try:
             if name in _INSIDE:
                 raise AttributeError
@@ -790,6 +789,14 @@ class Posterior(Labelled, Judged, Shown, NoArray, Generic[B]):
 
 # What every outcome has for pages and refusals, and is no answer to a user.
 _INSIDE = frozenset(n for n in dir(Outcome) if not n.startswith("_"))
+
+
+def _at_home() -> Unanswered:
+    """The error for arrays on a card of beliefs that lie in this machine's memory."""
+    return Unanswered(
+        "the beliefs lie in this machine's memory; they stay on a card if evidence lies there, "
+        'and pgm.filter or pgm.smooth is given compiled=pgm.Compiled(device="cuda")'
+    )
 
 
 def require_one_list(name: str, first: Any, more: Sequence[Any]) -> None:
