@@ -91,7 +91,9 @@ def drawn(page: Path, target: Path) -> list[list[tuple[Path, int]]]:
         os.symlink(programs.DOCS, Path(place) / "docs")
         warnings.simplefilter("error")
         warnings.simplefilter("default", DeprecationWarning)
-        warnings.filterwarnings("ignore", "the belief was lost")  # of which some pages tell
+        # Of these some pages tell, and their readers see them.
+        for told in ("the belief was lost", "functions bend so much over the beliefs"):
+            warnings.filterwarnings("ignore", told)
         known: set[Path] = set()
         for k, _ in enumerate(programs.run(page)):
             paths = []
