@@ -43,7 +43,9 @@ ROOMS = {
         *("association", "outcomes", "bound", "solvers", "parts", "online"),
     ),
     "pgm.inference": ("audit", "gaps", "query", "growing", "vouching"),
-    "pgm.kernels.machine": ("emitter", "matrices", "fronts", "sweeps", "newton", "studies"),
+    "pgm.kernels.machine": (
+        *("emitter", "matrices", "fronts", "sweeps", "newton", "studies", "particles"),
+    ),
     "pgm.kernels.machine.matrices": ("in_memory",),
     "pgm.kernels.machine.sweeps": ("told",),
     "pgm.plot": ("drawing", "beliefs", "diagrams", "moving", "statistics"),

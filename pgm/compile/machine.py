@@ -42,8 +42,8 @@ class Compiled(InCode):
     Parameters
     ----------
     threads : int
-        Threads of the processor, each with runs of its own; those of a `study` draw them and sum
-        them as well.
+        Threads of the processor, each with runs of its own, or of `Particles` with particles of its
+        own; those of a `study` draw the runs and sum them as well.
     device : str, optional
         ``"cuda"`` for the first card of NVIDIA's, of compute capability 7.5 or later, by the extra
         ``sepset[gpu]``; of `compile`, `filter`, `smooth` and `study`, for dynamic networks.

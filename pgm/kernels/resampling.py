@@ -78,9 +78,10 @@ def indices(counts: Integers) -> Integers:
     return np.repeat(np.arange(len(counts)), counts)
 
 
+SYSTEMATIC = "systematic"
 RESAMPLERS: Mapping[str, Resampler] = MappingProxyType(
     {
-        "systematic": systematic,
+        SYSTEMATIC: systematic,
         "stratified": stratified,
         "residual": residual,
         "multinomial": multinomial,

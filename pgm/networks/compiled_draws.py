@@ -158,7 +158,7 @@ def child_of(
     from pgm.kernels.machine.studies.rows import Child
 
     child = Child(
-        None if trace is None else _function(trace),
+        None if trace is None else function_of(trace),
         given,
         () if trace is not None else [cpd.matrices[parent] for parent in cpd.given],
         np.zeros(0) if trace is not None else cpd.offset,
@@ -185,7 +185,8 @@ def known_form(cpd: Any) -> Program | None:
     return found
 
 
-def _function(trace: Program) -> Any:
+def function_of(trace: Program) -> Any:
+    """A trace as machine code is told of it, with all of its arguments observed."""
     from pgm.kernels.machine.emitter.functions import Function
 
     columns = tuple((a, i) for a, width in enumerate(trace.widths) for i in range(width))

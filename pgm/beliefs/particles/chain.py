@@ -18,6 +18,7 @@ evaluated: their states at the step and at the step before, and their runs. `Dra
 generators of these particles' random numbers.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple, NoReturn
 
@@ -38,7 +39,7 @@ from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.resampling import RESAMPLERS, indices
 from pgm.variables import Variable
 
-Generators = list[np.random.Generator]
+Generators = Sequence[np.random.Generator]
 
 
 class Placed(NamedTuple):
@@ -190,6 +191,12 @@ class ParticleChain:
         if not due.any():
             return None, cloud.starts, cloud.log_weights
         self.record.resampled[step] = due
+        return self._resampled(cloud, due, generators)
+
+    def _resampled(
+        self, cloud: Cloud, due: Mask, generators: Generators
+    ) -> tuple[Integers, Integers, Array]:
+        """Resample the runs that are due, by a mask (runs,); returns as `_drawn_anew` does."""
         source, log_weights = list[Integers](), list[Array]()
         for run in range(cloud.runs):
             place = cloud.of(run)

@@ -13,6 +13,7 @@ from pgm.beliefs.particles.run import run
 from pgm.beliefs.particles.settings import ParticleSettings
 from pgm.beliefs.points.particle_belief import ParticleBelief
 from pgm.compile import DynamicGraph
+from pgm.errors import ModelError
 from pgm.evidence import BoundEvidence
 from pgm.networks import DynamicBayesianNetwork
 from pgm.posteriors.associations import by_density
@@ -36,6 +37,14 @@ class Particles(ParticleSettings, BeliefFamily[ParticleBelief]):
     1 / Σ w² < threshold n; the particles are then drawn anew in proportion to the weights. Errors
     of estimates fall as 1/√n, whatever the number of components of x, but by a factor that grows
     quickly with this number.
+
+    With ``compiled=True`` or ``compiled=pgm.Compiled(threads=2)``, given to `filter`, `smooth` or
+    `compile`, machine code moves, weighs and resamples particles, which threads share. The CPDs
+    have to be Gaussian with a fixed covariance, and linear, or of functions that can be traced. The
+    draws are then counted (Philox): the same for any number of threads, and other ones than NumPy's
+    where `compiled` is left out. NumPy alone has a `proposal`, `number`, `start` or `injection`,
+    float32, and what a smoother draws backwards; ``posterior.status.compilation`` tells whether a
+    filter was compiled, or why it was not.
 
     Parameters
     ----------
@@ -99,6 +108,7 @@ class Particles(ParticleSettings, BeliefFamily[ParticleBelief]):
     """
 
     beliefs: ClassVar[str] = "particles"
+    takes: ClassVar[frozenset[str]] = frozenset({"compiled"})
     spare: ClassVar[str] = (
         "is for beliefs that are Gaussian; particles linearise nothing, are of all runs at once, "
         "and have no lag online"
@@ -110,8 +120,13 @@ class Particles(ParticleSettings, BeliefFamily[ParticleBelief]):
 
     def infer(self, graph: DynamicGraph, bound: BoundEvidence, call: Call) -> ParticleOutcome:
         """The posterior's particles; measurements of unknown things are mixtures."""
-        return run(graph, by_density(bound), call.schedule, self)
+        return run(graph, by_density(bound), call.schedule, self, call.compiled)
 
     def online(self, model: DynamicBayesianNetwork, options: dict[str, Any]) -> ParticleSteps:
         """The filter of one step at a time."""
+        if options.get("compiled"):
+            raise ModelError(
+                f"{self!r}: online, particles are moved by NumPy: leave out compiled=, which "
+                "pgm.filter, smooth and infer take"
+            )
         return ParticleSteps(model, self)

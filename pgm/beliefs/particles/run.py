@@ -13,9 +13,11 @@ from pgm.beliefs.particles.settings import ParticleSettings
 from pgm.beliefs.points.cloud import Cloud
 from pgm.beliefs.points.model import ParticleModel
 from pgm.compile import DynamicGraph
+from pgm.compile.machine import COMPILED, Choice, Compiled
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence
 from pgm.networks import DynamicBayesianNetwork
+from pgm.networks.compiled_draws import Left
 from pgm.posteriors.belief_kind import FILTERED, Kind
 from pgm.posteriors.status import Status
 from pgm.resources import gibibytes, require_memory
@@ -28,20 +30,22 @@ def run(
     bound: BoundEvidence,
     schedule: Schedule | None,
     particles: ParticleSettings,
+    compiled: Choice = None,
 ) -> ParticleOutcome:
     """The posterior given the evidence `bound`, as particles.
 
-    The schedule says whether they are filtered or smoothed; without one they are smoothed. Warnings
-    tell of few effective particles and of impossible measurements.
+    The schedule says whether they are filtered or smoothed; without one they are smoothed. They are
+    filtered by machine code if it is `compiled` that asks for it, and can be; the status tells.
+    Warnings tell of few effective particles and of impossible measurements.
     """
     kind = kind_of(schedule, "particles")
     require_fitting(particles, graph.model)
     model = ParticleModel(graph.model, bound, particles.dtype)
     _require_possible(particles, model, kind)
     require_room(model.size, particles, bound.steps + 1, bound.runs, kind)
-    record = Record(bound.steps, bound.runs)
-    chain = ParticleChain(graph, model, particles, record)
-    sweep.forward(chain, bound.steps, record)
+    record, account = _filtered(graph, model, particles, compiled)
+    if account == COMPILED and kind != FILTERED:
+        account += "; trajectories are drawn by NumPy"
     filtered, clouds, unmoved = tuple(record.clouds), tuple[Cloud, ...](), None
     if kind == FILTERED:
         clouds = filtered
@@ -51,11 +55,38 @@ def run(
         unmoved = backward.unmoved
     figures = record.figures(bound.lead, unmoved)
     figures.warn()
-    status = Status.of_figures(figures, bound.lead)
+    status = Status.of_figures(figures, bound.lead).with_compilation(account)
     log_evidence = record.log_density.sum(axis=0).reshape(bound.lead)
     told = kind, log_evidence, status
     swept = filtered, tuple(record.predicted)
     return ParticleOutcome(graph, particles, *told, model, clouds, *swept)
+
+
+def _filtered(
+    graph: DynamicGraph, model: ParticleModel, particles: ParticleSettings, compiled: Choice
+) -> tuple[Record, str]:
+    """The record of a filter, and whether it was machine code; ``""`` if that was not asked for."""
+    steps, runs, account = model.bound.steps, model.bound.runs, ""
+    if compiled:
+        # Here, as llvmlite may not be installed.
+        from pgm.beliefs.particles.compiled import CompiledChain
+
+        record = Record(steps, runs)
+        try:
+            threads = compiled.threads if isinstance(compiled, Compiled) else 1
+            swift = CompiledChain(graph, model, particles, record, threads)
+            try:
+                sweep.forward(swift, steps, record)
+            except EvidenceError:
+                swift.judge()  # as a wrong trace may be why nothing explains the evidence
+                raise
+            swift.judge()
+            return record, COMPILED
+        except Left as why:
+            account = f"not compiled: {why}"
+    record = Record(steps, runs)
+    sweep.forward(ParticleChain(graph, model, particles, record), steps, record)
+    return record, account
 
 
 def require_fitting(particles: ParticleSettings, model: DynamicBayesianNetwork) -> None:

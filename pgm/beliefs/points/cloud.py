@@ -121,6 +121,17 @@ class Cloud:
         """The same particles with other log-weights, (particles,)."""
         return replace(self, log_weights=log_weights)
 
+    def known(self, log_weights: Array, weights: Array, effective: Array) -> Cloud:
+        """The same particles with other log-weights, whose weights and effective number are known.
+
+        log_weights, weights: (particles,), normalised.
+        effective: (runs,).
+        """
+        found = self.weighed(log_weights)
+        weights.flags.writeable = False
+        found.__dict__.update(weights=weights, effective=effective)
+        return found
+
     def blocks(self) -> Iterator[Block]:
         """Blocks of at most 2^14 particles: whole runs together, or parts of a longer one."""
         return blocks(self.starts)

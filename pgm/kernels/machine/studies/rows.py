@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -95,8 +95,7 @@ class Child(NamedTuple):
         found: list[Array | Integers | Cells] = []
         for each in (*self.given, *self._placed_white, self.out):
             found += [each.cells, np.ascontiguousarray(each.places, dtype=np.int64)]
-        constants = [*(m.ravel() for m in self.matrices), self.offset, self.lower.ravel()]
-        return [*found, np.concatenate(constants)]
+        return [*found, constants(self.matrices, self.offset, self.lower)]
 
 
 class Form(NamedTuple):
@@ -117,6 +116,14 @@ class Form(NamedTuple):
         widths = sum(width for width, _ in self.given)
         own = self.height * widths if self.function is None else len(self.function.operations)
         return own + self.height**2
+
+
+def constants(matrices: Sequence[Array], offset: Array, lower: Array) -> Array:
+    """The numbers of a child that are the same for all rows and runs, as `ChildWriter` reads them.
+
+    They are the matrices and the offset of a sum, none of a function, and L.
+    """
+    return np.concatenate([*(each.ravel() for each in matrices), offset, lower.ravel()])
 
 
 def draw(children: Sequence[Child], runs: int) -> None:
@@ -145,29 +152,65 @@ def _drawn(forms: tuple[Form, ...]) -> Callable[[int], None]:
     return code.module.compile().callable("drawn")
 
 
-class RowWriter:
-    """A child that is being written."""
+class ChildWriter:
+    """The code of a child's value at the runs at hand; its constants are read once, before.
+
+    Their address is the next of the numbers given; see `constants`.
+    """
 
     def __init__(self, form: Form, given: Given) -> None:
-        self._form, self._given = form, given
-        white = [] if form.white is None else [form.white]
-        runs = [*(runs for _, runs in form.given), *white, form.out]
-        self._arrays = [
-            (given.array(runs=each), given.code.wholes(given.address())) for each in runs
-        ]
-        constants = Memory(given.code, given.address(), lanes=1)
+        self._form, self._code = form, given.code
+        numbers = Memory(given.code, given.address(), lanes=1)
         d, place = form.height, 0
 
         def matrix(width: int) -> list[list[Number]]:
             nonlocal place
             first, place = place, place + d * width
-            numbers = [constants.load(first + k) for k in range(d * width)]
-            return [numbers[i * width : (i + 1) * width] for i in range(d)]
+            found = [numbers.load(first + k) for k in range(d * width)]
+            return [found[i * width : (i + 1) * width] for i in range(d)]
 
         summed = form.function is None
         self._matrices = [matrix(width) for width, _ in form.given] if summed else []
         self._offset = [row[0] for row in matrix(1)] if summed else []
         self._lower = matrix(d)
+
+    def mean(self, parents: Sequence[Memory]) -> list[Any]:
+        """The child's components without noise, of which a trace's constants are floats."""
+        form = self._form
+        if form.function is not None:
+            at = {(a, i): (parents[a], i) for a, i in form.function.observed}
+            return traced(self._code, form.function, (), at)[0]
+        mean = list(self._offset)
+        for parent, matrix, (width, _) in zip(parents, self._matrices, form.given, strict=True):
+            values = [parent.load(j) for j in range(width)]
+            for i, row in enumerate(matrix):
+                for entry, value in zip(row, values, strict=True):
+                    mean[i] = mean[i] + entry * value
+        return mean
+
+    def write(self, parents: Sequence[Memory], white: Memory, out: Memory) -> list[Number]:
+        """Write the child of the runs at hand; returns its components."""
+        mean, found = self.mean(parents), []
+        noise = [white.load(j) for j in range(self._form.height)]
+        for i in range(self._form.height):
+            total = self._lower[i][0] * noise[0]
+            for j in range(1, i + 1):
+                total = total + self._lower[i][j] * noise[j]
+            found.append(total + mean[i])
+            out.store(i, found[-1])
+        return found
+
+
+class RowWriter(ChildWriter):
+    """A child that is being written at one row after another."""
+
+    def __init__(self, form: Form, given: Given) -> None:
+        white = [] if form.white is None else [form.white]
+        runs = [*(runs for _, runs in form.given), *white, form.out]
+        self._arrays = [
+            (given.array(runs=each), given.code.wholes(given.address())) for each in runs
+        ]
+        super().__init__(form, given)
 
     def at(self, k: Whole) -> list[Callable[[Whole], Memory]]:
         """The arrays at a row: parents, w unless it is drawn there, and where the child is put."""
@@ -176,25 +219,3 @@ class RowWriter:
             return lambda run: array(row, run)
 
         return [cells(array, places.load(k)) for array, places in self._arrays]
-
-    def write(self, parents: Sequence[Memory], white: Memory, out: Memory) -> list[Number]:
-        """Write the child of the runs at hand; returns its components."""
-        form, code, found = self._form, self._given.code, []
-        if form.function is not None:
-            at = {(a, i): (parents[a], i) for a, i in form.function.observed}
-            mean = traced(code, form.function, (), at)[0]
-        else:
-            mean = list(self._offset)
-            for parent, matrix, (width, _) in zip(parents, self._matrices, form.given, strict=True):
-                values = [parent.load(j) for j in range(width)]
-                for i, row in enumerate(matrix):
-                    for entry, value in zip(row, values, strict=True):
-                        mean[i] = mean[i] + entry * value
-        noise = [white.load(j) for j in range(form.height)]
-        for i in range(form.height):
-            total = self._lower[i][0] * noise[0]
-            for j in range(1, i + 1):
-                total = total + self._lower[i][j] * noise[j]
-            found.append(total + mean[i])
-            out.store(i, found[-1])
-        return found
