@@ -195,7 +195,7 @@ def _referred(posterior: Any, state: Variable, compared: Compared, seconds: floa
     status = getattr(posterior, "status", None)
     few = isinstance(belief, ParticleBelief) and bool(getattr(status, "few", False))
     doubt = "fewer than ten of its particles are effective at a step" if few else ""
-    told = [status._title] if isinstance(status, Status) and status._told else []
+    told = [status._title] if isinstance(status, Status) and status._phrases else []
     verdict = getattr(posterior, "verdict", None)
     bound = None
     if isinstance(verdict, Verdict):

@@ -36,8 +36,8 @@ class Compiled(InCode):
     beliefs back, in parts of the runs where all do not fit into its memory; beliefs stay there if
     evidence lies there (`Posterior.on_card`), and a study's runs are drawn and summed there as
     well. What a card cannot do, and what a sweep leaves, is done as without one: functions
-    that are called back, iterated smoothers' Gauss–Newton steps, mixtures, twice the digits. It has
-    not been run on a card yet: its code is tested by an interpreter, and assembled.
+    that are called back, iterated smoothers' Gauss–Newton steps, mixtures, particles, twice the
+    digits. It has not been run on a card yet: its code is tested by an interpreter, and assembled.
 
     Parameters
     ----------

@@ -225,23 +225,28 @@ class Status(Shown, Immutable):
         return Status(**same | changes)
 
     @property
-    def _told(self) -> str:
-        """The family's own figures in words; empty where it has none."""
-        return "" if self._figures is None else "; ".join(self._figures.phrases)
+    def _swept(self) -> list[str]:
+        """Whether sweeps were compiled, in words; nothing where that was not asked."""
+        swept = self.compilation.startswith(("not compiled", "compiled"))
+        return [self.compilation] if swept else []
+
+    @property
+    def _phrases(self) -> list[str]:
+        """The family's own figures in words, and how it swept; nothing where it has no figures."""
+        return [] if self._figures is None else [*self._figures.phrases, *self._swept]
 
     @property
     def _title(self) -> str:
         lost = ""
         if self.digits is not None and (least := self.digits.min(initial=np.inf)) < ENOUGH_DIGITS:
             lost = f", {max(least, 0.0):.1f} digits left"
-        swept = self.compilation.startswith(("not compiled", "compiled"))
-        if told := self._told:
-            return f"Status({told})"
-        return f"Status({self._went()}{lost}{f'; {self.compilation}' if swept else ''})"
+        if told := self._phrases:
+            return f"Status({'; '.join(told)})"
+        return f"Status({'; '.join([self._went() + lost, *self._swept])})"
 
     def _summary(self) -> Summary:
-        if self._figures is not None and len(self._figures.phrases) > self._figures.on_a_line:
-            first, *rest = self._figures.phrases
+        if self._figures is not None and len(self._phrases) > self._figures.on_a_line:
+            first, *rest = self._phrases
             return Summary(f"Status({first})", rest)
         if len(self.residuals) < 2 or not self.residuals[0].size:
             return Summary(self._title)

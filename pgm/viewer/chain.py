@@ -58,7 +58,7 @@ def page(
             {
                 "run": list(run),
                 "log_evidence": number(float(log_evidence[run])),
-                "went": None if outcome.status._told else went(outcome.status, place),
+                "went": None if outcome.status._phrases else went(outcome.status, place),
                 "arrays": arrays,
                 "truth": {
                     v.name: numbers.add(at_steps(values[run], held, graph.steps), SHOWN)

@@ -28,7 +28,6 @@ from pgm.beliefs.points.model import ParticleModel, Sensor
 from pgm.beliefs.points.streams import stream
 from pgm.compile import DynamicGraph
 from pgm.cpds import NonlinearGaussianCPD
-from pgm.factors.scope import listed
 from pgm.kernels import normal_density
 from pgm.kernels.arrays import Array, Integers, Mask
 from pgm.kernels.machine.particles import choosing, moving, weighing
@@ -284,7 +283,7 @@ def _require_plain(particles: ParticleSettings) -> None:
     options = ("proposal", "number", "start", "injection")
     given = [f"{name}=" for name in options if getattr(particles, name) is not None]
     if given:
-        raise Left(f"particles with {listed(given)} are moved by NumPy")
+        raise Left(f"particles with {', '.join(given)} are moved by NumPy")
     if particles.dtype is not np.float64:
         raise Left("states are float64 in machine code, and dtype= is another")
     if particles.n < LANES:

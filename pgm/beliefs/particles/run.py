@@ -13,7 +13,7 @@ from pgm.beliefs.particles.settings import ParticleSettings
 from pgm.beliefs.points.cloud import Cloud
 from pgm.beliefs.points.model import ParticleModel
 from pgm.compile import DynamicGraph
-from pgm.compile.machine import COMPILED, Choice, Compiled
+from pgm.compile.machine import COMPILED, Choice, Compiled, is_for_card
 from pgm.errors import EvidenceError, ModelError
 from pgm.evidence import BoundEvidence
 from pgm.networks import DynamicBayesianNetwork
@@ -44,7 +44,9 @@ def run(
     _require_possible(particles, model, kind)
     require_room(model.size, particles, bound.steps + 1, bound.runs, kind)
     record, account = _filtered(graph, model, particles, compiled)
-    if account == COMPILED and kind != FILTERED:
+    if account == COMPILED and is_for_card(compiled):
+        account += "; a card has no particles, and the processor's threads do"
+    if account.startswith(COMPILED) and kind != FILTERED:
         account += "; trajectories are drawn by NumPy"
     filtered, clouds, unmoved = tuple(record.clouds), tuple[Cloud, ...](), None
     if kind == FILTERED:

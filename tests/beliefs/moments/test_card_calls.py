@@ -225,3 +225,13 @@ def test_spans_of_arrays_that_share_memory():
     assert found[first + 40].written
     assert not found[first + 720].written
     assert not spans_of([fixed])[0].written
+
+
+def test_particles_are_moved_by_the_processor(driver):
+    few = pgm.Particles(1000, seed=1)
+    evidence = recording("plain")
+    found = pgm.filter(fresh(MODELS["plain"]), evidence, belief=few, compiled=CARD)
+    due = pgm.filter(fresh(MODELS["plain"]), evidence, belief=few, compiled=True)
+    assert "a card has no particles" in found.status.compilation
+    assert_array_equal(found.log_evidence, due.log_evidence)
+    assert not driver.launched

@@ -262,6 +262,7 @@ def test_smoothers_draw_their_trajectories_by_numpy():
     exact = pgm.smooth(cart(), readings)
     found = pgm.smooth(cart(), readings, belief=pgm.Particles(5000), compiled=BY)
     assert found.status.compilation == "compiled; trajectories are drawn by NumPy"
+    assert found.status.compilation in str(found.status)
     assert np.abs((found[x].mean - exact[x].mean) / exact[x].std).max() < 0.1
 
 
