@@ -5,10 +5,11 @@ of the particle, the step and the CPD, and sums are joined in the order of block
 are the same for any number of threads. They are other ones than NumPy's, whose generators draw
 a step's numbers one after another.
 
-Transitions and sensors have to be affine, or functions that can be traced, with Gaussian noise of a
-fixed covariance. Step 0 is drawn by NumPy, as are restarts from the prior, and resampling that is
-not systematic. Traces are judged as those of inference are: the functions are called at some of the
-particles, and where one has another value all is drawn anew by NumPy.
+Transitions have to be affine, or functions that can be traced, with Gaussian noise of a fixed
+covariance. Other sensors than such are weighed by NumPy, which draws step 0 and restarts from the
+prior, too, and has all resampling that is not systematic. Traces are judged as those of inference
+are: the functions are called at some of the particles, and where one has another value all is drawn
+anew by NumPy.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from pgm.beliefs.points.laws import GaussianLaw, Law, Some
 from pgm.beliefs.points.model import ParticleModel, Sensor
 from pgm.beliefs.points.streams import stream
 from pgm.compile import DynamicGraph
+from pgm.compile.machine import COMPILED
 from pgm.cpds import NonlinearGaussianCPD
 from pgm.kernels import normal_density
 from pgm.kernels.arrays import Array, Integers, Mask
@@ -73,11 +75,24 @@ class CompiledChain(ParticleChain):
         every = 1 + (model.bound.steps + 1) * particles.n * model.bound.runs // _JUDGED
         self._judged = _Judged(every)
         self._laws = [_Compiled(law, model.places) for law in model.transition]
-        self._sensors = [_CompiledSensor(each, model.places) for each in model.sensors]
+        self._sensors, self._others = list[_CompiledSensor](), list[Sensor]()
+        self._why = list[str]()
+        for each in model.sensors:
+            try:
+                self._sensors.append(_CompiledSensor(each, model.places))
+            except Left as why:
+                self._others.append(each)
+                self._why.append(str(why))
         starts = particles.n * np.arange(model.bound.runs + 1)
         self._shares = blocks(starts)
         self._keys = _keys(particles.seed, model.bound.first_run, model.bound.runs)
         self._log_weights = np.empty(int(starts[-1]))  # of a step, not normalised
+
+    @property
+    def account(self) -> str:
+        """What was compiled, in words, and which sensors NumPy weighs, with the reasons."""
+        others = f"; weighed by NumPy: {'; '.join(self._why)}" if self._why else ""
+        return f"{COMPILED}{others}"
 
     def judge(self) -> None:
         """Raise `Left` where a trace has had another value than the function that it is of."""
@@ -133,7 +148,10 @@ class CompiledChain(ParticleChain):
         return source, cloud.starts, log_weights
 
     def _weighed(self, step: int, cloud: Cloud) -> tuple[Cloud, Array]:
-        tops = self._weigh(step, cloud, cloud.log_weights, self._log_weights)
+        before = cloud.log_weights
+        if any(each.rows(step) for each in self._others):
+            before = before + self._by_numpy(step, cloud)
+        tops = self._weigh(step, cloud, before, self._log_weights)
         if np.isneginf(tops).any():
             return super()._weighed(step, cloud)
         sums = np.empty(len(self._shares))
@@ -146,7 +164,21 @@ class CompiledChain(ParticleChain):
 
     def _log_likelihood(self, step: int, cloud: Cloud) -> Array:
         found = np.empty(len(cloud.log_weights))
-        self._weigh(step, cloud, np.zeros(len(found)), found)
+        self._weigh(step, cloud, self._by_numpy(step, cloud), found)
+        return found
+
+    def _by_numpy(self, step: int, cloud: Cloud) -> Array:
+        """The log-density of a step's measurements that machine code does not weigh, (particles,).
+
+        The other measurements of the step are left out.
+        """
+        found = np.zeros(len(cloud.log_weights))
+        for block in cloud.blocks():
+            place = slice(block.first, block.last)
+            some = self._some(cloud, step, block.first, block.last, cloud.states[:, place])
+            for sensor in self._others:
+                for row in sensor.rows(step):
+                    sensor.add(row, some, found[place])
         return found
 
     def _weigh(self, step: int, cloud: Cloud, before: Array, after: Array) -> Array:

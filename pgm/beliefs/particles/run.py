@@ -44,7 +44,7 @@ def run(
     _require_possible(particles, model, kind)
     require_room(model.size, particles, bound.steps + 1, bound.runs, kind)
     record, account = _filtered(graph, model, particles, compiled)
-    if account == COMPILED and is_for_card(compiled):
+    if account.startswith(COMPILED) and is_for_card(compiled):
         account += "; a card has no particles, and the processor's threads do"
     if account.startswith(COMPILED) and kind != FILTERED:
         account += "; trajectories are drawn by NumPy"
@@ -83,7 +83,7 @@ def _filtered(
                 swift.judge()  # as a wrong trace may be why nothing explains the evidence
                 raise
             swift.judge()
-            return record, COMPILED
+            return record, swift.account
         except Left as why:
             account = f"not compiled: {why}"
     record = Record(steps, runs)

@@ -284,13 +284,46 @@ LEFT = dict(sensors())
 
 
 @pytest.mark.parametrize("name", LEFT)
-def test_a_model_without_machine_code_has_numpys_answer(name):
-    model = cart().replace(observation=[LEFT[name]])
+def test_a_sensor_without_machine_code_is_weighed_by_numpy(name):
+    model, w = wide()
+    model = model.replace(observation=[LEFT[name], *model.observation])
+    evidence = {z: [[1.0], [np.nan], [2.0]], w: np.ones((3, 2))}
+    quick, slow = chain_of(model, evidence, 20_000, seed=5)
+    cloud = slow.start()
+    for step in (1, 2, 3):
+        due, log_density = slow.take(step, cloud)
+        found, found_density = quick.take(step, cloud)
+        assert found.log_weights == pytest.approx(due.log_weights, abs=1e-10)
+        assert found_density == pytest.approx(log_density, abs=1e-10)
+        assert quick._log_likelihood(step, cloud) == pytest.approx(
+            slow._log_likelihood(step, cloud), abs=1e-10
+        )
+    told = pgm.filter(model, evidence, belief=pgm.Particles(100), compiled=BY).status.compilation
+    assert told.startswith(f"compiled; weighed by NumPy: {LEFT[name]!r}")
+
+
+def transitions():
+    matrix = [[1.0, 0.5], [0.0, 0.9]]
+    student = pgm.StudentT(5.0)
+    yield "student", pgm.LinearGaussianCPD(x, {x.previous: matrix}, cov=0.1, noise=student)
+    yield "untraced", pgm.NonlinearGaussianCPD(x, (x.previous,), unmoved, cov=0.1)
+
+
+def unmoved(x):
+    return np.array([[float(a), float(b)] for a, b in np.asarray(x).reshape(-1, 2)])
+
+
+MOVED = dict(transitions())
+
+
+@pytest.mark.parametrize("name", MOVED)
+def test_a_transition_without_machine_code_has_numpys_answer(name):
+    model = cart().replace(transition=[MOVED[name]])
     cloud = pgm.Particles(1000, seed=5)
     due = pgm.filter(model, {z: [[1.0], [2.0]]}, belief=cloud)
     found = pgm.filter(model, {z: [[1.0], [2.0]]}, belief=cloud, compiled=BY)
     assert found.status.compilation.startswith("not compiled: ")
-    assert repr(LEFT[name]) in found.status.compilation
+    assert repr(MOVED[name]) in found.status.compilation
     assert same(due, found)
 
 
