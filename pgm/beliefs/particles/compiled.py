@@ -6,17 +6,17 @@ are the same for any number of threads. They are other ones than NumPy's, whose 
 a step's numbers one after another.
 
 Transitions have to be affine, or functions that can be traced, with Gaussian noise of a fixed
-covariance. Other sensors than such are weighed by NumPy, which draws step 0 and restarts from the
-prior, too, and has all resampling that is not systematic. Traces are judged as those of inference
-are: the functions are called at some of the particles, and where one has another value all is drawn
-anew by NumPy.
+covariance. Sensors that are neither like that nor have Student-t noise are weighed by NumPy, which
+draws step 0 and restarts from the prior, too, and has all resampling that is not systematic. Traces
+are judged as those of inference are: the functions are called at some of the particles, and where
+one has another value all is drawn anew by NumPy.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
@@ -24,14 +24,15 @@ from pgm.beliefs.particles.chain import Generators, ParticleChain
 from pgm.beliefs.particles.record import Record
 from pgm.beliefs.particles.settings import ParticleSettings
 from pgm.beliefs.points.cloud import Cloud
-from pgm.beliefs.points.laws import GaussianLaw, Law, Some
+from pgm.beliefs.points.laws import Law, Root, Some
 from pgm.beliefs.points.model import ParticleModel, Sensor
 from pgm.beliefs.points.streams import stream
 from pgm.compile import DynamicGraph
 from pgm.compile.machine import COMPILED
 from pgm.cpds import NonlinearGaussianCPD
+from pgm.cpds.losses import StudentT
 from pgm.kernels import normal_density
-from pgm.kernels.arrays import Array, Integers, Mask
+from pgm.kernels.arrays import LOG_2PI, Array, Integers, Mask
 from pgm.kernels.machine.particles import choosing, moving, weighing
 from pgm.kernels.machine.particles.blocks import blocks, work
 from pgm.kernels.machine.particles.laws import BEFORE, INPUT, NOW, LawForm, Parent, cells
@@ -223,13 +224,16 @@ class _WhenAsked(Sequence[np.random.Generator]):
 class _Compiled:
     """A law as machine code is told of it: the form of its code, and the numbers of a call."""
 
+    # The classes of robust noise that have code.
+    _noises: ClassVar[tuple[type, ...]] = (type(None),)
+
     def __init__(self, law: Law, places: Mapping[Variable, slice]) -> None:
         cpd: Any = law.cpd
-        if type(law) is not GaussianLaw or cpd.noise is not None:
-            raise Left(f"{cpd!r} is not Gaussian")
+        self.law, self.trace = law, known_form(cpd)
         if cpd._lead():
             raise Left(f"{cpd!r} has axes of runs")
-        self.law, self.trace = law, known_form(cpd)
+        if type(cpd.noise) not in self._noises:
+            raise Left(f"{cpd!r} has the noise {cpd.noise!r}")
         trace = self.trace
         inputs = {v: np.ascontiguousarray(each) for v, each in law.inputs.items()}
         self._constants = constants(
@@ -244,6 +248,7 @@ class _Compiled:
             cpd.child.dimension,
             places[cpd.child].start if cpd.child in places else 0,
             tuple(cpd.child.angle_mask.tolist()),
+            cpd.noise is not None,
         )
         if self.form.row.operations > _MOST:
             raise Left(f"the code of {cpd!r} is longer than it is worth")
@@ -257,18 +262,25 @@ class _Compiled:
 class _CompiledSensor(_Compiled):
     """A sensor as machine code is told of it."""
 
+    _noises = type(None), StudentT
+
     def __init__(self, sensor: Sensor, places: Mapping[Variable, slice]) -> None:
         super().__init__(sensor.law, places)
         self.sensor, taken = sensor, sensor.reading.taken
-        size, root = self.form.height, cast(GaussianLaw, sensor.law).root(0, 0)
+        cpd: Any = sensor.law.cpd
+        size, noise, root = self.form.height, cpd.noise, Root(cpd._lower[None], np.float64)
         self._readings = np.where(taken, sensor.values, 0.0)
         patterns, which = np.unique(taken.reshape(-1, size), axis=0, return_inverse=True)
-        whiteners, told = np.zeros((len(patterns), size, size)), np.zeros((len(patterns), 1))
-        for pattern, whitener, constant in zip(patterns, whiteners, told, strict=True):
+        whiteners, told = np.zeros((len(patterns), size, size)), np.zeros((len(patterns), 3))
+        told[:, 2] = 1.0
+        for pattern, whitener, numbers in zip(patterns, whiteners, told, strict=True):
             if pattern.any():
                 part = root if pattern.all() else root.marginal(pattern)
                 whitener[np.ix_(pattern, pattern)] = normal_density.whitener(part.lower[0])
-                constant[0] = part.constant[0]
+                numbers[0], count = part.constant[0], int(pattern.sum())
+                if noise is not None:
+                    numbers[0] += 0.5 * count * LOG_2PI + noise._log_scale(count)
+                    numbers[1:] = 0.5 * (noise.dof + count), noise.dof
         which = which.reshape(taken.shape[:2])
         self._whiteners = whiteners.reshape(-1, size * size)[which]
         self._told = told[which]

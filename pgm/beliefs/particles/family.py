@@ -41,10 +41,11 @@ class Particles(ParticleSettings, BeliefFamily[ParticleBelief]):
     With ``compiled=True`` or ``compiled=pgm.Compiled(threads=2)``, given to `filter`, `smooth` or
     `compile`, machine code moves, weighs and resamples particles, which threads share. The
     transition has to be Gaussian with a fixed covariance, and linear, or of functions that can be
-    traced; other sensors than these are weighed by NumPy. The draws are then counted (Philox): the
-    same for any number of threads, and other ones than NumPy's where `compiled` is left out. NumPy
-    alone has a `proposal`, `number`, `start` or `injection`, float32, and what a smoother draws
-    backwards; ``posterior.status.compilation`` tells what was compiled, and why something was not.
+    traced; sensors likewise, or with `StudentT` noise, and others are weighed by NumPy. The draws
+    are then counted (Philox): the same for any number of threads, and other ones than NumPy's where
+    `compiled` is left out. NumPy alone has a `proposal`, `number`, `start` or `injection`, float32,
+    and what a smoother draws backwards; ``posterior.status.compilation`` tells what was compiled,
+    and why something was not.
 
     Parameters
     ----------

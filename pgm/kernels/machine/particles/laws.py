@@ -36,6 +36,7 @@ class LawForm(NamedTuple):
     height: The number of components of the child.
     child: The child's first component in the slice; of a sensor it is idle.
     angles: Which of the child's components are angles.
+    tails: Whether the noise is Student-t, of a sensor.
     """
 
     function: Function | None
@@ -43,6 +44,7 @@ class LawForm(NamedTuple):
     height: int
     child: int
     angles: tuple[bool, ...]
+    tails: bool
 
     @property
     def row(self) -> Form:

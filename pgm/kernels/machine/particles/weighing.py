@@ -2,7 +2,8 @@
 
 A reading z has the log-density c − ½ |W (z − f(x))|², with angles of z − f(x) within half a turn of
 zero. Of a covariance R = L Lᵀ, W is L⁻¹, and of the components that were measured alone, with zeros
-for the others; c is the log-density at z = f(x).
+for the others; c is the log-density at z = f(x). Of Student-t noise the log-density is
+c − e ln(1 + |W (z − f(x))|² / ν), with e = (ν + d) / 2 of the d components that were measured.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from pgm.kernels.machine.emitter.wholes import Whole
 from pgm.kernels.machine.particles.blocks import KINDS, each_block, each_pack_once
 from pgm.kernels.machine.particles.laws import ByRow, LawForm, LawWriter
 from pgm.kernels.machine.studies.sums import LANES, Given, each_pack, together
-from pgm.kernels.numbers import most, where
+from pgm.kernels.numbers import log, most, where
 from pgm.kernels.step import turns
 
 
@@ -31,7 +32,7 @@ def weighing(sensors: tuple[LawForm, ...]) -> Callable[..., None]:
     before and after, (particles,); of each block, the largest log-weight and a check, (blocks, 2),
     which is NaN where a function's value is not finite or a weight is NaN, else 0; and of each
     sensor those of its law, the first of its rows and how many they are, and z, W and c by row and
-    run.
+    run; of Student-t noise c, e and ν.
     """
     code = Module().function("weighed", KINDS, lanes=LANES)
     given = Given(code, code.arguments[0])
@@ -65,7 +66,7 @@ class _SensorWriter:
     def __init__(self, form: LawForm, given: Given) -> None:
         self._form, self._law = form, LawWriter(form, given)
         self._first, self.count = given.whole(), given.whole()
-        self._readings, self._whitener, self._constant = (ByRow(given) for _ in range(3))
+        self._readings, self._whitener, self._told = (ByRow(given) for _ in range(3))
 
     def log_density(self, k: Whole, run: Whole, now: Memory) -> tuple[Any, Any]:
         """The log-density of reading k of the step, and 0, or NaN where f(x) is not finite."""
@@ -84,7 +85,11 @@ class _SensorWriter:
             for j in range(i + 1):
                 white = white + whitener.load(i * form.height + j) * residuals[j]
             square = square + white * white
-        return self._constant.at(row, run).load(0) - 0.5 * square, sound
+        told = self._told.at(row, run)
+        loss = 0.5 * square
+        if form.tails:
+            loss = told.load(1) * log(1.0 + square / told.load(2))
+        return told.load(0) - loss, sound
 
 
 def largest(pack: Number) -> Number:
