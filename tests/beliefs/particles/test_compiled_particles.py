@@ -4,17 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import stats
-
-import pgm
-from pgm.beliefs.particles.chain import ParticleChain
-from pgm.beliefs.particles.compiled import CompiledChain
-from pgm.beliefs.particles.record import Record
-from pgm.beliefs.points.model import ParticleModel
-from pgm.evidence import bind
-from pgm.kernels import resampling
-from pgm.schedules.sweep import forward
-from tests.beliefs.particles.clouds import (
+from clouds import (
     cart,
     drive,
     mark,
@@ -27,6 +17,16 @@ from tests.beliefs.particles.clouds import (
     x,
     z,
 )
+from scipy import stats
+
+import pgm
+from pgm.beliefs.particles.chain import ParticleChain
+from pgm.beliefs.particles.compiled import CompiledChain
+from pgm.beliefs.particles.record import Record
+from pgm.beliefs.points.model import ParticleModel
+from pgm.evidence import bind
+from pgm.kernels import resampling
+from pgm.schedules.sweep import forward
 
 pytest.importorskip("llvmlite")
 
