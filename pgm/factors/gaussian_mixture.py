@@ -272,8 +272,11 @@ class GaussianMixture(Shown, NoArray, Immutable):
     @property
     def _title(self) -> str:
         names = ", ".join(map(repr, self.scope))
-        count = self.weights.shape[-1]
-        return f"GaussianMixture({names}: {count} Gaussians){axes(self.lead, self.steps)}"
+        count, unused = self.weights.shape[-1], 0
+        if not self.lead:
+            unused = count - np.count_nonzero(self.weights)
+        idle = f", {unused} of no weight" if unused else ""
+        return f"GaussianMixture({names}: {count} Gaussians{idle}){axes(self.lead, self.steps)}"
 
     def _summary(self) -> Summary:
         if self.lead or self.weights.shape[-1] == 1:
@@ -281,7 +284,7 @@ class GaussianMixture(Shown, NoArray, Immutable):
             alone = self.weights.shape[-1] == 1
             return found if alone else Summary(self._title, found.parts)
         heads = distinct_labels(self.scope)
-        order = np.argsort(-self.weights, kind="stable")
+        order = np.argsort(-self.weights, kind="stable")[: np.count_nonzero(self.weights)]
         rows: list[Any] = [["all", "1", *_shown(self.mean, self.std)]]
         std = self.components.std
         for k in few(order.size, SHOWN):

@@ -120,7 +120,7 @@ def estimate(
     >>> posterior.verdict
     Verdict(vouched for: the density of every belief within 0.0071 nats)
       tried: 33 starts, 33 of which settled, at 1 mode
-      chosen: one Gaussian, with moments of the draws where these can be used
+      chosen: one Gaussian, with moments of the draws
       judged by: 1000 draws, worth 832, of tail -1.32 (to be below 0.7)
       cost: 33 iterated answers in one batch, 1000 draws
     >>> posterior[x].mean.round(2)
@@ -238,6 +238,7 @@ def _verdict(lead: tuple[int, ...], sought: Sought, answer: Answer) -> Verdict:
         of=np.array(KINDS)[np.where(vouched, answer.of, 0)],
         starts=sought.starts,
         settled=sought.settled,
+        resumed=sought.resumed,
         modes=sought.modes,
         agreed=sought.agreed,
         draws=answer.draws,

@@ -35,6 +35,8 @@ class Verdict(Shown, Immutable, NoArray):
         empty where it is not vouched for.
     starts, settled, modes : ndarray of int
         How many iterations were started, how many of them settled, and at how many modes.
+    resumed : ndarray of int
+        How often one that had not settled went on from where it had stopped.
     agreed : ndarray of bool
         Whether nine in ten starts settled, or stopped too far below the best mode to matter, and
         modes that one start alone has found have no more than .005 of the mass.
@@ -74,6 +76,7 @@ class Verdict(Shown, Immutable, NoArray):
     of: npt.NDArray[np.str_]
     starts: Integers
     settled: Integers
+    resumed: Integers
     modes: Integers
     agreed: Mask
     draws: Integers
@@ -86,7 +89,7 @@ class Verdict(Shown, Immutable, NoArray):
     reason: str
 
     def __init__(self, lead: tuple[int, ...], reason: str = "", **found: Any) -> None:
-        arrays = {name: frozen(np.reshape(value, lead)) for name, value in found.items()}
+        arrays = {name: frozen(np.asarray(value).reshape(lead)) for name, value in found.items()}
         self._set(reason=reason, **arrays)
 
     @classmethod
@@ -103,7 +106,7 @@ class Verdict(Shown, Immutable, NoArray):
     def _without_draws(
         cls, lead: tuple[int, ...], vouched: bool, within: float, of: str, reason: str = ""
     ) -> Verdict:
-        counts = "starts", "settled", "modes", "draws", "tried_otherwise"
+        counts = "starts", "settled", "resumed", "modes", "draws", "tried_otherwise"
         none = dict.fromkeys(counts, np.zeros(lead, np.intp))
         figures = dict.fromkeys(("effective", "pareto_k"), np.full(lead, np.nan))
         return cls(
@@ -119,6 +122,11 @@ class Verdict(Shown, Immutable, NoArray):
             **none,
             **figures,
         )
+
+    def __getitem__(self, runs: Any) -> Verdict:
+        """The verdict on some runs: a number, a slice, or an index of NumPy's."""
+        found = {name: each[runs] for name in _FIGURES for each in (getattr(self, name),)}
+        return Verdict(np.shape(found["vouched"]), self.reason, **found)
 
     @property
     def headline(self) -> str:
@@ -166,11 +174,18 @@ class Verdict(Shown, Immutable, NoArray):
         return ", ".join(reasons)
 
     @property
-    def _source(self) -> str:
-        """The draws that moments are of."""
-        if not self.recombined.any():
-            return "the draws"
-        return f"trajectories recombined from draws of each step{_where(self.recombined)}"
+    def _moments(self) -> str:
+        """The draws that moments are of, or why they are of none."""
+        used = (self.effective > ENOUGH) & (self.pareto_k < 1.0)
+        left = "as iterations found them, since too few draws count, or their tail is too heavy"
+        if not used.any():
+            return left
+        source = "draws"
+        if self.recombined.any():
+            source = f"trajectories recombined from draws of each step{_where(self.recombined)}"
+        if used.all():
+            return f"with moments of the {source}"
+        return f"with moments of the {source}{_where(used)}, in the others {left}"
 
     @property
     def _tried(self) -> str:
@@ -179,6 +194,11 @@ class Verdict(Shown, Immutable, NoArray):
         if not tried.any():
             return ""
         return f"; {tried.max()} of the starts by a rule that takes means{_where(tried > 0)}"
+
+    @property
+    def _further(self) -> str:
+        """The starts that went on."""
+        return f"{_span(self.resumed)} more of starts that went on, " if self.resumed.any() else ""
 
     @property
     def _rule(self) -> str:
@@ -197,14 +217,18 @@ class Verdict(Shown, Immutable, NoArray):
         lines = [
             f"tried: {_span(self.starts)} starts, {_span(self.settled)} of which settled, at "
             f"{_span(self.modes)} mode{'s' * bool(self.modes.max() > 1)}{self._tried}",
-            f"chosen: {mixture}{self._rule} with moments of {self._source} where these can be used",
+            f"chosen: {mixture}{self._rule} {self._moments}",
             f"judged by: {_span(self.draws)} draws, worth {_span(self.effective)}, of tail "
             f"{_span(self.pareto_k)} (to be below {HEAVY})",
             f"cost: {_span(self.starts)} iterated answers in "
-            f"{'two batches' if self.tried_otherwise.any() else 'one batch'}, "
+            f"{'two batches' if self.tried_otherwise.any() else 'one batch'}, {self._further}"
             f"{_span(self.draws)} draws",
         ]
         return Summary(self._title, lines)
+
+
+# The attributes that have a value for each run.
+_FIGURES = tuple(name for name in Verdict.__annotations__ if name != "reason")
 
 
 def _where(runs: Mask) -> str:

@@ -32,6 +32,8 @@ class Call(NamedTuple):
     schedule: None for the graph's own.
     compiled: Whether machine code was asked for when the graph was compiled; None if it was not.
     tells: Whether few digits are told of by a warning; a part of the runs leaves that to the whole.
+    trial: Whether the iterations of a chain are one start among many, which takes no more than a
+        few in twice the digits, from where float64 stopped, and fails where float64 does.
     """
 
     schedule: Schedule | None = None
@@ -43,6 +45,7 @@ class Call(NamedTuple):
     impossible: str = RAISE
     compiled: Any = None
     tells: bool = True
+    trial: bool = False
 
     def asked(self, graph: Any) -> dict[str, Any]:
         """The options that are not left at their defaults, those of the schedule among them.

@@ -95,13 +95,19 @@ class Arrived(NamedTuple):
             raise self.refused or ModelError("nothing has arrived from any start")
         return self.parts
 
+    def with_others(self, other: Arrived) -> Arrived:
+        """These outcomes, and those of another attempt at the starts that failed."""
+        made = [own for own, *_ in other.parts]
+        left = np.setdiff1d(self.failed, np.concatenate([self.failed[:0], *made]))
+        return Arrived([*self.parts, *other.parts], left, self.refused or other.refused)
+
 
 def arrived(infer: Callable[[Integers], Any], starts: Integers) -> Arrived:
     """The outcomes from all starts, of which `infer` takes some by number.
 
     Where it fails the halves are tried by themselves.
     """
-    left = [starts]
+    left = [starts] if starts.size else []
     found: list[Part] = []
     failed: list[int] = []
     refused: PgmError | None = None

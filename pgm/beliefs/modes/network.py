@@ -114,8 +114,8 @@ class NetworkSearch(Search):
         assert call.schedule is not None
         if not evidence and isinstance(graph.network, BayesianNetwork):
             raise EvidenceError(
-                "modes that evidence leaves are looked for, and there is none: give some; without "
-                "any, beliefs are the network's own, which need no starts"
+                "no evidence is given, and modes are looked for that evidence leaves; beliefs "
+                "without any are the network's own, which pgm.infer has"
             )
         made = gaussian.linearised_factors(graph, evidence, call.schedule, call.lineariser)
         model, bound, level = made

@@ -209,7 +209,7 @@ class Found:
 class ModesOutcome(Outcome[GaussianMixture]):
     """Mixtures of the modes of a posterior."""
 
-    beliefs: ClassVar[str] = "mixtures of several modes"
+    beliefs: ClassVar[str] = "mixtures of modes"
     silent: ClassVar[str] = "each mode has a linearisation of its own, and no messages are kept"
 
     graph: ClusterGraph

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -19,6 +20,9 @@ from pgm.schedules.options import Call
 from pgm.schedules.schedule import Calibration, Smoothing
 from pgm.schedules.starting_points import Start
 from pgm.variables import Variable
+
+# One in so many starts may fail by trial.
+SPARE = 10
 
 
 class Search(ABC):
@@ -96,27 +100,30 @@ class Search(ABC):
         """The beliefs that points of the prior lead to: so many, less a number `before` of them.
 
         They are numbered from 1. One that fails in some run goes on in the others, unless runs are
-        together.
+        together. Where more than one in ten fail by trial, in float64, they are tried with care.
         """
         begun = self._begun(starts)
+        numbers, spare = np.arange(before, starts) + 1, (starts - before) // SPARE
 
-        def infer(some: Integers) -> Any:
-            return self._inferred(some.size, {v: own[some - 1] for v, own in begun.items()})
+        def infer(search: Self, some: Integers) -> Any:
+            return search._inferred(some.size, {v: own[some - 1] for v, own in begun.items()})
 
-        found = arrivals.arrived(infer, np.arange(before, starts) + 1)
-        if found.failed.size and self.runs > 1 and not self.together:
-            axes = 1 + len(self.lead)
-            means = {
-                v: own.reshape(starts, self.runs, *own.shape[axes:]) for v, own in begun.items()
-            }
-            runs = np.tile(np.arange(self.runs), found.failed.size)
-            pairs = self._in_pairs(np.repeat(found.failed, self.runs), runs, means, 1)
-            found = found._replace(parts=[*found.parts, *pairs])
-        return found.some
+        if self.runs == 1 or self.together:
+            return self._tried(infer, numbers, spare).some
+        found = arrivals.arrived(partial(infer, self._by_trial()), numbers)
+        axes = 1 + len(self.lead)
+        means = {v: own.reshape(starts, self.runs, *own.shape[axes:]) for v, own in begun.items()}
+        runs = np.tile(np.arange(self.runs), found.failed.size)
+        pairs = self._in_pairs(np.repeat(found.failed, self.runs), runs, means, 1, spare)
+        return found._replace(parts=[*found.parts, *pairs]).some
 
     def unled(self) -> list[Part]:
         """The beliefs to which a schedule without a start leads, start 0."""
         return arrivals.arrived(lambda some: self._inferred(some.size, None), np.arange(1)).some
+
+    def _by_trial(self) -> Self:
+        """The search by starts of which each is one among many."""
+        return self._called(self.call._replace(trial=True))
 
     def resumed(self, parts: Sequence[Part]) -> list[Part]:
         """The beliefs of starts that had not settled, which go on from where they stopped.
@@ -129,34 +136,60 @@ class Search(ABC):
             mean = means[variable] = arrivals.by_start(parts, self.lead, each)
             known = known & np.isfinite(mean).all(axis=tuple(range(2, mean.ndim)))
         left = known & ~arrivals.heights(parts, self.lead).settled
+        spare = len(left) // SPARE
         if not self.together:
             starts, runs = np.nonzero(left)
-            return self._in_pairs(starts, runs, means, 0)
+            return self._in_pairs(starts, runs, means, 0, spare)
 
-        def infer(some: Integers) -> Any:
+        def infer(search: Self, some: Integers) -> Any:
             shape = some.size, *self.lead
             start = {v: mean[some].reshape(*shape, *mean.shape[2:]) for v, mean in means.items()}
-            return self._inferred(some.size, start)
+            return search._inferred(some.size, start)
 
         starts = np.flatnonzero(left.any(axis=1) & known.all(axis=1))
-        return arrivals.arrived(infer, starts).parts if starts.size else []
+        return self._tried(infer, starts, spare).parts
 
     def _in_pairs(
-        self, starts: Integers, runs: Integers, means: Mapping[Variable, Array], first: int
+        self,
+        starts: Integers,
+        runs: Integers,
+        means: Mapping[Variable, Array],
+        first: int,
+        spare: int,
     ) -> list[Part]:
         """The beliefs of starts each of one run, (P,) and (P,), but of those that fail.
 
-        `means`, (S, runs, ...), are those of the starts from number `first` on.
+        `means`, (S, runs, ...), are those of the starts from number `first` on. Of a run so many
+        may fail by trial as are `spare`.
         """
 
-        def infer(some: Integers) -> Any:
+        def infer(search: Self, some: Integers) -> Any:
             start = {v: mean[starts[some] - first, runs[some]][None] for v, mean in means.items()}
-            return self._of(runs[some])._inferred(1, start)
+            return search._of(runs[some])._inferred(1, start)
 
-        if not starts.size:
-            return []
-        found = arrivals.arrived(infer, np.arange(starts.size)).parts
+        found = self._tried(infer, np.arange(starts.size), spare, runs).parts
         return [Part(starts[own], outcome, runs[own]) for own, outcome, _ in found]
+
+    def _tried(
+        self,
+        infer: Callable[[Self, Integers], Any],
+        starts: Integers,
+        spare: int,
+        runs: Integers | None = None,
+    ) -> arrivals.Arrived:
+        """The outcomes from starts by trial; with care where more fail than a number to `spare`.
+
+        It is of each run where each start is of one of the `runs`, (P,). `infer` takes the search,
+        by trial or not, and some of the starts.
+        """
+        found = arrivals.arrived(partial(infer, self._by_trial()), starts)
+        failed = found.failed
+        if runs is not None:
+            of = runs[failed]
+            failed = failed[np.bincount(of, minlength=self.runs)[of] > spare]
+        elif failed.size <= spare:
+            failed = failed[:0]
+        return found.with_others(arrivals.arrived(partial(infer, self), failed))
 
     def chosen(self, parts: Sequence[Part], count: int) -> Found:
         """The modes at which starts have arrived, `count` at the most."""

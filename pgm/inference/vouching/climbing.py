@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple, Self
 
@@ -81,6 +81,7 @@ class Sought(ByRun):
         A start is done where it settled, or stopped so far below the best mode, in nats, that what
         it gained of late would not bring it near.
     starts, settled: How many starts there were, and how many settled.
+    resumed: How often a start went on from where it had stopped.
     otherwise: How many of the starts were by another rule.
     several: Whether they settled at several points, however little their mass.
     """
@@ -89,6 +90,7 @@ class Sought(ByRun):
     agreed: Mask
     starts: Integers
     settled: Integers
+    resumed: Integers
     otherwise: Integers
     several: Mask
 
@@ -158,19 +160,34 @@ def seek(search: Search) -> Sought:
 
 
 class Paths(NamedTuple):
-    """Starts, and where they stopped: at first, and where some went on more carefully."""
+    """Starts, and where they stopped: at first, and where some went on, at last more carefully."""
 
     first: list[Part]
+    further: list[Part]
     careful: list[Part]
+
+    @property
+    def plain(self) -> list[Part]:
+        """The beliefs before any went on more carefully."""
+        return [*self.first, *self.further]
+
+    @property
+    def resumed(self) -> list[Part]:
+        """The beliefs of starts that went on from where they had stopped."""
+        return [*self.further, *self.careful]
 
     @property
     def parts(self) -> list[Part]:
         """All beliefs, the last of a start that counts after those before."""
-        return [*self.first, *self.careful]
+        return [*self.first, *self.further, *self.careful]
 
     def with_others(self, other: Paths) -> Paths:
         """The paths of these starts and of others."""
-        return Paths([*self.first, *other.first], [*self.careful, *other.careful])
+        return Paths(*([*own, *more] for own, more in zip(self, other, strict=True)))
+
+    def within(self, runs: Integers) -> Paths:
+        """The paths of a search in some runs, as those of the whole search."""
+        return Paths(*([part.within(runs) for part in own] for own in self))
 
 
 def _paths(search: Search, runs: Integers, before: int, starts: int) -> Paths:
@@ -184,13 +201,18 @@ def _paths(search: Search, runs: Integers, before: int, starts: int) -> Paths:
     first = plain.arrived(starts, before)
     if not before:
         first += plain.unled()
-    careful = []
+    paths = Paths(first, [], [])
     if part.steps <= LONG:
-        first += plain.resumed(first)
-        careful = part.by(*CAREFUL).resumed(first)
-    if part is search:
-        return Paths(first, careful)
-    return Paths([own.within(runs) for own in first], [own.within(runs) for own in careful])
+        paths = paths._replace(further=plain.resumed(paths.plain))
+        paths = paths._replace(careful=part.by(*CAREFUL).resumed(paths.plain))
+    return paths if part is search else paths.within(runs)
+
+
+def _counts(parts: Sequence[Part], runs: int) -> Integers:
+    """How many starts of parts each run has, (runs,)."""
+    every = np.arange(runs)
+    each = (np.tile(every, len(part.starts)) if part.runs is None else part.runs for part in parts)
+    return np.bincount(np.concatenate([every[:0], *each]), minlength=runs)
 
 
 def _asked(search: Search, runs: Integers) -> Integers:
@@ -208,7 +230,7 @@ def _sought(search: Search, paths: Paths, asked: Integers) -> Sought:
     near = laws.weights > np.exp(-NEGLIGIBLE) * laws.weights.max(axis=0)
     weights = np.where(near, laws.weights, 0.0)
     unseen = np.where(found.hits == 1, laws.weights, 0.0).sum(axis=0)
-    before, (logs, settled) = heights(paths.first, search.lead), heights(paths.parts, search.lead)
+    before, (logs, settled) = heights(paths.plain, search.lead), heights(paths.parts, search.lead)
     starts = (~np.isnan(logs)).sum(axis=0)
     best = np.where(settled, logs, -np.inf).max(axis=0)
     gained = logs - before.log_evidence
@@ -221,6 +243,7 @@ def _sought(search: Search, paths: Paths, asked: Integers) -> Sought:
         (unseen <= UNSEEN) & enough,
         starts,
         settled.sum(axis=0),
+        _counts(paths.resumed, runs),
         np.zeros_like(starts),
         (found.hits > 0).sum(axis=0) > 1,
     )

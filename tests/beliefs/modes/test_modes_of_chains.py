@@ -4,6 +4,9 @@ import numpy as np
 import pytest
 
 import pgm
+from pgm.beliefs.modes.chain import ChainSearch
+from pgm.inference.dynamic import over_time
+from pgm.schedules.options import Call
 from tests.beliefs.hypotheses.test_switching_chains import MODE, READ, far, walk
 
 P, R = pgm.Variable("p", components=("e", "n")), pgm.Variable("r")
@@ -343,6 +346,56 @@ def test_starts_of_which_none_settles_are_told_of():
     with pytest.warns(pgm.ConvergenceWarning, match="nothing had settled from any start"):
         found = pgm.smooth(model, read, belief=pgm.Gaussians(2, starts=4))
     assert not found.status.converged.all()
+
+
+def precise(cov, function=lambda x: x**2):
+    """A walk whose sensor is so precise that float64 has too few digits for it."""
+    s, seen = pgm.variables("s seen")
+    model = pgm.DynamicBayesianNetwork(
+        [pgm.GaussianCPD(s, 2.0, 100.0)],
+        [pgm.LinearGaussianCPD(s, {s.previous: 1.0}, cov=1.0)],
+        [pgm.NonlinearGaussianCPD(seen, s, function, cov=cov)],
+    )
+    values = np.arange(3.0, 7.0)[:, None] ** 2
+    _, (graph, bound, call) = over_time(model, {seen: values}, Call(pgm.Smoothing(50)), 4)
+    search = ChainSearch.make(graph, bound, call)
+    return s, search, search._by_trial()
+
+
+def test_a_trial_has_the_answer_of_twice_the_digits_where_it_settles():
+    s, whole, trial = precise(1e-16)
+    start = {s: np.full((1, 5, 1), 4.0)}
+    careful, tried = whole._inferred(1, start), trial._inferred(1, start)
+    assert careful._careful is not None
+    assert tried._careful is not None
+    assert tried.status.converged.all()
+    assert tried.status.iterations <= 5 < careful.status.iterations
+    off = np.abs(tried[s].mean - careful[s].mean) / careful[s].std
+    assert off.max() < 1e-6
+    assert tried[s].std == pytest.approx(careful[s].std, rel=1e-6)
+
+
+def test_starts_that_fail_by_trial_are_tried_with_care_if_they_are_many(monkeypatch):
+    s, whole, _ = precise(1.0)
+    asked, inferred = [], ChainSearch._inferred
+
+    def failing(least):
+        def infer(self, count, start):
+            asked.append(self.call.trial)
+            if self.call.trial and (start[s][:, 0, 0] > least).any():
+                raise pgm.NumericalError("float64 has no answer", run=0)
+            return inferred(self, count, start)
+
+        return infer
+
+    monkeypatch.setattr(ChainSearch, "_inferred", failing(-np.inf))
+    assert sum(part.starts.size for part in whole.arrived(16)) == 16
+    assert not all(asked)
+    asked.clear()
+    farthest = np.sort(whole._begun(16)[s][:, 0, 0])[-2]
+    monkeypatch.setattr(ChainSearch, "_inferred", failing(farthest))  # one of them
+    assert sum(part.starts.size for part in whole.arrived(16)) == 15
+    assert all(asked)
 
 
 def test_an_online_filter_of_pieces_is_the_filter():

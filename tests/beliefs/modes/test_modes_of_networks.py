@@ -185,7 +185,7 @@ def test_refusals():
     square = pgm.NonlinearGaussianCPD(B, A, lambda a: a**2, cov=0.1)
     network = pgm.BayesianNetwork([pgm.GaussianCPD(A, 0.0, 1.0), square])
     seen = {B: [1.0]}
-    refused(pgm.EvidenceError, "modes that evidence leaves", network, {})
+    refused(pgm.EvidenceError, "modes are looked for that evidence leaves", network, {})
     refused(pgm.EvidenceError, "all are observed", network, {A: [1.0], B: [1.0]})
     refused(pgm.ModelError, "starts= looks for modes", network, seen, pgm.Gaussians(4))
     refused(pgm.ModelError, "start= is not for mixtures", network, seen, start={A: [1.0]})

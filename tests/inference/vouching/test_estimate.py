@@ -303,7 +303,8 @@ def test_a_posterior_without_density_has_its_answer_and_the_reason():
     found = pgm.estimate(pgm.BayesianNetwork([pgm.GaussianCPD(x, 3.0, 1.0), read]), {y: [9.0]})
     assert "nothing is weighed: " in found.verdict.reason
     assert found[x].mean[0] == pytest.approx(3.0)
-    for evidence, told in (({}, "there is none"), ({x: [3.0], y: [9.0]}, "all are observed")):
+    none, all_seen = "no evidence is given", "all are observed"
+    for evidence, told in (({}, none), ({x: [3.0], y: [9.0]}, all_seen)):
         reason = pgm.estimate(square, evidence).verdict.reason
         assert told in reason
         assert "starts=" not in reason
@@ -329,6 +330,31 @@ def test_a_start_that_fails_in_one_run_goes_on_in_the_others():
     assert starts[0] == starts[2] == 33
     assert starts[1] < 33
     assert found.verdict.vouched[[0, 2]].all()
+
+
+def test_a_verdict_counts_starts_that_went_on_and_is_asked_by_run():
+    read = pgm.NonlinearGaussianCPD(y, x, lambda x: x**2, cov=0.5)
+    model = pgm.BayesianNetwork([pgm.GaussianCPD(x, 0.0, 4.0), read])
+    found = pgm.estimate(model, {y: [[4.0], [-1.0], [9.0]]})
+    assert found.verdict.resumed[[0, 2]].tolist() == [0, 0]
+    assert found.verdict.resumed[1] > 0  # where x² is to be −1, Gauss–Newton overshoots
+    assert "more of starts that went on" in repr(found.verdict)
+    alone = found.verdict[1]
+    assert alone.within == found.verdict.within[1]
+    assert np.shape(alone.vouched) == ()
+    assert "at 1 mode\n" in repr(alone)
+    assert found.verdict[:2].modes.tolist() == [2, 1]
+    assert "1 of no weight" in repr(found[x][1])
+    assert "of no weight" not in repr(found[x][0])
+
+
+def test_a_verdict_says_whether_moments_are_of_draws():
+    read = pgm.NonlinearGaussianCPD(y, x, lambda x: x**2, cov=1e-6)
+    model = pgm.BayesianNetwork([pgm.GaussianCPD(x, 0.0, 4.0), read])
+    seen = {y: [[1.0], [2.0]]}
+    assert "with moments of the draws\n" in repr(pgm.estimate(model, seen).verdict)
+    few = pgm.estimate(model, seen, effort=40).verdict
+    assert "as iterations found them, since too few draws count" in repr(few)
 
 
 @pytest.mark.parametrize("shape", [(3,), (3, 1)])
@@ -385,7 +411,7 @@ def test_robust_readings_of_a_network_without_time():
 
 
 def test_what_cannot_be_weighed_says_why():
-    assert "there is none" in pgm.estimate(square, {}).verdict.reason
+    assert "no evidence is given" in pgm.estimate(square, {}).verdict.reason
     assert "all are observed" in pgm.estimate(square, {x: [3.0], y: [9.0]}).verdict.reason
     flat = walk.replace(prior=[pgm.GaussianCPD(x, 0.0, np.inf)])
     cubic = pgm.NonlinearGaussianCPD(z, given=x, function=lambda x: x + x**3, cov=1.0)
@@ -433,7 +459,7 @@ def test_a_run_that_a_way_refuses_keeps_its_answer_alone(together, answered):
 @pytest.mark.parametrize("question", ["innovations", "lost", "filtered", "nonlinearity", "weights"])
 def test_modes_name_the_posteriors_that_have_what_they_lack(question):
     found = pgm.estimate(squares, {z: [[9.0], [9.1]]}, effort=200)
-    with pytest.raises(pgm.PgmError, match=r"several modes have none; a posterior of one lin"):
+    with pytest.raises(pgm.PgmError, match=r"mixtures of modes have none; a posterior of one lin"):
         getattr(found, question)
     with pytest.raises(pgm.PgmError, match=r"posterior\.verdict tells how well"):
         pgm.audit(found, rng=1)

@@ -84,7 +84,7 @@ def run(graph: DynamicGraph, bound: BoundEvidence, call: Call) -> ChainOutcome |
         parts = list(split(whole, lineariser, workers.count))
     if len(parts) == 1:
         if kept is None:
-            return _told(run_chain(graph, bound, schedule, lineariser, start))
+            return _told(run_chain(graph, bound, schedule, lineariser, start, trial=call.trial))
         workers = Workers(None)
     share = Share.of(graph, schedule, start, kept, sensors)
     room = workers.room(share.shapes(graph, bound))

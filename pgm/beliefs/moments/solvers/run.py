@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import nullcontext, suppress
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -50,6 +51,9 @@ from pgm.schedules.schedule import (
 )
 from pgm.schedules.starting_points import Start, over_runs, require_hidden
 from pgm.tracing import Judge, judged
+
+# Linearisations in twice the digits, from where a trial has stopped in float64, at the most.
+POLISHING = 5
 
 
 class Solver(ABC):
@@ -234,6 +238,8 @@ def run(
     lineariser: Lineariser,
     start: Start | None,
     room: Room | None = None,
+    *,
+    trial: bool = False,
 ) -> ChainOutcome:
     """The posterior of a chain given its evidence, by a schedule, smoothing if that is None.
 
@@ -243,12 +249,16 @@ def run(
     a filter. NumPy's warnings are silenced, since results that are not finite are refused at the
     end; the status tells how many digits are lost, of which the caller warns. Functions may be
     replaced by traces, programs recorded from a call; where one proves wrong, all is done again.
+
+    A `trial` is one start among many, for which a whole pass in twice the digits is not worth its
+    time: where float64 fails it raises NumericalError, and where it has lost too many digits the
+    iterations go on in twice the digits from where they stopped, `POLISHING` times at the most.
     """
     schedule = Smoothing() if schedule is None else schedule
     if isinstance(schedule, FixedLag) and not schedule.lag and schedule.solver is None:
         require_known(schedule, "a filter, which a lag of 0 is")
         schedule = schedule.filtering
-    plain = start is None and room is None
+    plain = start is None and room is None and not trial
     blank = Blank.known(graph.layout, bound, lineariser) if plain else None
     solver = solver_of(graph, schedule)
     given = None if start is None else _start(graph.layout, bound, start)
@@ -256,19 +266,29 @@ def run(
         found: ChainOutcome | None = None
         with quiet(), judge:
             plan = _plan(graph, bound, lineariser, schedule, judge)
+            careful, begun = solver, given
             if not certificate.is_flat(plan):
-                with suppress(NumericalError):  # with twice the digits there may be an answer
+                # With twice the digits there may be an answer.
+                with nullcontext() if trial else suppress(NumericalError):
                     swept = _fitting(solver.solve(plan, given, room), schedule)
                     found = _told(swept) if _suffices(swept) else None
+                    if trial:
+                        careful, begun = _polishing(graph, schedule), swept._beliefs.mean
                 if found is None:
                     account = plan.account
                     plan = _plan(graph, bound, lineariser, schedule, judge, probe=False)
                     plan.account.left.update(account.left)
             if found is None:
-                found = _carefully(solver, plan, given)
+                found = _carefully(careful, plan, begun)
     assert found is not None
     bind(blank, schedule, found, bound)
     return found
+
+
+def _polishing(graph: DynamicGraph, schedule: Schedule) -> Solver:
+    """The solver that goes on from where a trial by the schedule stopped."""
+    assert isinstance(schedule, Calibration)
+    return solver_of(graph, replace(schedule, iterations=min(schedule.iterations, POLISHING)))
 
 
 def _plan(
