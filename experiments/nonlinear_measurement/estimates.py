@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import pgm
-from experiments.nonlinear_measurement.cases import Array, Case, Integers
+from experiments.nonlinear_measurement.cases import Case, Integers
 from experiments.nonlinear_measurement.truth import Truth
 from models.networks import pose
 
@@ -40,11 +40,11 @@ class Estimated:
 
 def estimated(case: Case, truth: Truth, kept: Integers, seed: int) -> Estimated:
     """Estimate all simulations of a case, and judge those whose truth is known well enough."""
-    found, after = pgm.estimate(case.model, case.evidence, steps=1, rng=seed), pose.at(1)
-    belief, verdict = found[after], found.verdict
+    found = pgm.estimate(case.model, case.evidence, steps=1, rng=seed)
+    before, after, verdict = found[pose.at(0)], found[pose.at(1)], found.verdict
     assert verdict is not None
-    exact = pgm.Gaussian(after, truth.mean[kept], truth.cov[kept])
-    kl = exact.kl(_unturned(belief, truth.mean, kept))
+    exact = pgm.Gaussian(pose.at(1), truth.mean[kept], truth.cov[kept])
+    kl = exact.kl(_unturned(before, after, kept))
     sure, within = verdict.vouched[kept], verdict.within[kept]
     some = bool(sure.any())
     return Estimated(
@@ -57,15 +57,17 @@ def estimated(case: Case, truth: Truth, kept: Integers, seed: int) -> Estimated:
     )
 
 
-def _unturned(belief: pgm.GaussianMixture, about: Array, kept: Integers) -> pgm.Gaussian:
-    """The moments of mixtures whose headings are not wrapped, as the truth's are not.
+def _unturned(
+    before: pgm.GaussianMixture, after: pgm.GaussianMixture, kept: Integers
+) -> pgm.Gaussian:
+    """The moments of the poses after the step, headings not wrapped, as the truth's are not.
 
-    A mode's heading is known but for whole turns: it is put where it is nearest to `about`.
+    A mode's headings are known but for whole turns, which are those of both poses: the first
+    heading is put within half a turn of the prior's mean, zero.
     """
-    mean, weights = belief.components.mean[kept].copy(), belief.weights[kept, :, None]
-    turns = np.round((mean[..., 2] - about[kept, None, 2]) / (2.0 * np.pi))
-    mean[..., 2] -= 2.0 * np.pi * turns
+    mean, weights = after.components.mean[kept].copy(), after.weights[kept, :, None]
+    mean[..., 2] -= 2.0 * np.pi * np.round(before.components.mean[kept, :, 2] / (2.0 * np.pi))
     centre = (weights * mean).sum(axis=1)
     off = mean - centre[:, None]
-    spread = belief.components.cov[kept] + off[..., :, None] * off[..., None, :]
-    return pgm.Gaussian(belief.scope[0], centre, (weights[..., None] * spread).sum(axis=1))
+    spread = after.components.cov[kept] + off[..., :, None] * off[..., None, :]
+    return pgm.Gaussian(after.scope[0], centre, (weights[..., None] * spread).sum(axis=1))

@@ -286,7 +286,7 @@ def test_settings_are_refused(monkeypatch):
     model = MODELS["plain"]
     with pytest.raises(pgm.ModelError, match="compiled='fast'"):
         pgm.OnlineFilter(model, compiled="fast")
-    with pytest.raises(pgm.ModelError, match="compiled= is for beliefs that are Gaussian"):
+    with pytest.raises(pgm.ModelError, match="online, particles are moved by NumPy"):
         pgm.OnlineFilter(model, belief=pgm.Particles(10), compiled=True)
     monkeypatch.setitem(sys.modules, "llvmlite", None)
     assert not pgm.OnlineFilter(model).compiled
