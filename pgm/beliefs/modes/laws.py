@@ -122,6 +122,7 @@ class Target(Protocol):
 def without_density() -> NumericalError:
     """The error for a posterior that has no density."""
     return NumericalError(
-        "draws are weighed by the density of all hidden variables, and these have none, as where "
-        "sensors without noise were read: give the exact CPDs some noise, or ask for no draws"
+        "draws are weighed by the density of all hidden variables, and these have none: a noise "
+        "is zero, or as good as zero beside other variances, as of an exact sensor that was read; "
+        "give it a size, or ask for no draws"
     )

@@ -8,6 +8,7 @@ import pytest
 from crossed import slow_after
 
 import pgm
+from experiments.iterated import growth
 from experiments.nonlinear_measurement import cases, truth
 from pgm.beliefs.modes.chain import ChainSearch
 from pgm.examples import rainy, square, squares, walk, wet, x, y, z
@@ -100,6 +101,25 @@ def test_all_of_forty_mirror_drives():
     assert off.mean() <= 0.03
     assert vouched.sum() >= 20
     assert off[vouched].max() <= 0.05
+
+
+@pytest.mark.slow
+def test_a_hundred_runs_of_the_growth_model_by_its_cube():
+    model = growth.network(growth.POWERS["cubic"])
+    steps = np.arange(1, 51)
+    inputs = {
+        growth.clock: steps[:, None] * 1.0,
+        growth.reading: pgm.sightings(step=steps),
+    }
+    drawn = model.sample(inputs, runs=100, rng=3)
+    found = pgm.estimate(model, drawn.evidence)
+    grid = pgm.Grid({growth.state: (-30.0, 30.0, 5000)})
+    exact = pgm.smooth(model, drawn.evidence, belief=grid)[growth.state].mean
+    mean = found[growth.state].mean
+    assert np.sqrt(np.mean((mean - drawn[growth.state]) ** 2)) <= 0.40
+    off = np.abs(mean - exact).max(axis=(1, 2))[found.verdict.vouched]
+    assert off.size
+    assert (off > 1.0).mean() <= 0.01
 
 
 def judged_wide_starts(runs):
