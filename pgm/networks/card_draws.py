@@ -51,7 +51,7 @@ class _Row(NamedTuple):
 
 
 class CardDraws:
-    """What a card draws of a model: states at all steps, and readings, sorted by their steps.
+    """Draws of a model on a card: states at all steps, and readings, sorted by their steps.
 
     It raises a `Left` where machine code cannot draw the model, or its noise is not Gaussian.
     """

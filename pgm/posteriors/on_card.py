@@ -139,7 +139,7 @@ class PosteriorOnCard(Posterior[Any]):
         return found
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """What comes home is copied and pickled, as any other posterior is."""
+        """The posterior at home, which is copied and pickled as any other is."""
         return Posterior, (self._outcome, self._entered, self._verdict)
 
     @property

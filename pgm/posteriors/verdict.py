@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pgm.display import NoArray, Shown, Summary, number
+from pgm.factors.arrays import lead_index
 from pgm.immutable import Immutable
 from pgm.kernels.arrays import Array, Integers, Mask, frozen
 
@@ -124,9 +125,14 @@ class Verdict(Shown, Immutable, NoArray):
         )
 
     def __getitem__(self, runs: Any) -> Verdict:
-        """The verdict on some runs: a number, a slice, or an index of NumPy's."""
-        found = {name: each[runs] for name in _FIGURES for each in (getattr(self, name),)}
+        """The verdict on some runs, by their places along the axes of runs."""
+        found = {name: getattr(self, name) for name in _FIGURES}
+        for axis, item in reversed(list(enumerate(lead_index(runs, self.vouched.shape, self)))):
+            at = (slice(None),) * axis + (item,)
+            found = {name: each[at] for name, each in found.items()}
         return Verdict(np.shape(found["vouched"]), self.reason, **found)
+
+    __iter__ = None  # else Python would go through places until one is refused
 
     @property
     def headline(self) -> str:

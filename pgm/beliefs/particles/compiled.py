@@ -91,7 +91,7 @@ class CompiledChain(ParticleChain):
 
     @property
     def account(self) -> str:
-        """What was compiled, in words, and which sensors NumPy weighs, with the reasons."""
+        """The account of compilation, in words: which sensors NumPy weighs, with the reasons."""
         others = f"; weighed by NumPy: {'; '.join(self._why)}" if self._why else ""
         return f"{COMPILED}{others}"
 

@@ -266,16 +266,13 @@ def test_impossible_measurements_are_raised_ignored_or_restarted():
     readings = {z: [[0.5], [1e200], [1.0]]}
     with pytest.raises(pgm.EvidenceError, match="impossible"):
         swift(cart(), readings, 1000)
-    for way in ("ignore", "restart"):
-        if way == "restart":
-            with pytest.raises(pgm.EvidenceError, match="nor of those of the prior"):
-                swift(cart(), readings, 1000, impossible=way)
-            continue
-        with pytest.warns(pgm.ParticleWarning, match="no particle explains"):
-            found = swift(cart(), readings, 1000, impossible=way)
-        assert found.status.ignored.tolist() == [False, False, True, False]
-        assert np.isneginf(found.log_evidence)
-        assert np.isfinite(found[x].mean).all()
+    with pytest.raises(pgm.EvidenceError, match="nor of those of the prior"):
+        swift(cart(), readings, 1000, impossible="restart")
+    with pytest.warns(pgm.ParticleWarning, match="no particle explains"):
+        found = swift(cart(), readings, 1000, impossible="ignore")
+    assert found.status.ignored.tolist() == [False, False, True, False]
+    assert np.isneginf(found.log_evidence)
+    assert np.isfinite(found[x].mean).all()
 
 
 def test_a_value_that_is_not_finite_is_refused_as_by_numpy():
@@ -356,6 +353,44 @@ def test_a_transition_without_machine_code_has_numpys_answer(name):
     assert found.status.compilation.startswith("not compiled: ")
     assert repr(MOVED[name]) in found.status.compilation
     assert same(due, found)
+
+
+def by_step_or_input(name):
+    """A cart of which one covariance is a function of an input, or another at each step."""
+    u, model = pgm.Variable("u"), cart()
+    scales = np.array([0.1, 2.0, 0.5])
+    of_input = pgm.noise(lambda u: u[..., None] * 0.3, given=(u,))
+    matrix = [[1.0, 0.5], [0.0, 0.9]]
+    found = {
+        "sensor, by input": {
+            "observation": [pgm.LinearGaussianCPD(z, {x: [[1, 0]]}, cov=of_input)]
+        },
+        "sensor, by step": {
+            "observation": [pgm.LinearGaussianCPD(z, {x: [[1, 0]]}, cov=scales[:, None, None])]
+        },
+        "motion, by step": {
+            "transition": [
+                pgm.LinearGaussianCPD(
+                    x, {x.previous: matrix}, cov=scales[:, None, None] * np.eye(2)
+                )
+            ]
+        },
+    }
+    evidence = {z: [[1.0], [2.0], [2.5]]}
+    if "input" in name:
+        evidence[u] = scales[:, None]
+    return model.replace(**found[name]), evidence
+
+
+@pytest.mark.parametrize("name", ["sensor, by input", "sensor, by step", "motion, by step"])
+def test_covariances_by_step_or_input_agree_with_the_kalman_filter(name):
+    model, evidence = by_step_or_input(name)
+    exact = pgm.filter(model, evidence)
+    found = pgm.filter(model, evidence, belief=pgm.Particles(50_000, seed=1), compiled=BY)
+    assert "has numbers by step or a noise of inputs" in found.status.compilation
+    spread = 1.0 / np.sqrt(found.status.effective.min())
+    assert np.abs((found[x].mean - exact[x].mean) / exact[x].std).max() < 5.0 * spread
+    assert found.log_evidence == pytest.approx(exact.log_evidence, abs=10.0 * spread)
 
 
 @pytest.mark.filterwarnings("ignore::pgm.ParticleWarning")  # of few particles

@@ -364,6 +364,10 @@ def test_a_verdict_counts_starts_that_went_on_and_is_asked_by_run():
     assert np.shape(alone.vouched) == ()
     assert "at 1 mode\n" in repr(alone)
     assert found.verdict[:2].modes.tolist() == [2, 1]
+    with pytest.raises(pgm.ModelError, match=r"Verdict\(.*0 leading axes"):
+        alone[0]
+    with pytest.raises(TypeError, match="not iterable"):
+        iter(alone)
     assert "1 of no weight" in repr(found[x][1])
     assert "of no weight" not in repr(found[x][0])
 

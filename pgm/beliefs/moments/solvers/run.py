@@ -272,7 +272,7 @@ def run(
                 with nullcontext() if trial else suppress(NumericalError):
                     swept = _fitting(solver.solve(plan, given, room), schedule)
                     found = _told(swept) if _suffices(swept) else None
-                    if trial:
+                    if trial and found is None:
                         careful, begun = _polishing(graph, schedule), swept._beliefs.mean
                 if found is None:
                     account = plan.account
